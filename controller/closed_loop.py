@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.gains import Settings
 from controller.loop import Loop
+from controller.settings import Settings
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.profile import Change, Profile, profile_function
@@ -52,7 +52,15 @@ class ClosedLoop(OpenLoop):
 
     def __init__(self, model: Model, limits: Mapping[str, float], ranges: Ranges, duration: float) -> None:
         self.ranges = ranges
-        self.settings = Settings(tilt_max=min(self._tilts(limits)), sample_time=model.rate)
+        tilts = []  # limit of each propeller, common to both directions
+        for name in self.commanded:
+            low, high = ranges.get(name, (-math.inf, math.inf))
+            if not low < 0.0 < high:
+                raise InputError.at(
+                    Path("--range"), f"{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"
+                )
+            tilts.append(min(limits[name], -low, high))
+        self.settings = Settings(tilt_max=min(tilts), sample_time=model.rate)
         room, duty = min(limits["x_world"], limits["y_world"]), min(limits["duty_right"], limits["duty_left"])
         band = min(SLOWEST / duration, FASTEST / model.rate), FASTEST / model.rate
         dither = DITHER * self.settings.tilt_max
@@ -64,16 +72,6 @@ class ClosedLoop(OpenLoop):
             RigAxis("duty_common", (1.0 - DUTY_DIFFERENCE) * duty, *band),
             RigAxis("duty_difference", DUTY_DIFFERENCE * duty, *band),
         )
-
-    def _tilts(self, limits: Mapping[str, float]) -> Iterator[float]:
-        """Yield the tilt limit of each propeller, common to both directions."""
-        for name in self.commanded:
-            low, high = self.ranges.get(name, (-math.inf, math.inf))
-            if not low < 0.0 < high:
-                raise InputError.at(
-                    Path("--range"), f"{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"
-                )
-            yield min(limits[name], -low, high)
 
     def play(self, model: Model, signals: Signals) -> Trial:
         """Simulate the noise-free loop in Gauss-Seidel order, as a co-simulation."""

@@ -104,11 +104,6 @@ class Consistency:
             parts.append(f"at {100 * max(self.above, self.below):.3g} % {chance}")
         return f"{verdict}: {'; '.join(parts)}"
 
-    def as_json(self) -> Mapping[str, Any]:
-        """Return the measures and the verdict as plain data for JSON."""
-        names = ("degrees", "runs", "mean", "region", "share", "above", "below", "most", "times", "verdict", "factor")
-        return {name: getattr(self, name) for name in names}
-
 
 def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Consistency:
     """Return the consistency of normalised squared errors or innovations.
@@ -152,27 +147,21 @@ def independent_times(squares: Array) -> float:
     p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
     runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
     """
-    off = squares - squares.mean(axis=0)
-    size = np.sqrt((off * off).sum(axis=0))
-    z = np.divide(off, size, out=np.zeros_like(off), where=size > 0.0)
-    grid, covariance = _covariances()
-    total = sum(np.interp(z[:, k : k + ROWS].T @ z, grid, covariance).sum() for k in range(0, z.shape[1], ROWS))
-    return float(np.clip(SIDE * (1.0 - SIDE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
-
-
-def _covariances() -> tuple[Array, Array]:
-    """Return correlations ρ of two standard normal variables, and for each ρ the covariance of both exceeding c.
-
-    The covariance is ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π, with c the 97.5 % quantile.
-    """
     from scipy.integrate import cumulative_simpson
     from scipy.stats import norm
 
+    off = squares - squares.mean(axis=0)
+    size = np.sqrt((off * off).sum(axis=0))
+    z = np.divide(off, size, out=np.zeros_like(off), where=size > 0.0)
+    # covariance of two standard normal variables both exceeding c, by their correlation ρ:
+    # ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001)
     with np.errstate(divide="ignore"):
         density = np.exp(-(norm.ppf(SIDE) ** 2) / (1.0 + np.sin(angle))) / (2.0 * math.pi)
-    whole = cumulative_simpson(density, x=angle, initial=0.0)
-    return np.sin(angle), whole - whole[1000]
+    integral = cumulative_simpson(density, x=angle, initial=0.0)
+    grid, covariance = np.sin(angle), integral - integral[1000]
+    total = sum(np.interp(z[:, k : k + ROWS].T @ z, grid, covariance).sum() for k in range(0, z.shape[1], ROWS))
+    return float(np.clip(SIDE * (1.0 - SIDE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -195,57 +184,42 @@ class ConsistencyRow:
     at: Array
 
     def as_json(self) -> Mapping[str, Any]:
-        """Return plain data for scripts."""
-        names = ("case", "flight", "motion", "of")
-        return {**{name: getattr(self, name) for name in names}, **self.result.as_json()}
+        """Return names, measures and verdict as plain data for scripts."""
+        names = ("degrees", "runs", "mean", "region", "share", "above", "below", "most", "times", "verdict", "factor")
+        of_row = {name: getattr(self, name) for name in ("case", "flight", "motion", "of")}
+        return of_row | {name: getattr(self.result, name) for name in names}
 
 
-@dataclass(frozen=True)
-class CaseResult:
-    """Results of all tests of one case (estimator and true plant) on one flight (motion)."""
-
-    rows: Sequence[ConsistencyRow]
-
-    @property
-    def consistent(self) -> bool:
-        """Return True if every test of the case (NEES, NIS …) is consistent."""
-        return all(row.result.verdict == CONSISTENT for row in self.rows)
-
-    @property
-    def verdict(self) -> str:
-        """Return the common verdict of all tests (NEES, NIS …): consistent, optimistic, pessimistic, or both."""
-        kinds = {kind for row in self.rows for kind in (OPTIMISTIC, PESSIMISTIC) if kind in row.result.verdict}
-        return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
-
-    @property
-    def factor(self) -> float:
-        """Return the mean squared error divided by the variance that the estimator claims."""
-        return self.rows[0].result.factor
+def by_case(rows: Sequence[ConsistencyRow]) -> list[list[ConsistencyRow]]:
+    """Return the rows of each case (estimator and true plant) on each flight (motion)."""
+    groups: dict[tuple[str, str], list[ConsistencyRow]] = {}
+    for row in rows:
+        groups.setdefault((row.case, row.flight), []).append(row)
+    return list(groups.values())
 
 
-def by_case(rows: Sequence[ConsistencyRow]) -> list[CaseResult]:
-    """Return rows grouped by case and flight."""
-    return [
-        CaseResult([row for row in rows if (row.case, row.flight) == key])
-        for key in dict.fromkeys((row.case, row.flight) for row in rows)
-    ]
+def common_verdict(rows: Sequence[ConsistencyRow]) -> str:
+    """Return the common verdict of all tests (NEES, NIS …) of a case: consistent, optimistic, pessimistic, or both."""
+    kinds = {kind for row in rows for kind in (OPTIMISTIC, PESSIMISTIC) if kind in row.result.verdict}
+    return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
+
+
+def worst(cases: Sequence[Sequence[ConsistencyRow]]) -> Sequence[ConsistencyRow] | None:
+    """Return the inconsistent case whose errors are largest relative to the claimed variance; None without one."""
+    largest = max(cases, key=lambda rows: rows[0].result.factor)
+    return None if largest[0].result.factor <= 1.0 or common_verdict(largest) == CONSISTENT else largest
 
 
 def headline(rows: Sequence[ConsistencyRow]) -> str:
     """Return a headline: the number of consistent cases, then the case with the largest errors."""
-    results = by_case(rows)
-    right, largest = sum(r.consistent for r in results), worst(results)
-    opening = f"{right} of {len(results)} cases are consistent: errors match the variance that the estimator claims."
+    cases = by_case(rows)
+    right, largest = sum(common_verdict(case) == CONSISTENT for case in cases), worst(cases)
+    opening = f"{right} of {len(cases)} cases are consistent: errors match the variance that the estimator claims."
     if largest is None:
         return opening
-    case = f"{largest.rows[0].case}, {largest.rows[0].flight}"
-    return f"{opening} Largest errors: {case}: mean square error {largest.factor:.3g} times the claimed variance."
-
-
-def worst(results: Sequence[CaseResult]) -> CaseResult | None:
-    """Return the inconsistent case whose errors are largest relative to the claimed variance; None without one."""
-    largest = max(results, key=lambda r: r.factor)
-    return None if largest.factor <= 1.0 or largest.consistent else largest
+    first, factor = largest[0], largest[0].result.factor
+    told = f"{first.case}, {first.flight}: mean square error {factor:.3g} times the claimed variance."
+    return f"{opening} Largest errors: {told}"
 
 
 def consistency(

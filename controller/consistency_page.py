@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from controller.consistency import CONSISTENT, CaseResult, ConsistencyRow, by_case, headline, worst
+from controller.consistency import CONSISTENT, ConsistencyRow, by_case, common_verdict, headline, worst
 from cosim.base.text import counted, percent, plain
 from cosim.base.version import __version__
 from cosim.report.charts import Charts, Plot
@@ -21,56 +21,39 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 
 def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
     """Return the self-contained HTML page of a consistency test."""
-    charts, runs, results = Charts(), rows[0].result.runs, by_case(rows)
-    flights, main = {row.flight: row.motion for row in rows}, worst(results) or results[0]
+    charts, runs, cases = Charts(), rows[0].result.runs, by_case(rows)
+    flights, main = {row.flight: row.motion for row in rows}, worst(cases) or cases[0]
+    judged: dict[str, dict[str, Any]] = {}
+    for case in cases:
+        verdict, first = common_verdict(case), case[0]
+        cell = {"verdict": verdict, "good": verdict == CONSISTENT, "factor": plain(first.result.factor, 3)}
+        judged.setdefault(first.case, dict.fromkeys(flights))[first.flight] = cell
+    cells = []
+    for row in rows:
+        r = row.result
+        verdict, _, more = r.sentence.partition(": ")
+        shares = {name: percent(getattr(r, name)) for name in ("above", "below", "most")}
+        region = f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}"
+        numbers = {"degrees": str(r.degrees), "mean": plain(r.mean, 4), "region": region, **shares}
+        names = {"case": row.case, "flight": row.flight, "of": row.of}
+        cells.append({**names, **numbers, "verdict": verdict, "more": more, "good": verdict == CONSISTENT})
     return render(
         TEMPLATE,
         {
             "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
             "headline": headline(rows),
-            "tone": "good" if all(r.consistent for r in results) else "bad",
-            "shown": f"{main.rows[0].case}, {main.rows[0].flight}",
-            "first": [_plot(row, charts) for row in main.rows],
+            "tone": "good" if all(common_verdict(case) == CONSISTENT for case in cases) else "bad",
+            "shown": f"{main[0].case}, {main[0].flight}",
+            "first": [_plot(row, charts) for row in main],
             "flights": list(flights.items()),
-            "judged": [_summary(case, results, list(flights)) for case in dict.fromkeys(row.case for row in rows)],
-            "rows": [_cells(row) for row in rows],
-            "cases": [
-                (f"{r.rows[0].case}; {r.rows[0].flight}", [_plot(row, charts) for row in r.rows]) for r in results
-            ],
+            "judged": [{"case": name, "flights": list(of.values())} for name, of in judged.items()],
+            "rows": cells,
+            "cases": [(f"{case[0].case}; {case[0].flight}", [_plot(row, charts) for row in case]) for case in cases],
             "data": charts.data(),  # after all drawings
             "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
             "version": __version__,
         },
     )
-
-
-def _summary(case: str, results: Sequence[CaseResult], flights: Sequence[str]) -> Mapping[str, Any]:
-    """Return a case's row of the summary table: its verdict on each flight.
-
-    The number `factor` is the mean squared error divided by the claimed variance.
-    """
-    own = {r.rows[0].flight: r for r in results if r.rows[0].case == case}
-    cells = {f: {"verdict": r.verdict, "good": r.consistent, "factor": plain(r.factor, 3)} for f, r in own.items()}
-    return {"case": case, "flights": [cells.get(flight) for flight in flights]}
-
-
-def _cells(row: ConsistencyRow) -> Mapping[str, Any]:
-    r = row.result
-    verdict, _, more = r.sentence.partition(": ")
-    return {
-        "case": row.case,
-        "flight": row.flight,
-        "of": row.of,
-        "degrees": str(r.degrees),
-        "mean": plain(r.mean, 4),
-        "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}",
-        "above": percent(r.above),
-        "below": percent(r.below),
-        "most": percent(r.most),
-        "verdict": verdict,
-        "more": more,
-        "good": verdict == CONSISTENT,
-    }
 
 
 def _plot(row: ConsistencyRow, charts: Charts) -> Plot:

@@ -7,26 +7,36 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
+import numpy as np
 from pydantic import AfterValidator, Field
 
-from controller.gains import GAINS, Settings
-from controller.judging import Objection, designed_gains, judged_gains
-from controller.placement import POLES as PLACED
-from controller.placement import pole_faults
-from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, numbers_of, roll_numbers_of
-from controller.time_variant_settings import OF_CRAFT, TimeVariantSettings, craft_faults
-from controller.variants import (
-    INTEGRAL,
+from controller.design_model import Matrix
+from controller.settings import (
+    GAINS,
     INTEGRALS,
-    POLES,
-    PREDICTIONS,
-    PREDICTIVE,
-    TIME_VARIANT,
+    OF_CRAFT,
+    FullSettings,
     IntegralSettings,
     PredictiveSettings,
+    Settings,
+    TimeVariantSettings,
     conflicts,
+    craft_faults,
+)
+from controller.stability import FlownLoop, worst_modes
+from controller.synthesis import (
+    POLES,
+    Q_INTEGRAL,
+    Q_THESIS,
+    R_THESIS,
+    integral_gain,
+    lqr_gain,
+    numbers_of,
+    placed_gain,
+    pole_faults,
+    roll_numbers_of,
 )
 from cosim.base.errors import Fault, refuse
 from cosim.model import Model, parameters_of
@@ -37,12 +47,13 @@ from plant.hovercraft import Hovercraft
 Controller = Literal[
     "controller.fmu", "controller-pole.fmu", "controller-lqi.fmu", "controller-mpc.fmu", "controller-ltv-mpc.fmu"
 ]
-LAWS: Mapping[Controller, tuple[str, type[Settings]]] = {  # law and parameters
-    "controller.fmu": ("", Settings),
-    "controller-pole.fmu": (POLES, Settings),
-    "controller-lqi.fmu": (INTEGRAL, IntegralSettings),
-    "controller-mpc.fmu": (PREDICTIVE, PredictiveSettings),
-    "controller-ltv-mpc.fmu": (TIME_VARIANT, TimeVariantSettings),
+LQR, PLACED, INTEGRAL, PREDICTIVE, TIME_VARIANT = get_args(Controller)
+SETTINGS: Mapping[str, type[Settings]] = {
+    LQR: Settings,
+    PLACED: Settings,
+    INTEGRAL: IntegralSettings,
+    PREDICTIVE: PredictiveSettings,
+    TIME_VARIANT: TimeVariantSettings,
 }
 LISTS = {  # key → start values of a predictive law, which has no fifth state
     "Q": ("weight_x", "weight_vx", "weight_psi", "weight_psi_dot"),
@@ -50,6 +61,8 @@ LISTS = {  # key → start values of a predictive law, which has no fifth state
     "R": ("weight_tilt",),
     "duty_limits": ("duty_min", "duty_max"),
 }
+WEIGHTS = {"Q": [*Q_THESIS], "R": [*R_THESIS], "Q_integral": [*Q_INTEGRAL]}
+POLES_OF = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
 Place = tuple[str | int, ...]
 
 
@@ -88,7 +101,7 @@ class DesignFile(Part):
     controllers: list[Controller] = Field(["controller.fmu"], min_length=1)
     Q: list[NotNegative] = Field([*Q_THESIS], min_length=5, max_length=5)
     R: list[Positive] = Field([*R_THESIS], min_length=2, max_length=2)
-    poles: list[Complex] = Field([*PLACED], min_length=5, max_length=5)
+    poles: list[Complex] = Field([*POLES], min_length=5, max_length=5)
     Q_integral: list[Positive] = Field([*Q_INTEGRAL], min_length=2, max_length=2)
     Q_lateral: list[NotNegative] = Field([1.0, 0.5], min_length=2, max_length=2)
     R_duty: Positive = 1.0
@@ -98,6 +111,13 @@ class DesignFile(Part):
     estimator: Literal["appendix_f", "lagged", "consistent"] | None = None
     thrust_nominal: Annotated[Positive, InUnit("N")] | None = None
     lag: PositiveSeconds | None = None
+
+
+class Objection(NamedTuple):
+    """A reason against a design, or a warning of it, with the place of the option."""
+
+    place: Place
+    message: str
 
 
 def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], list[str]]:
@@ -114,23 +134,15 @@ def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], lis
     file = yaml.validate(DesignFile)
     craft = model if isinstance(model, Hovercraft) and model != Hovercraft() else None
     starts: dict[str, dict[str, Any]] = {}
-    faults: list[Fault] = []
-    warnings: list[Fault] = []
-
-    def fault(objection: Objection) -> Fault:
-        option = next(iter(objection.place), None)
-        place = objection.place if option in yaml.root else ()
-        return yaml.fault(place, objection.message if option is None else f"{option}: {objection.message}")
-
+    told: tuple[dict[Fault, None], dict[Fault, None]] = {}, {}
     for name in file.controllers:
-        try:
-            starts[name], objections, remarks = controller_starts(name, file, craft)
-        except ValueError as error:
-            objections, remarks = [getattr(error, "objection", Objection((), str(error)))], []
-        faults += map(fault, objections)
-        warnings += map(fault, remarks)
-    refuse(dict.fromkeys(faults))
-    return starts, [*map(str, dict.fromkeys(warnings))]
+        starts[name], *groups = controller_starts(name, file, craft)
+        for faults, objections in zip(told, groups, strict=True):
+            for place, message in objections:
+                at = place if place and place[0] in yaml.root else ()
+                faults[yaml.fault(at, f"{place[0]}: {message}" if place else message)] = None
+    refuse(told[0])
+    return starts, [*map(str, told[1])]
 
 
 def check_design(path: Path, checking: Checking) -> list[str]:
@@ -141,66 +153,108 @@ def check_design(path: Path, checking: Checking) -> list[str]:
 def controller_starts(
     name: Controller, file: DesignFile, craft: Hovercraft | None
 ) -> tuple[dict[str, Any], list[Objection], list[Objection]]:
-    """Return start values of a controller, objections and warnings; raise ValueError if there are none.
+    """Return start values of a controller, objections and warnings.
 
     Args:
         craft: Source of the numbers of the design model; None takes those of the controller's own parameters.
     """
-    (law, kind), options = LAWS[name], file.model_dump()
-    placed = _placed_values(options, law)
-    values: dict[str, Any] = numbers_of(craft) if craft is not None else {}
-    if craft is not None and law == TIME_VARIANT:
-        values = {name: getattr(craft, name) for name in OF_CRAFT} | values
-    elif craft is not None and law == PREDICTIVE:
-        values |= roll_numbers_of(craft)
-    values |= {name: float(value) for name, (_, value) in placed.items()}
-    if law != TIME_VARIANT and options["estimator"] is not None:
+    kind, options, predicts = SETTINGS[name], file.model_dump(), name in (PREDICTIVE, TIME_VARIANT)
+    given = ("thrust_nominal", "lag", *(("horizon", "speed_max") if predicts else ()))
+    # start value → place in the file and number, for options used unchanged
+    placed: dict[str, tuple[Place, float]] = {n: ((n,), options[n]) for n in given if options[n] is not None}
+    if predicts:
+        for option, names in LISTS.items():
+            placed |= {n: ((option, k), options[option][k]) for k, n in enumerate(names)}
+        placed["weight_duty"] = (("R_duty",), options["R_duty"])
+    values: dict[str, Any] = {}
+    if craft is not None:
+        values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
+        values |= numbers_of(craft) | (roll_numbers_of(craft) if name == PREDICTIVE else {})
+    values |= {n: float(value) for n, (_, value) in placed.items()}
+    if name != TIME_VARIANT and options["estimator"] is not None:
         values["estimator"] = options["estimator"]
-    if objections := _refused_options(options, law, kind, placed):
-        return values, objections, []
-    if law in PREDICTIONS:
-        settings = SimpleNamespace(**{p.name: p.default for p in parameters_of(kind)} | values)
-        reasons = conflicts(settings) + (craft_faults(settings) if law == TIME_VARIANT else [])
-        for names, reason in reasons:
-            place: Place = next((placed[name][0] for name in names if name in placed), ())
-            objections.append(Objection(place, f"the settings are not possible together: {reason}"))
-        if not objections:
-            replace(kind(), **values)  # raises ValueError for a number of the craft out of its bounds
-        return values, objections, []
-    K, K_i = designed_gains(options, replace(Settings(), **values), law)
-    values |= {name: float(K[divmod(k, 5)]) for k, name in enumerate(GAINS)}
-    if K_i is not None:
-        values |= {name: float(K_i[divmod(k, 2)]) for k, name in enumerate(INTEGRALS)}
-    return values, *judged_gains(values, options, law)
-
-
-def _refused_options(
-    options: Mapping[str, Any], law: str, kind: type[Settings], placed: Mapping[str, tuple[Place, float]]
-) -> list[Objection]:
-    """Return objections to options out of bounds, impossible poles, and unequal weights of the two tilts."""
-    declared = {p.name: p for p in parameters_of(kind)}
-    objections = []
-    for name, (place, value) in placed.items():
-        low, high = declared[name].bounds
+    objections, declared = [], {p.name: p for p in parameters_of(kind)}
+    for n, (place, value) in placed.items():
+        low, high = declared[n].bounds
         if not low <= value <= high:
-            unit = f" {declared[name].unit}".rstrip()
-            reason = f"{value:g} lies outside [{low:g}, {high:g}]{unit}; take a value inside"
-            objections.append(Objection(place, reason))
-    if law == POLES:
+            unit = f" {declared[n].unit}".rstrip()
+            objections.append(
+                Objection(place, f"{value:g} lies outside [{low:g}, {high:g}]{unit}; take a value inside")
+            )
+    if name == PLACED:
         poles = [complex(pole) for pole in options["poles"]]
         objections += [Objection(("poles", k), message) for k, message in pole_faults(poles)]
-    if law in PREDICTIONS and options["R"][0] != options["R"][1]:
+    if predicts and options["R"][0] != options["R"][1]:
         reason = f"{options['R']} weighs one tilt more; the predictive law takes one weight for both"
         objections.append(Objection(("R",), f"{reason}: write the same number twice"))
-    return objections
+    if objections:
+        return values, objections, []
+    if predicts:
+        settings = SimpleNamespace(**{p.name: p.default for p in parameters_of(kind)} | values)
+        reasons = conflicts(settings) + (craft_faults(settings) if name == TIME_VARIANT else [])
+        for names, reason in reasons:
+            place = next((placed[n][0] for n in names if n in placed), ())
+            objections.append(Objection(place, f"the settings are not possible together: {reason}"))
+        if not objections:
+            try:
+                replace(kind(), **values)
+            except ValueError as error:  # a number of the craft out of its bounds
+                objections = [Objection((), str(error))]
+        return values, objections, []
+    K_i: Matrix | None = None
+    try:
+        p = replace(Settings(), **values)
+        if name == PLACED:
+            K = placed_gain(p, [complex(pole) for pole in options["poles"]])
+        elif name == INTEGRAL:
+            K, K_i = integral_gain(p, options["Q"], options["R"], options["Q_integral"])
+        else:
+            K = lqr_gain(p, options["Q"], options["R"])
+    except ValueError as error:
+        return values, [Objection(_place_of("forward", options, name)[:1], str(error))], []
+    values |= {n: float(K[divmod(k, 5)]) for k, n in enumerate(GAINS)}
+    if K_i is not None:
+        values |= {n: float(K_i[divmod(k, 2)]) for k, n in enumerate(INTEGRALS)}
+    return values, *_judged(values, options, name, K, K_i)
 
 
-def _placed_values(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
-    """Return start value → place in the file and number, for options used unchanged."""
-    names = ("thrust_nominal", "lag", *(("horizon", "speed_max") if law in PREDICTIONS else ()))
-    values: dict[str, tuple[Place, float]] = {n: ((n,), options[n]) for n in names if options[n] is not None}
-    if law in PREDICTIONS:
-        for option, starts in LISTS.items():
-            values |= {name: ((option, k), options[option][k]) for k, name in enumerate(starts)}
-        values["weight_duty"] = (("R_duty",), options["R_duty"])
-    return values
+def _judged(
+    values: Mapping[str, Any], options: Mapping[str, Any], name: str, K: Matrix, K_i: Matrix | None
+) -> tuple[list[Objection], list[Objection]]:
+    """Return objections to designed gains, and warnings: bounds, then stability and damping of the sampled loop."""
+    gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
+    if large := [p for p in gains if p.fault(values[p.name])]:
+        size, limit = max(abs(values[p.name]) for p in large), large[0].bounds[1]
+        axis = "turning" if large[0].name[-1] in "347" else "forward"  # columns of K and K_i for ψ
+        reason = f"asks for a gain of {size:.3g}, and the controller takes {limit:g} at most; ask for a slower loop"
+        return [Objection(_place_of(axis, options, name), reason)], []
+    names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
+    p = FullSettings(**{n: v for n, v in values.items() if n in names})
+    try:
+        modes = FlownLoop(p).modes(K, K_i)
+    except np.linalg.LinAlgError:  # The estimator has no steady gain.
+        return [], []
+    objections, warnings = [], []
+    for mode in worst_modes(modes):
+        place, pole = _place_of(mode.axis, options, name), mode.pole
+        shown = f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
+        loop = (
+            f"with the lag of {p.lag:g} s, a sample of {p.sample_time:g} s and the estimator {p.estimator} the "
+            f"{mode.axis} axis has a pole at {shown} rad/s"
+        )
+        nearer = f"take poles nearer to {', '.join(f'{pole:g}' for pole in POLES)}"
+        cure = nearer if name == PLACED else "weigh the tilts more, or the states less"
+        if mode.grows:
+            objections.append(Objection(place, f"is not stable as it flies, {loop}; {cure}"))
+        else:
+            kept = 100 * math.exp(-2 * math.pi * mode.damping / math.sqrt(1 - mode.damping**2))
+            damped = f"hardly damped by {mode.damping:.2g}: a swing keeps {kept:.0f} % of its size"
+            warnings.append(Objection(place, f"{loop}, {damped}; {cure}"))
+    return objections, warnings
+
+
+def _place_of(axis: str, options: Mapping[str, Any], name: str) -> Place:
+    """Return the option that determines an axis' speed: its fastest pole, or changed weights."""
+    if name == PLACED:
+        return "poles", max(POLES_OF[axis], key=lambda k: abs(complex(options["poles"][k])))
+    return (next((key for key, ours in WEIGHTS.items() if options.get(key) not in (None, ours)), "Q"),)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from controller.gains import Settings
 from controller.laws import Law, LawInput, StateFeedback
+from controller.settings import Settings
 
 
 class Loop:
@@ -76,18 +76,12 @@ class Loop:
         return x, psi
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the complete state of the control loop as plain numbers.
-
-        Parts: the estimator's state, the last command, the law's state.
-        """
-        return {
-            "estimator": self.estimator.snapshot(),
-            "command": list(self.command),
-            "law": self.law.snapshot(),
-        }
+        """Return the complete state of the control loop as plain numbers."""
+        parts = {"estimator": self.estimator.snapshot(), "law": self.law.snapshot()}
+        return {**parts, "command": list(self.command)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore a snapshot exactly."""
         self.estimator.restore(snapshot["estimator"])
-        self.command = tuple(snapshot["command"])
         self.law.restore(snapshot["law"])
+        self.command = tuple(snapshot["command"])

@@ -15,21 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from controller.design_model import Matrix, measurement_matrix
-from controller.extended import SENSED, STATES, ExtendedFilter, ExtendedSettings, carried
-from controller.gains import ESTIMATORS, Settings
-from controller.kalman import discrete_model
+from controller.design_model import Matrix, discrete_model, measurement_matrix
+from controller.extended import AT, ESTIMATED, ExtendedFilter, carried
 from controller.loop import Loop
 from controller.observers import LinearFilter
+from controller.settings import ESTIMATORS, PLANT_STATES, SENSED, ExtendedSettings, Settings, variances_of
 from cosim.model import Moment, Stepper
 from cosim.model.namespaces import arrays
 from plant.hovercraft import Hovercraft
 
 SETTLING = 50  # samples before errors count
 FIX_EVERY = 5  # samples, 10 Hz
-OWN = [k for k, name in enumerate(STATES) if not name.endswith("_world")]  # P of the world position is singular
+OWN = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]  # P of the world position is singular
 SENSED_AT = [[q.name for q in Hovercraft.outputs].index(name) for name in SENSED]
-FIVE = [STATES.index(name) for name in ("x", "vx", "psi", "psi_dot")]
 # NEES, NIS, NIS of fixes → (runs, times), degrees of freedom, times [s]
 Squares = Mapping[str, tuple[Matrix, int, Matrix]]
 
@@ -142,11 +140,11 @@ def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
 def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bool) -> Truth:
     """Return runs of the plant's equations, optionally with the extended filter's process noise."""
     p, stepper = ExtendedSettings(), Stepper(Hovercraft(), arrays())
-    deviation = np.sqrt(p.process_variances) * float(disturbed)
+    deviation = np.sqrt(variances_of(p, "process", PLANT_STATES)) * float(disturbed)
     state = np.tile(np.array(Hovercraft().start()), (runs, 1))
     states, sensors = [], []
     for k in range(len(u)):
-        G = np.array([carried(psi) for psi in state[:, STATES.index("psi")]])
+        G = np.array([carried(psi) for psi in state[:, AT("psi")]])
         moment = stepper.step(Moment(0.0, tuple(state.T)), tuple(u[k]), p.sample_time)
         noise = np.einsum("rij,rj->ri", G, rng.normal(0.0, 1.0, state.shape) * deviation)
         state = np.stack(np.broadcast_arrays(*moment.state), axis=1) + noise
@@ -154,20 +152,37 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
         states.append(state)
         sensors.append(np.stack([y[j] for j in SENSED_AT], axis=1))
     S = np.array(states)
-    position = S[..., [STATES.index("x"), STATES.index("y")]]
+    position = S[..., [AT("x"), AT("y")]]
     return _with_noise(S, np.array(sensors), position, p, u, rng)
 
 
 def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator) -> Squares:
     """Return normalised errors and innovations, each (runs, times), after the first second."""
-    truth = _TRUTHS[case.truth](runs, case.flight.commands(steps), rng)
+    u = case.flight.commands(steps)
+    if case.truth == "linear":
+        truth = linear_truth(runs, u, rng)
+    else:
+        truth = plant_truth(runs, u, rng, disturbed=case.truth == "disturbed")
+    craft = Hovercraft()
+    stepper = Stepper(craft)
     nees, nis, fixed = (np.zeros((runs, steps)) for _ in range(3))
     for r in range(runs):
-        estimator = _estimator(case.estimator)
+        estimator: LinearFilter | ExtendedFilter
+        if case.estimator in ESTIMATORS:
+            estimator = LinearFilter(Settings(estimator=case.estimator), (0.0,) * 5)
+        else:
+            estimator = ExtendedFilter(craft, ExtendedSettings(), _jacobians(), {})
         for k in range(steps):
             fix = float((k + 1) // FIX_EVERY) if case.fixes else 0.0
             estimator.step(truth.sensors[k, r], truth.commands[k], fix, truth.fixes[k, r])
-            e, P = _error(estimator, truth.states[k, r])
+            kf, state = estimator.filter, truth.states[k, r]
+            e, P = kf.x - state[: len(kf.x)], kf.P
+            if isinstance(estimator, ExtendedFilter):
+                e, P = e[OWN], P[np.ix_(OWN, OWN)]
+            elif len(state) > len(kf.x):  # the plant's thrust acceleration (F_Rx + F_Lx)/m is a_x without friction
+                ax = float(stepper.output(0.0, tuple(state.tolist()), ())[SENSED_AT[2]])
+                a = ax + craft.friction / craft.mass * float(state[AT("vx")])
+                e = kf.x - np.array([*(state[AT(name)] for name in ESTIMATED), a])
             nees[r, k] = e @ np.linalg.solve(P, e)
             nis[r, k], fixed[r, k] = estimator.nis, estimator.fix_nis
     settled, with_fix = slice(SETTLING, None), slice(SETTLING + FIX_EVERY - 1, None, FIX_EVERY)
@@ -176,13 +191,6 @@ def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator
     if case.fixes:  # every fifth sample has a new fix
         squares["NIS of fixes"] = (fixed[:, with_fix], truth.fixes.shape[-1], t[with_fix])
     return squares
-
-
-_TRUTHS: Mapping[str, Callable[[int, Matrix, np.random.Generator], Truth]] = {
-    "linear": linear_truth,
-    "disturbed": lambda runs, u, rng: plant_truth(runs, u, rng, disturbed=True),
-    "plant": lambda runs, u, rng: plant_truth(runs, u, rng, disturbed=False),
-}
 
 
 def _with_noise(
@@ -194,46 +202,13 @@ def _with_noise(
     rng: np.random.Generator,
 ) -> Truth:
     """Return the truth with noise of sensors and fixes."""
-    readings = sensors + rng.normal(0.0, np.sqrt(p.measurement_variances), sensors.shape)
-    return Truth(states, readings, position + rng.normal(0.0, np.sqrt(p.fix_variances), position.shape), u)
-
-
-def _estimator(name: str) -> Any:
-    if name in ESTIMATORS:
-        return LinearFilter(replace(Settings(), estimator=name), (0.0,) * 5)
-    return ExtendedFilter(Hovercraft(), ExtendedSettings(), _jacobians(), {})
+    readings = sensors + rng.normal(0.0, np.sqrt(variances_of(p, "measurement", SENSED)), sensors.shape)
+    noise = np.sqrt(variances_of(p, "measurement", ("x", "y")[: position.shape[-1]]))
+    return Truth(states, readings, position + rng.normal(0.0, noise, position.shape), u)
 
 
 @cache
 def _jacobians() -> Mapping[str, Any]:
-    from cosim.model.symbolic.jacobian import load_names, printed_jacobians
+    from cosim.model.symbolic.linearize import load_names, printed_jacobians
 
     return load_names(printed_jacobians(Hovercraft(), ("ax",)))
-
-
-def _error(estimator: Any, state: Matrix) -> tuple[Matrix, Matrix]:
-    """Return x̂ − x and P of the estimated states."""
-    kf = estimator.filter
-    if isinstance(estimator, ExtendedFilter):
-        return (kf.x - state)[OWN], kf.P[np.ix_(OWN, OWN)]
-    if len(state) == len(kf.x):
-        return kf.x - state, kf.P
-    a = _thrust_acceleration(state)
-    return kf.x - np.array([*state[FIVE], a]), kf.P
-
-
-@cache
-def _stepper() -> Stepper:
-    return Stepper(Hovercraft())
-
-
-def _thrust_acceleration(state: Matrix) -> float:
-    """Return the plant's thrust acceleration (F_Rx + F_Lx)/m [m/s²].
-
-    The value is a_x without friction.
-    """
-    stepper = _stepper()
-    model = stepper.model
-    outputs = stepper.output(0.0, tuple(state.tolist()), ())
-    ax = float(outputs[[q.name for q in model.outputs].index("ax")])
-    return ax + Hovercraft().friction / Hovercraft().mass * float(state[STATES.index("vx")])

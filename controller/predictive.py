@@ -1,153 +1,305 @@
-"""Model predictive control with limits: the common part of all predictive laws, and the law linearized once."""
+"""Model predictive control with limits, linearized once at hover or along the planned motion.
+
+Both laws condense a horizon to a quadratic program of the commands, solved by a dual active set; at hover the
+prediction is the same at every step and sample.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
+import daqp
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from scipy.linalg import solve_discrete_are
 
-from controller.design_model import Matrix, discretize
-from controller.full_model import INPUTS
-from controller.horizon import AT_LIMIT, NAMES, Condensed, Program, condensed, limits, predicted, steady
-from controller.laws import LawInput, OfLinearFilter
-from controller.variants import PredictionSettings, PredictiveSettings
+from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
+from controller.extended import ExtendedFilter, Slopes, level_tilt
+from controller.laws import Law, LawInput
+from controller.observers import Estimator
+from controller.settings import (
+    NOISE,
+    PLANT_STATES,
+    ExtendedSettings,
+    PredictionSettings,
+    PredictiveSettings,
+    TimeVariantSettings,
+    craft_of,
+)
+from cosim.model.namespaces import arrays
 
-ESTIMATED = [NAMES.index(name) for name in ("x", "vx", "psi", "psi_dot")]  # states from the five-state filter
-OWN = [k for k in range(len(NAMES)) if k not in ESTIMATED]  # states from the observer of this law
+# x_world and y_world repeat x and y without weight, so twelve of fourteen states are predicted.
+PREDICTED = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
+NAMES = [PLANT_STATES[k] for k in PREDICTED]
+COMMANDS = len(PLANT_INPUTS)
+BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps with a constant command; the last block extends to the horizon
+VX = NAMES.index("vx")
 POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
+FILTERED = [NAMES.index(name) for name in ("x", "vx", "psi", "psi_dot")]  # states from the five-state filter
+OBSERVED = [k for k in range(len(NAMES)) if k not in FILTERED]  # states from the observer of the law
+SOLVED, AT_LIMIT = (1, 2), -4  # flags of DAQP: optimal, also with an exceeded soft limit; too many iterations
+HARD, SOFT = 0, 8  # kinds of limits in DAQP
+ZERO_MULTIPLIER = 1e-9  # multipliers below are zero
+SERIES_LIMIT = 0.25  # |λ|·h up to which the series of φ₁ is used, with error (|λ|·h)⁵/120
 
 
-class Predicting:
-    """Optimal command of each sample within limits, started from the previous solution."""
+class Condensed(NamedTuple):
+    """Cost ½·U'·H·U + f'·U of the commands U of all blocks, and the states free + forced·U at each step.
+
+    For an open initial deviation z, f and free have one column per component.
+    """
+
+    H: Matrix
+    f: Matrix
+    free: Matrix
+    forced: Matrix
+
+    def at(self, z: Matrix) -> Condensed:
+        """Return the cost of the horizon that starts with the deviation z."""
+        return self._replace(f=self.f @ z, free=self.free @ z)
+
+
+def predicted(p: PredictiveSettings) -> tuple[Matrix, Matrix]:
+    """Return A (12, 12) and B (12, 4) of the predicted states at hover."""
+    A, B = full_model(p)
+    return A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED]
+
+
+class Predicting(Law):
+    """Optimal command of each sample within limits, started from the previous solution.
+
+    The commands u minimise
+
+         Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max
+
+    with z the deviation from rest at the references of x, y and ψ, and P the cost to go of the LQR at hover. Without
+    active limits, the law then equals the LQR. The limit |vx| ≤ speed_max at every prediction step is soft, so that a
+    solution always exists. At the solver's iteration limit, the unconstrained command is clipped and `solved` is 0.
+
+    Attributes:
+        last: Deviation of the last command from rest.
+        hot: Multipliers; their signs mark the active limits for the next sample.
+        given_up: Failures of the solver: number, first sample, its flag.
+    """
+
+    memory: ClassVar[tuple[str, ...]] = ("last", "hot", "iterations", "solved", "samples", "given_up")
+    P: Matrix
 
     def __init__(self, p: PredictionSettings) -> None:
-        self.rest, self.low, self.high = limits(p)
-        self.program = Program(p)
-        self.hot = self.program.cold()
-        self.last = np.zeros(len(INPUTS))
-        self.iterations, self.solved = 0, True
-        self.sample = p.sample_time
-        self.samples, self.given_up = (
-            0,
-            [0, 0, 0],
-        )  # samples; failures: number, first sample, its flag
+        self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
+        self.low = np.array([p.duty_min, p.duty_min, -p.tilt_max, -p.tilt_max]) - self.rest
+        self.high = np.array([p.duty_max, p.duty_max, p.tilt_max, p.tilt_max]) - self.rest
+        self.scale = np.maximum(-self.low, self.high)
+        steps = round(p.horizon / p.prediction_step)
+        ends = [min(sum(BLOCKS[: k + 1]), steps) for k in range(len(BLOCKS)) if sum(BLOCKS[:k]) < steps]
+        lengths = np.diff([0, *ends[:-1], steps])
+        self.of_step = np.repeat(np.arange(len(lengths)), lengths)  # block of each step
+        self.limits = [np.tile(limit / self.scale, len(lengths)) for limit in (self.low, self.high)]
+        self.limited = slice(steps if p.speed_max > 0 else 0)
+        self.most = np.full(len(self.of_step[self.limited]), p.speed_max)
+        self.kinds = np.array([HARD] * len(self.limits[0]) + [SOFT] * len(self.most), dtype=np.int32)
+        self.most_iterations, self.sample = int(p.iterations_max), p.sample_time
+        of_state = {name: getattr(p, f"weight_{name}") for name in ("x", "y", "psi", "vx", "vy", "psi_dot")}
+        of_input = p.weight_duty, p.weight_duty, p.weight_tilt, p.weight_tilt
+        self.Q = p.prediction_step * np.diag([of_state.get(name, 0.0) for name in NAMES])
+        self.R = p.prediction_step * np.diag(of_input)
+        self.hot, self.last = np.zeros(len(self.kinds)), np.zeros(COMMANDS)
+        self.iterations, self.solved, self.samples, self.given_up = 0, True, 0, [0, 0, 0]
 
     @property
-    def duties(self) -> tuple[float, float]:
-        """Return the last command's duties [%], right and left."""
+    def duties(self) -> tuple[float, float]:  # type: ignore[override]
         right, left, *_ = (self.last + self.rest).tolist()
         return right, left
 
-    def best(self, cost: Condensed) -> Matrix:
-        """Update the command and return the scaled commands of every block."""
-        found = self.program.solve(cost, self.hot)
-        self.hot, self.iterations, self.solved = found.hot, found.iterations, found.solved
-        if not found.solved:
-            count, *first = self.given_up
-            self.given_up = [count + 1, *(first if count else (self.samples, found.flag))]
-        self.samples += 1
-        self.last = np.clip(found.command, self.low, self.high) + 0.0  # clip rounding errors; -0.0 becomes 0.0
-        return found.every
+    def condensed(self, F: Matrix, G: Matrix, e: Matrix | float, start: Matrix) -> Condensed:
+        """Return the cost of the scaled commands alone, for the prediction z_{j+1} = F_j·z_j + G_j·u_j + e_j.
 
-    @property
-    def tilts(self) -> tuple[float, ...]:
-        """Return the tilts [rad] of the last command, right and left."""
-        return tuple((self.last + self.rest).tolist()[2:])
+        Args:
+            F, G, e: (N, n, n), (N, n, m) and (N, n, 1) of each step.
+            start: z_0 as a column, or the unit matrix for an open start.
+        """
+        of_step, k, m = self.of_step, start.shape[1], COMMANDS
+        columns = k + m * of_step[:, None] + np.arange(m)  # columns of each step's commands
+        added = np.zeros((len(of_step), len(start), k + m * (of_step[-1] + 1)))
+        added[:, :, :k] = e
+        np.put_along_axis(added, columns[:, None], G * self.scale, axis=2)
+        both = np.zeros((len(of_step) + 1, *added.shape[1:]))
+        both[0, :, :k] = start
+        for of, before, after, more in zip(F, both[:-1], both[1:], added, strict=True):
+            np.dot(of, before, after)  # z_j = free·z_0 + forced·U
+            after += more
+        found, last = both[1:], both[-1]
+        counts = np.flatnonzero(np.diag(self.Q))
+        weighed = np.sqrt(np.diag(self.Q)[counts])[:, None] * found[:-1, counts]
+        # One small product per step: threads would make the last digits of a large product random, and slower.
+        costs = (weighed[..., k:].transpose(0, 2, 1) @ weighed).sum(axis=0) + last[:, k:].T @ self.P @ last
+        H = costs[:, k:] + np.kron(np.diag(np.bincount(of_step)), self.scale[:, None] * self.R * self.scale)
+        return Condensed(H, costs[:, :k], found[:, :, :k], found[:, :, k:])
+
+    def solve(self, cost: Condensed) -> Matrix:
+        """Update the command and return the scaled commands of every block."""
+        low, high = self.limits
+        free, rows = cost.free[self.limited, VX], np.ascontiguousarray(cost.forced[self.limited, VX])
+        upper, lower = np.concatenate([high, self.most - free]), np.concatenate([low, -self.most - free])
+        U, _, flag, info = daqp.solve(
+            cost.H, cost.f, rows, upper, lower, self.kinds, iter_limit=self.most_iterations, dual_start=self.hot
+        )
+        self.iterations, self.solved = int(info["iterations"]), flag in SOLVED
+        if self.solved:
+            self.hot = np.where(np.abs(info["lam"]) > ZERO_MULTIPLIER, info["lam"], 0.0)
+        else:  # The solver's output is then incomplete.
+            U, self.hot = np.clip(-np.linalg.solve(cost.H, cost.f), low, high), np.zeros(len(self.kinds))
+            count, *first = self.given_up
+            self.given_up = [count + 1, *(first if count else (self.samples, int(flag)))]
+        self.samples += 1
+        # clip rounding errors; -0.0 becomes 0.0
+        self.last = np.clip(self.scale * U[:COMMANDS], self.low, self.high) + 0.0
+        return np.array(U)
 
     def words(self, start: float) -> str:
         """Return a remark on solver failures: number and first time."""
         count, first, flag = self.given_up
         if not count:
             return ""
-        at = start + first * self.sample
-        why = f"its limit of {self.program.iterations} iterations (iterations_max) came first"
+        why = f"its limit of {self.most_iterations} iterations (iterations_max) came first"
+        if flag != AT_LIMIT:
+            why = f"there it found no solution (flag {flag} of daqp)"
+        at = f"{start + first * self.sample:.6g} s"
         return (
-            f"the solver gave up in {count} of {self.samples} samples, first at t = {at:.6g} s:"
-            f" {why if flag == AT_LIMIT else f'there it found no solution (flag {flag} of daqp)'}; the command is then"
-            " the one without limits, cut off at them"
+            f"the solver gave up in {count} of {self.samples} samples, first at t = {at}: {why}; the command is then "
+            "the one without limits, cut off at them"
         )
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return the last command and the solver's start."""
-        return {
-            "last": self.last.tolist(),
-            "hot": self.hot.tolist(),
-            "told": [self.iterations, self.solved],
-            "given_up": [self.samples, *self.given_up],
-        }
 
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Restore a snapshot exactly, since the solver has no other memory."""
-        self.last, self.hot = np.array(snapshot["last"]), np.array(snapshot["hot"])
-        self.iterations, self.solved = snapshot["told"]
-        self.samples, *self.given_up = snapshot["given_up"]
+class PredictiveLaw(Predicting):
+    """Predictive law linearized once: z_{j+1} = F·z_j + G·u_j at hover, for motors and tilts.
 
-
-class PredictiveLaw(Predicting, OfLinearFilter):
-    """Predictive law for motors and tilts, optimal over the N steps of the horizon.
-
-    The commands u minimise
-
-         Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   z_{j+1} = F·z_j + G·u_j,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max
-
-    with z the deviation from rest at the references of x, y and ψ, and P the cost to go of the LQR. Without active
-    limits, the law equals the LQR. The filter provides x, ẋ, ψ and ψ̇; y, roll, thrusts and tilts follow from the
-    commands, with corrections by fixes of y. An infeasible speed limit is exceeded. At the solver's iteration limit,
-    the unconstrained command is clipped and `solved` is 0.
+    The filter provides x, ẋ, ψ and ψ̇; y, roll, thrusts and tilts follow from the commands, with corrections by fixes
+    of y.
     """
+
+    memory = (*Predicting.memory, "observer.x", "observer.P", "fix")
 
     def __init__(self, p: PredictiveSettings, y_hat: float = 0.0) -> None:
         super().__init__(p)
-        self.observer = _observer(p, y_hat)
-        self.cost = condensed(p, steady(p), np.eye(len(NAMES)), self.program.scale)
+        A, B = predicted(p)
+        F, G = discretize(A, B, p.prediction_step)
+        self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
+        self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(NAMES)))
+        # filter of y, vy, roll, thrusts and tilts, started at rest with P = 0; commands drive it, fixes of y correct it
+        n = len(OBSERVED)
+        self.observer = kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=COMMANDS)
+        kf.F, kf.B = discretize(A[np.ix_(OBSERVED, OBSERVED)], B[OBSERVED], p.sample_time)
+        kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
+        y, vy = (OBSERVED.index(NAMES.index(name)) for name in ("y", "vy"))
+        kf.x[y] = y_hat
+        kf.Q[y, y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # as the noise along the craft's axis
+        kf.H[0, y], kf.H[0, vy] = 1.0, -p.fix_latency
+        kf.R = np.eye(1) * p.measurement_variance_x  # same sensor as for x
         self.fix = 0.0
 
     def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
-        """Return the tilts [rad]; `duties` holds the duties."""
         if seen.started:
             self.observer.predict(u=self.last)
             if seen.fix != self.fix:
                 self.observer.update(np.array([seen.y_meas]))
         self.fix = seen.fix
         z = np.zeros(len(NAMES))
-        z[OWN], z[ESTIMATED] = self.observer.x, x_hat[: len(ESTIMATED)]
+        z[OBSERVED], z[FILTERED] = self.observer.x, x_hat[: len(FILTERED)]
         z[POSITIONS] -= seen.x_ref, seen.y_ref, seen.psi_ref
-        self.best(self.cost.at(z))
-        return self.tilts
+        self.solve(self.cost.at(z))
+        return tuple((self.last + self.rest).tolist()[2:])
 
     def outputs(self) -> list[float]:
         """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
         sigma = math.sqrt(max(0.0, self.observer.P[0, 0]))
         return [float(self.observer.x[0]), sigma, float(self.iterations), float(self.solved)]
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return the state with the law's own estimate."""
-        own = {"x": self.observer.x.tolist(), "P": self.observer.P.tolist(), "fix": self.fix}
-        return {**own, **super().snapshot()}
 
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Restore the state with the law's own estimate."""
-        self.observer.x, self.observer.P = np.array(snapshot["x"]), np.array(snapshot["P"])
-        self.fix = snapshot["fix"]
-        super().restore(snapshot)
+class TimeVariantLaw(Predicting):
+    """Predictive law with A(t), B(t) of the craft's equations along the planned motion.
 
+         ż = f(x̄, ū) + A(t)·(x − x̄) + B(t)·(u − ū),   A(t) = ∂f/∂x, B(t) = ∂f/∂u at x̄(t), ū(t)
 
-def _observer(p: PredictiveSettings, y_hat: float) -> KalmanFilter:
-    """Return the filter of y, vy, roll, thrusts and tilts, started at rest with P = 0.
-
-    Commands drive the filter; fixes of y correct it.
+    x̄, ū are motion and commands planned at the previous sample, shifted by one sample. At the first sample x̄ is the
+    estimate and ū the command at rest. Commands, A and B are held over a prediction step. With one program per sample,
+    the plan follows a changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005). An own
+    extended Kalman filter estimates all states.
     """
-    A, B = predicted(p)
-    n, at = len(OWN), [NAMES[k] for k in OWN]
-    kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(INPUTS))
-    kf.F, kf.B = discretize(A[np.ix_(OWN, OWN)], B[OWN], p.sample_time)
-    kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
-    y, vy = at.index("y"), at.index("vy")
-    kf.x[y] = y_hat
-    kf.Q[y, y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # equal to the noise along the craft's axis
-    kf.H[0, y], kf.H[0, vy] = 1.0, -p.fix_latency
-    kf.R = np.eye(1) * p.measurement_variance_x  # same sensor as for x
-    return kf
+
+    memory = (*Predicting.memory, "path", "plan")
+    filter: ExtendedFilter
+
+    def __init__(self, p: TimeVariantSettings, printed: Mapping[str, Any], y_hat: float = 0.0) -> None:
+        super().__init__(p)
+        self.p, self.printed, self.y_hat, self.craft = p, printed, y_hat, craft_of(p)
+        self.slopes = Slopes(self.craft, printed)
+        self.rates = self.craft.acting(arrays()).derivative
+        hover = np.array([self.craft.start()])
+        self.hover = hover[0, PREDICTED]
+        A, B = self._linear(hover, self.rest[None])
+        fastest = p.prediction_step * float(np.abs(np.linalg.eigvals(A[0])).max())
+        self.doublings = max(0, math.ceil(math.log2(max(fastest, SERIES_LIMIT) / SERIES_LIMIT)))
+        F, held = self._held(A)
+        self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
+        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
+
+    def estimator(self, p: TimeVariantSettings, x_hat: Sequence[float], fix: float) -> Estimator:
+        """Return the extended Kalman filter, started at x_hat with the tilts that cause its acceleration."""
+        x, vx, psi, psi_dot, a = x_hat
+        tilt = level_tilt(self.craft, a)
+        start = {"x": x, "vx": vx, "psi": psi, "psi_dot": psi_dot, "y": self.y_hat, "tilt_right": tilt}
+        noise = ExtendedSettings(**{name: getattr(p, name) for name in NOISE})
+        self.filter = ExtendedFilter(self.craft, noise, self.printed, {**start, "tilt_left": tilt}, fix)
+        return self.filter
+
+    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
+        x = self.filter.filter.x[PREDICTED]
+        target = self.hover.copy()
+        target[POSITIONS] += seen.x_ref, seen.y_ref, seen.psi_ref
+        n, step = len(self.of_step), self.p.prediction_step
+        path, plan = np.tile(x, (n, 1)), np.tile(self.rest, (n, 1))
+        if len(self.path):  # at each step, from the previous plan
+            at = np.minimum(np.arange(n) + self.sample / step, n)
+            before = np.minimum(np.floor(at + 1e-9).astype(int), n - 1)
+            share = (at - before)[:, None]
+            path, plan = (1.0 - share) * self.path[before] + share * self.path[before + 1], self.plan[before]
+        states = np.zeros((n, len(PLANT_STATES)))
+        states[:, PREDICTED] = path
+        A, B = self._linear(states, plan)
+        rates = np.stack(np.broadcast_arrays(*self.rates(0.0, tuple(states.T), tuple(plan.T))), axis=1)[:, PREDICTED]
+        # deviations are from target and rest command
+        drift = rates[..., None] + A @ (target - path)[..., None] + B @ (self.rest - plan)[..., None]
+        F, held = self._held(A)
+        cost = self.condensed(F, held @ B, held @ drift, (x - target)[:, None]).at(np.ones(1))
+        scaled = self.solve(cost)
+        self.path = target + np.vstack([x - target, cost.free + cost.forced @ scaled])
+        self.plan = self.rest + (scaled.reshape(-1, COMMANDS) * self.scale)[self.of_step]
+        return tuple((self.last + self.rest).tolist()[2:])
+
+    def outputs(self) -> list[float]:
+        """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
+        return [self.filter.estimate[5], self.filter.sigma[2], float(self.iterations), float(self.solved)]
+
+    def _linear(self, states: Matrix, commands: Matrix) -> tuple[Matrix, Matrix]:
+        """Return the Jacobians along the horizon: A (N, 12, 12) by predicted states, B (N, 12, 4) by commands."""
+        n = len(PLANT_STATES)
+        A = self.slopes.along("state", states, commands, (n, n))
+        B = self.slopes.along("command", states, commands, (n, COMMANDS))
+        return A[:, PREDICTED][:, :, PREDICTED], B[:, PREDICTED]
+
+    def _held(self, A: Matrix) -> tuple[Matrix, Matrix]:
+        """Return F = exp(h·A) and ∫₀ʰ exp(s·A) ds = h·φ₁(h·A) of each A over a prediction step.
+
+        The step h consists of 2^doublings short ones with
+        h·φ₁(h·A) = h·(I + h·A/2 + (h·A)²/6 + (h·A)³/24);   F = I + A·h·φ₁(h·A);   h·φ₁ → h·φ₁ + F·h·φ₁,   F → F·F.
+        """
+        h, unit = self.p.prediction_step / 2**self.doublings, np.eye(A.shape[-1])
+        hA = h * A
+        held = h * (unit + hA @ (unit / 2.0 + hA @ (unit / 6.0 + hA / 24.0)))
+        F = unit + A @ held
+        for _ in range(self.doublings):
+            held, F = held + F @ held, F @ F
+        return F, held

@@ -7,23 +7,21 @@ filter's estimate instead of the true state.
 from __future__ import annotations
 
 import cmath
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from controller.design_model import Matrix, discretize
-from controller.full_model import INPUTS, STATES, full_model
-from controller.kalman import kalman_filter
-from controller.variants import FullSettings
+from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
+from controller.observers import kalman_filter
+from controller.settings import PLANT_STATES, FullSettings
 
 # States that depend on the tilts and act on the IMU: not x, roll, y and thrusts.
-PREDICTED = [STATES.index(name) for name in ("vx", "psi", "psi_dot", "tilt_right", "tilt_left")]
-TILTS = [INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
+SEEN = [PLANT_STATES.index(name) for name in ("vx", "psi", "psi_dot", "tilt_right", "tilt_left")]
+TILTS = [PLANT_INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
 PSI, PSI_DOT, RIGHT, LEFT = 1, 2, 3, 4  # indices among these states
 TURNING = {PSI, PSI_DOT, 5 + 2, 5 + 3, 10 + 1}  # indices among all states of the loop, without tilts
-GROWS = 1e-3  # [rad/s] poles further right grow; uncontrolled poles are at 0 within rounding
+MAX_GROWTH = 1e-3  # [rad/s] poles further right grow; uncontrolled poles are at 0 within rounding
 MIN_DAMPING = 0.1  # a swing keeps exp(-2π·0.1), more than half of its size, from one to the next
 MAX_CHANGE, MAX_UPDATES = 1e-9, 3000  # convergence of the filter gain
 
@@ -37,7 +35,7 @@ class LoopMode(NamedTuple):
     @property
     def grows(self) -> bool:
         """Return True if the mode grows: its pole z is outside the unit circle."""
-        return self.pole.real > GROWS
+        return self.pole.real > MAX_GROWTH
 
     @property
     def damping(self) -> float:
@@ -51,16 +49,16 @@ class FlownLoop:
          xₖ₊₁ = F·xₖ + G·uₖ,   zₖ₊₁ = H·xₖ₊₁,   x̂ₖ₊₁ = F̂·x̂ₖ + Ĝ·uₖ + L·(zₖ₊₁ − Ĥ·(F̂·x̂ₖ + Ĝ·uₖ)),   uₖ = −K·x̂ₖ −
          K_i·ξₖ
 
-    F, G belong to the craft with lag on both axes and held inputs; F̂, Ĝ, Ĥ to the controller's parameters p, which may
-    differ; L is the steady gain of the estimator.
+    F, G belong to the craft with lag on both axes and held inputs; F̂, Ĝ, Ĥ to the design model, both with the numbers
+    p of the controller; L is the steady gain of the estimator.
 
     Raises:
         LinAlgError: The estimator has no steady gain.
     """
 
-    def __init__(self, craft: FullSettings, p: FullSettings) -> None:
-        A, B = full_model(craft)
-        A, B = A[np.ix_(PREDICTED, PREDICTED)], B[np.ix_(PREDICTED, TILTS)]
+    def __init__(self, p: FullSettings) -> None:
+        A, B = full_model(p)
+        A, B = A[np.ix_(SEEN, SEEN)], B[np.ix_(SEEN, TILTS)]
         self.sample = p.sample_time
         self.craft = discretize(A, B, p.sample_time)
         self.H = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
@@ -74,8 +72,8 @@ class FlownLoop:
             last = kf.K.copy()
         self.filter, self.H_hat, self.correction = (kf.F, kf.B), kf.H, kf.K
 
-    def matrix(self, K: Matrix, K_i: Matrix | None = None) -> Matrix:
-        """Return the transition matrix of the craft's five states, x̂ and optional integrals of x and ψ."""
+    def modes(self, K: Matrix, K_i: Matrix | None = None) -> list[LoopMode]:
+        """Return the modes of the craft's five states, x̂ and optional integrals of x and ψ, fastest growth first."""
         u = -np.hstack([np.zeros((2, 5)), K, *([] if K_i is None else [K_i])])
         n = u.shape[1]
         (F, G), (F_hat, G_hat), now = self.craft, self.filter, np.eye(n)
@@ -83,21 +81,15 @@ class FlownLoop:
         predicted = F_hat @ now[5:10] + G_hat @ u
         x_hat = predicted + self.correction @ (self.H @ x - self.H_hat @ predicted)
         integrals = now[10:] + self.sample * np.vstack([x_hat[:1], x[PSI : PSI + 1]]) if n > 10 else now[10:]
-        return np.vstack([x, x_hat, integrals])
-
-    def modes(self, K: Matrix, K_i: Matrix | None = None) -> list[LoopMode]:
-        """Return all modes, fastest growth first."""
-        values, vectors = np.linalg.eig(self.matrix(K, K_i))
-        pairs = zip(values.tolist(), vectors.T, strict=True)
-        modes = [LoopMode(cmath.log(z) / self.sample, _axis(vector)) for z, vector in pairs if z]
+        values, vectors = np.linalg.eig(np.vstack([x, x_hat, integrals]))
+        modes = []
+        for z, vector in zip(values.tolist(), vectors.T, strict=True):
+            if z:  # common tilt for forward, tilt difference for turning
+                weight = np.abs(vector) ** 2
+                turning = abs(vector[RIGHT] - vector[LEFT]) ** 2 / 2 + sum(weight[k] for k in TURNING if k < n)
+                axis = "turning" if turning > 0.5 * weight.sum() else "forward"
+                modes.append(LoopMode(cmath.log(z) / self.sample, axis))
         return sorted(modes, key=lambda mode: -mode.pole.real)
-
-
-def _axis(vector: Matrix) -> str:
-    """Return the axis of a mode: common tilt for forward, tilt difference for turning."""
-    weight = np.abs(vector) ** 2
-    turning = abs(vector[RIGHT] - vector[LEFT]) ** 2 / 2 + sum(weight[k] for k in TURNING if k < len(weight))
-    return "turning" if turning > 0.5 * weight.sum() else "forward"
 
 
 def worst_modes(modes: Sequence[LoopMode]) -> list[LoopMode]:
@@ -107,8 +99,3 @@ def worst_modes(modes: Sequence[LoopMode]) -> list[LoopMode]:
         if mode.grows or mode.damping < MIN_DAMPING:
             by_axis.setdefault(mode.axis, mode)
     return list(by_axis.values())
-
-
-def swing_ratio(damping: float) -> float:
-    """Return the ratio of successive swings, exp(−2πζ/√(1 − ζ²))."""
-    return math.exp(-2 * math.pi * damping / math.sqrt(1 - damping**2))

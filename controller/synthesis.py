@@ -1,34 +1,42 @@
-"""Offline design: parameters of the design model from a craft, and LQR gains from weights with `control`."""
+"""Offline design: numbers of the design model from a craft, LQR gains from weights with `control`, pole placement."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from controller.design_model import Matrix, ModelNumbers, design_model
-from cosim.model import SCALAR, Values
-from cosim.model.symbolic.linearize import LinearModel, linearize
+from controller.design_model import Matrix, design_model
+from controller.settings import Settings
+from cosim.model import SCALAR
+from cosim.model.symbolic.linearize import linearize
 from plant.hovercraft import Hovercraft
-
-NO_STABILISING_GAIN = "no stabilising gain for these weights: {reason}; weigh every position above 0"
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
 Q_INTEGRAL = (0.3, 0.05)  # diagonal for the integrals of x and ψ, chosen here
-STABLE = 1e-6  # [rad/s] least distance of a pole from the imaginary axis
+STABLE_DECAY = 1e-6  # [rad/s] least distance of a pole of an LQR from the imaginary axis
 # Operating point of the viscous friction: about the mean of the manoeuvre. At rest, the slope of dry friction is no
 # damping.
 WORKING_SPEED, WORKING_YAW_RATE = 0.4, 1.0  # [m/s], [rad/s]
+# Section 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56), the slow ones moved slightly left;
+# turn: its pair (-4.26 ± 0.77j) made real. -4 occurs in both axes, but only once in each.
+POLES = (-2.0, -4.0, -11.0, -4.0, -5.0)
+# [rad/s] least distance of requested poles from the imaginary axis; closer poles would be indistinguishable from
+# growing ones within the rounding of the sampled loop (`MAX_GROWTH` in `controller.stability`)
+MIN_DECAY = 1e-3
+SAME_POLE = 1e-9  # relative distance below which poles are equal
+# states (x, vx, a) and (psi, psi_dot) of the axes, and the signs of the tilts: common, or differential
+AXES = (((0, 1, 4), (1.0, 1.0)), ((2, 3), (1.0, -1.0)))
 
 
 def numbers_of(craft: Hovercraft) -> dict[str, float]:
     """Return the design model parameters of a craft with its effects, named as in `Settings`.
 
         thrust_nominal: m/2·Σ ∂v̇x/∂α_i of the hovering craft
-        lag: mean delay of a tilt after its command, −G'(0)/G(0) (τ of first order, 2ζ/ωₙ of second), plus the command
-            delay
+        lag: mean delay of a tilt after its command, −G'(0)/G(0) of G(s) = C·(sI − A)⁻¹·B (τ of first order, 2ζ/ωₙ of
+            second), plus the command delay
         friction, yaw_damping: opposing force or moment divided by the working speed or yaw rate
 
     Asymmetry, offsets, backlash, dead band, rate limit and inflow have no place in five symmetric states.
@@ -36,15 +44,28 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
     linear = linearize(craft)
     row = linear.states.index("vx")
     thrust = 0.5 * craft.mass * sum(linear.A[row, linear.states.index(f"tilt_{side}")] for side in ("right", "left"))
-    delay = sum(effect.time for effect in craft.awake if effect.name == "actuator_delay")
+    tilts = [k for k, name in enumerate(linear.states) if "tilt" in name]
+    A, B = linear.A[np.ix_(tilts, tilts)], linear.B[tilts, linear.inputs.index("tilt_right")]
+    right, once = [linear.states[k] for k in tilts].index("tilt_right"), np.linalg.solve(A, B)
+    mean_delay = float(-np.linalg.solve(A, once)[right] / once[right])
+    derivative, names = craft.equations(SCALAR).derivative, [q.name for q in craft.states]
+
+    def damping(state: str, rate: float) -> float:
+        """Return the deceleration per rate [1/s] at ±rate without constant forces: (f(−v) − f(v))/2v."""
+        back, forth = (
+            float(derivative(0.0, craft.start({state: at}), craft.start_command())[names.index(state)])
+            for at in (-rate, rate)
+        )
+        return (back - forth) / (2.0 * rate)
+
     return {
         "mass": craft.mass,
         "izz": craft.izz,
         "arm": craft.arm,
-        "friction": craft.mass * _damping(craft, "vx", WORKING_SPEED),
-        "lag": _mean_delay(linear) + delay,
+        "friction": craft.mass * damping("vx", WORKING_SPEED),
+        "lag": mean_delay + sum(effect.time for effect in craft.awake if effect.name == "actuator_delay"),
         "thrust_nominal": float(thrust),
-        "yaw_damping": craft.izz * _damping(craft, "psi_dot", WORKING_YAW_RATE),
+        "yaw_damping": craft.izz * damping("psi_dot", WORKING_YAW_RATE),
         "duty_nominal": craft.duty_nominal,
     }
 
@@ -69,32 +90,7 @@ def roll_numbers_of(craft: Hovercraft) -> dict[str, float]:
     }
 
 
-def _damping(craft: Hovercraft, state: str, rate: float) -> float:
-    """Return the deceleration per rate [1/s] at ±rate without constant forces: (f(−v) − f(v))/2v."""
-    derivative = craft.equations(SCALAR).derivative
-    row = [q.name for q in craft.states].index(state)
-
-    def acceleration(at: float) -> float:
-        moving: Values = craft.start({state: at})
-        return float(derivative(0.0, moving, craft.start_command())[row])
-
-    return (acceleration(-rate) - acceleration(rate)) / (2.0 * rate)
-
-
-def _mean_delay(linear: LinearModel) -> float:
-    """Return the mean delay [s] from the command of the right tilt to the tilt.
-
-    The delay is −G'(0)/G(0) with the transfer function G(s) = C·(sI − A)⁻¹·B.
-    """
-    tilts = [k for k, name in enumerate(linear.states) if "tilt" in name]
-    A = linear.A[np.ix_(tilts, tilts)]
-    B = linear.B[tilts, linear.inputs.index("tilt_right")]
-    right = [linear.states[k] for k in tilts].index("tilt_right")
-    once = np.linalg.solve(A, B)
-    return float(-np.linalg.solve(A, once)[right] / once[right])
-
-
-def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] = R_THESIS) -> Matrix:
+def lqr_gain(p: Settings, Q: Sequence[float] = Q_THESIS, R: Sequence[float] = R_THESIS) -> Matrix:
     """Return the LQR gain K (2, 5), which minimises ∫ x'Qx + u'Ru for the design model, eqs 6.1-6.3.
 
     Args:
@@ -110,7 +106,7 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
 
 
 def integral_gain(
-    p: ModelNumbers,
+    p: Settings,
     Q: Sequence[float] = Q_THESIS,
     R: Sequence[float] = R_THESIS,
     Q_integral: Sequence[float] = Q_INTEGRAL,
@@ -139,11 +135,58 @@ def _lqr(*problem: Any, **options: Any) -> Matrix:
     """
     import control  # 1 s to import: only where a gain is designed
 
+    reason = ""
     try:
         K, _, poles = control.lqr(*problem, **options)
+        # An integrator without weight remains uncontrolled, and the solver does not report it.
+        if (slowest := max(np.real(poles))) > -STABLE_DECAY:
+            reason = f"a pole stays at {slowest:.2g} rad/s"
     except np.linalg.LinAlgError as error:
-        raise ValueError(NO_STABILISING_GAIN.format(reason=str(error))) from error
-    # An integrator without weight remains uncontrolled, and the solver does not report it.
-    if (slowest := max(np.real(poles))) > -STABLE:
-        raise ValueError(NO_STABILISING_GAIN.format(reason=f"a pole stays at {slowest:.2g} rad/s"))
+        reason = str(error)
+    if reason:
+        raise ValueError(f"no stabilising gain for these weights: {reason}; weigh every position above 0")
     return np.asarray(K, dtype=float)
+
+
+def placed_gain(p: Settings, poles: Sequence[complex] = POLES) -> Matrix:
+    """Return K (2, 5) for the five poles of A − B·K [rad/s]: three of the forward axis, then two of the turn.
+
+    The common tilt moves the craft forward, the tilt difference turns the craft. Each axis thus has a single input, a
+    unique gain and poles distinct within the axis.
+
+    Raises:
+        ValueError: A pole is unstable, repeated within an axis, or without its conjugate.
+    """
+    from scipy.signal import place_poles
+
+    A, B = design_model(p)
+    numbers = [complex(pole) for pole in poles]
+    if faults := list(pole_faults(numbers)):
+        raise ValueError(f"the poles cannot be placed: {'; '.join(reason for _, reason in faults)}")
+    K = np.zeros((2, 5))
+    for (states, signs), own in zip(AXES, (numbers[:3], numbers[3:]), strict=True):
+        axis = np.ix_(states, states)
+        gain = place_poles(A[axis], B[list(states)] @ np.array(signs)[:, None], own).gain_matrix[0]
+        K[:, states] = np.outer(signs, gain)
+    return K
+
+
+def pole_faults(poles: Sequence[complex]) -> Iterator[tuple[int, str]]:
+    """Yield index and fault of each invalid pole."""
+    for axis, first, of in (("forward", 0, poles[:3]), ("turning", 3, poles[3:])):
+        for k, a in enumerate(of):
+            pole = format_pole(a)
+            if a.real >= 0.0:
+                yield first + k, f"{pole} rad/s is not stable; the real part of a pole is below 0"
+            elif a.real > -MIN_DECAY:
+                text = f"{pole} rad/s is too slow: nearer to 0 it cannot be distinguished from one that grows"
+                yield first + k, f"{text}; take -{MIN_DECAY:g} rad/s or further left"
+            if any(abs(a - b) <= SAME_POLE * abs(a) for b in of[:k]):
+                yield first + k, f"{pole} stands twice in the {axis} axis; one input places a pole once"
+            if a.imag and not any(abs(a.conjugate() - b) <= SAME_POLE * abs(a) for b in of):
+                yield first + k, f"{pole} needs {format_pole(a.conjugate())} in the same axis"
+
+
+def format_pole(pole: complex) -> str:
+    """Return a pole as text."""
+    return f"{pole.real:g}{pole.imag:+g}j" if pole.imag else f"{pole.real + 0.0:g}"

@@ -1,26 +1,48 @@
-"""Controller as an FMI slave: Kalman filter with filterpy, LQR, saturation, reference inputs."""
+"""Controllers as FMI slaves: an estimator with a control law, saturation, reference inputs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
 from pythonfmu.enums import Fmi2Status
 
-from controller.gains import Settings
-from controller.laws import Law, StateFeedback
+from controller.laws import IntegralFeedback, Law, StateFeedback
 from controller.loop import Loop
+from controller.settings import (
+    INTEGRAL_SETTINGS,
+    PLACED_SETTINGS,
+    PredictiveSettings,
+    Settings,
+    TimeVariantSettings,
+)
 from cosim.fmi.ports import Port, Value, parameter_port
-from cosim.fmi.slave import STEP, Slave
+from cosim.fmi.slave import STEP
 from cosim.model import parameters_of
-from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, fix_ports, sigma_ports, start_ports
+from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, SampledSlave, believed_ports, fix_ports
+
+Dependencies = Mapping[str, Sequence[str]]
+INTEGRALS = (
+    Port("x_integral", "output", 0.0, "m.s", "integral of the error of the measured position"),
+    Port("psi_integral", "output", 0.0, "rad.s", "integral of the error of the measured heading"),
+)
+LATERAL = (
+    Port("y_ref", "input", 0.0, "m", "reference of the drift to the right", optional=True),
+    Port("y_hat", "output", 0.0, "m", "estimated drift to the right"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the filter believes in"),
+    Port("iterations", "output", 0.0, "1", "iterations of the solver at this sample"),
+    Port("solved", "output", 1.0, "1", "1 where the solver ended in a solution, 0 by its limit of iterations"),
+    Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat; the filter knows where it starts"),
+)
 
 
-def controller_ports(settings: Settings) -> tuple[Port, ...]:
-    """Return all variables of the controller FMU: inputs, outputs, parameters and start values."""
-    duty = settings.duty_nominal
-    return (
+def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
+    """Return all variables of a controller FMU: inputs, outputs, parameters and start values."""
+    duty, (sigma, starts) = settings.duty_nominal, believed_ports("filter")
+    *first, last = settings.estimators
+    either = f"{', '.join(first)} or {last}" if first else last
+    every = (
         *MEASURED,
         Port("x_ref", "input", 0.0, "m", "reference of the distance along the craft's own axis"),
         Port("psi_ref", "input", 0.0, "rad", "reference of the heading"),
@@ -30,62 +52,52 @@ def controller_ports(settings: Settings) -> tuple[Port, ...]:
         Port("tilt_right", "output", 0.0, "rad", "tilt command of the right propeller, saturated"),
         Port("tilt_left", "output", 0.0, "rad", "tilt command of the left propeller, saturated"),
         *ESTIMATES,
-        *sigma_ports("filter"),
+        *sigma,
         *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings)),
-        Port("estimator", "parameter", settings.estimator, "", f"Kalman filter: {_either(settings.estimators)}"),
-        *start_ports("filter"),
+        Port("estimator", "parameter", settings.estimator, "", f"Kalman filter: {either}"),
+        *starts,
+        *more,
     )
-
-
-def _either(names: Sequence[str]) -> str:
-    """Return a readable list of alternatives."""
-    *first, last = names
-    return f"{', '.join(first)} or {last}" if first else last
+    return tuple(p for causality in ("input", "output", "parameter") for p in every if p.causality == causality)
 
 
 # Dependencies of outputs at a sample. The axes are decoupled; of the inputs, only a fix changes the covariance.
 FORWARD, TURN = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
-DEPENDENCIES: dict[str, tuple[str, ...]] = {
-    "duty_right": (),
-    "duty_left": (),
-    "tilt_right": (*TURN, *FORWARD, "x_ref", "psi_ref"),
-    "tilt_left": (*TURN, *FORWARD, "x_ref", "psi_ref"),
-    "x_hat": FORWARD,
-    "vx_hat": FORWARD,
-    "a_hat": FORWARD,
-    "psi_hat": TURN,
-    "psi_dot_hat": TURN,
+TILTS = (*TURN, *FORWARD, "x_ref", "psi_ref")
+DEPENDENCIES: Dependencies = {
+    **dict.fromkeys(("duty_right", "duty_left", "psi_sigma"), ()),
+    **dict.fromkeys(("tilt_right", "tilt_left"), TILTS),
+    **dict.fromkeys(("x_hat", "vx_hat", "a_hat"), FORWARD),
+    **dict.fromkeys(("psi_hat", "psi_dot_hat"), TURN),
     "x_sigma": ("fix",),
-    "psi_sigma": (),
 }
+STARTS = tuple(f"{name}_start" for name in ESTIMATE)
 # Dependencies in initialization mode, without filter update and with P = 0.
-INITIAL_DEPENDENCIES: dict[str, tuple[str, ...]] = {
-    "duty_right": ("duty_nominal",),
-    "duty_left": ("duty_nominal",),
+INITIAL_DEPENDENCIES: Dependencies = {
+    **dict.fromkeys(("duty_right", "duty_left"), ("duty_nominal",)),
     **{
-        f"tilt_{side}": (
-            "x_ref",
-            "psi_ref",
-            "tilt_max",
-            *(f"k_{row}_{j}" for j in range(1, 6)),
-            *(f"{name}_start" for name in ESTIMATE),
-        )
+        f"tilt_{side}": ("x_ref", "psi_ref", "tilt_max", *(f"k_{row}_{j}" for j in range(1, 6)), *STARTS)
         for row, side in ((1, "right"), (2, "left"))
     },
     **{name: (f"{name}_start",) for name in ESTIMATE},
-    "x_sigma": (),
-    "psi_sigma": (),
+    **dict.fromkeys(("x_sigma", "psi_sigma"), ()),
 }
 
 
-class HovercraftController(Slave):
+class HovercraftController(SampledSlave):
     """Sampled controller: a communication step is one sample; a step other than `sample_time` is refused.
 
     The hosting Python needs numpy, scipy and filterpy. The filter starts at `*_hat_start`.
+
+    Attributes:
+        settings: Default values.
+        depends: Dependencies of outputs at a sample, and in initialization mode.
     """
 
-    settings: ClassVar[Settings] = Settings()  # default values
+    who = "controller"
+    settings: ClassVar[Settings] = Settings()
     ports = controller_ports(settings)
+    depends: ClassVar[tuple[Dependencies, Dependencies]] = (DEPENDENCIES, INITIAL_DEPENDENCIES)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
         """Return the control law for parameters and start values of the host."""
@@ -97,35 +109,105 @@ class HovercraftController(Slave):
         every = dict(zip((port.name for port in self.ports), self.values, strict=True))
         values: dict[str, Any] = {name: v for name, v in every.items() if name in names}
         settings = replace(self.settings, **values)
-        x_hat = [float(given.get(f"{name}_start", 0.0)) for name in ESTIMATE]
-        _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs
+        x_hat = [float(given.get(name, 0.0)) for name in STARTS]
+        _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs  # y_ref exists only for laws with y
         law = self.law(settings, given)
-        self.loop = Loop(settings, x_hat, x_ref, psi_ref, fix, y_ref=sum(y_ref), law=law)
+        self.sample = settings.sample_time
+        self.running = Loop(settings, x_hat, x_ref, psi_ref, fix, y_ref=sum(y_ref), law=law)
         self._publish()
 
     def advance(self, t: float, h: float) -> None:
         """Process one sample."""
-        sample = self.loop.settings.sample_time
-        if abs(h - sample) > 1e-6 * sample:
-            raise ValueError(f"step of {h} s; the controller is sampled at {sample} s (parameter sample_time)")
-        # y_ref exists only for laws with y
+        self.check_sample(h)
         psi, psi_dot, ax, x_ref, psi_ref, x_meas, y_meas, fix, *y_ref = self.inputs
-        self.loop.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
+        self.running.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
         self._publish()
 
     def terminate(self) -> None:
         """Log the control law's remarks on the run as a warning."""
-        if self.phase is STEP and (words := self.loop.law.words(self.start_time)):
+        if self.phase is STEP and (words := self.running.law.words(self.start_time)):
             self.log(words, Fmi2Status.warning)
 
-    def snapshot(self) -> Any:
-        """Return estimate, covariance, last command and last fix."""
-        return self.loop.snapshot()
-
-    def restore(self, snapshot: Any) -> None:
-        """Restore a snapshot exactly."""
-        self.loop.restore(snapshot)
-
     def _publish(self) -> None:
-        loop = self.loop
+        loop = self.running
         self.set_outputs([*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()])
+
+
+class HovercraftPolesController(HovercraftController):
+    """Pole placement: −2, −4, −11 rad/s of the forward axis, −4, −5 rad/s of the turn.
+
+    The common tilt drives the forward axis, the tilt difference the turn, so that the gain of each is unique. At most
+    two poles are equal, one in each axis.
+    """
+
+    settings = PLACED_SETTINGS
+    ports = controller_ports(settings)
+
+
+class HovercraftIntegralController(HovercraftController):
+    """LQR with integral action on measured errors: of x from position fixes, of ψ from the IMU."""
+
+    settings = INTEGRAL_SETTINGS
+    ports = controller_ports(settings, *INTEGRALS)
+    # saturation of a tilt affects both integrals
+    depends = (
+        {**DEPENDENCIES, **dict.fromkeys(("x_integral", "psi_integral"), TILTS)},
+        {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()},
+    )
+
+    def law(self, settings: Any, given: dict[str, Value]) -> Law:
+        """Return state feedback with integrals."""
+        return IntegralFeedback(settings)
+
+
+def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:
+    """Return output dependencies; commands depend on all inputs and parameters, with an own filter all estimates."""
+    inputs = tuple(p.name for p in ports if p.causality == "input")
+    parameters = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real"]
+    known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
+    solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
+    at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
+    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **dict.fromkeys(solved, known)}
+    if own_filter:
+        estimates = (*ESTIMATE, "x_sigma", "psi_sigma", "y_hat", "y_sigma")
+        at_sample |= dict.fromkeys(estimates, tuple(n for n in inputs if not n.endswith("_ref")))
+        at_start["a_hat"] = tuple(n for n in known if not n.endswith("_ref"))
+    return at_sample, at_start
+
+
+class HovercraftPredictiveController(HovercraftController):
+    """Model predictive control with limits of tilt and duty, and with control of y by position fixes.
+
+    The host also needs the solver daqp.
+    """
+
+    settings = PredictiveSettings()
+    ports = controller_ports(settings, *LATERAL)
+    depends = predictive_dependencies(ports)
+
+    def law(self, settings: Any, given: dict[str, Value]) -> Law:
+        """Return the predictive law.
+
+        The solver is imported here, since other controllers do not need it.
+        """
+        from controller.predictive import PredictiveLaw
+
+        return PredictiveLaw(settings, float(given.get("y_hat_start", 0.0)))
+
+
+class HovercraftTimeVariantController(HovercraftController):
+    """Predictive control with A(t), B(t) along the planned motion, and its own extended Kalman filter.
+
+    Tilt and duty are limited. With position fixes, y is controlled too. The host also needs the solver daqp.
+    """
+
+    settings = TimeVariantSettings()
+    ports = controller_ports(settings, *LATERAL)
+    depends = predictive_dependencies(ports, own_filter=True)
+
+    def law(self, settings: Any, given: dict[str, Value]) -> Law:
+        """Return the time-variant law, with the Jacobian functions that were printed when the FMU was built."""
+        from controller import printed  # type: ignore[attr-defined]
+        from controller.predictive import TimeVariantLaw
+
+        return TimeVariantLaw(settings, vars(printed), float(given.get("y_hat_start", 0.0)))

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from controller.design_model import design_model, fix_matrix, measurement_matrix
-from controller.gains import ESTIMATORS, Settings
-from controller.kalman import discrete_model
+from controller.design_model import design_model, discrete_model, fix_matrix, measurement_matrix
+from controller.settings import ESTIMATORS, Settings
 from cosim.fmi.native.layout import VariableLayout
 from cosim.fmi.native.package import Native, part
 from cosim.fmi.native.printing import LANGUAGE, GeneratedSources, quote, variable_tables
@@ -121,7 +120,7 @@ def _design(place: dict[str, int]) -> str:
     lines += _vector("d->V", settings.process_variances, places)
     lines += _vector("d->W", settings.measurement_variances, places)
     lines += _matrix("d->fix_H", fix_matrix(settings), places)
-    lines += _vector("d->fix_W", settings.fix_variances, places)
+    lines += _vector("d->fix_W", (settings.measurement_variance_x,), places)
     lines += [f"d->limit = p[{place['tilt_max']}];", f"d->sample = p[{place['sample_time']}];", "return 0;"]
     return "\nstatic int design(Instance *m, Design *d)\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 

@@ -1,8 +1,11 @@
-"""FMI variables common to controller and estimators of the craft."""
+"""FMI variables and sampling common to controller and estimators of the craft."""
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 from cosim.fmi.ports import Port
+from cosim.fmi.slave import Slave
 
 ESTIMATED = {  # name → unit, meaning
     "x": ("m", "distance along the craft's own axis"),
@@ -24,26 +27,46 @@ ESTIMATES = tuple(
 
 def fix_ports(of_y: str = "") -> tuple[Port, ...]:
     """Return the optional ports of position fixes; `of_y` is a remark on y."""
+    number = "number of the latest fix, 0 before the first; a new one is used"
     return (
         Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
         Port("y_meas", "input", 0.0, "m", f"fix of y, the drift to the right{of_y}", optional=True),
-        Port(
-            "fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True
-        ),
+        Port("fix", "input", 0.0, "1", number, optional=True),
     )
 
 
-def sigma_ports(who: str) -> tuple[Port, ...]:
-    """Return ports for the standard deviations of x and ψ."""
-    return tuple(
-        Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat the {who} believes in")
-        for name, unit in (("x", "m"), ("psi", "rad"))
+def believed_ports(who: str) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Return ports for the standard deviations of x and ψ, and for the start of the estimate."""
+    sigma = f"standard deviation of {{}}_hat the {who} believes in"
+    start = f"start value of {{}}; the {who} knows where it starts"
+    return (
+        tuple(Port(f"{n}_sigma", "output", 0.0, unit, sigma.format(n)) for n, unit in (("x", "m"), ("psi", "rad"))),
+        tuple(Port(f"{p.name}_start", "parameter", 0.0, p.unit, start.format(p.name)) for p in ESTIMATES),
     )
 
 
-def start_ports(who: str) -> tuple[Port, ...]:
-    """Return ports for the start of the estimate."""
-    return tuple(
-        Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}; the {who} knows where it starts")
-        for p in ESTIMATES
-    )
+class SampledSlave(Slave):
+    """Sampled slave: a communication step is one sample; a step other than `sample_time` is refused.
+
+    Attributes:
+        who: Noun for messages.
+        sample: Sample time [s].
+        running: What runs, with the complete state.
+    """
+
+    who: ClassVar[str]
+    sample: float
+    running: Any
+
+    def check_sample(self, h: float) -> None:
+        """Raise ValueError for a step that is no sample."""
+        if abs(h - self.sample) > 1e-6 * self.sample:
+            raise ValueError(f"step of {h} s; the {self.who} is sampled at {self.sample} s (parameter sample_time)")
+
+    def snapshot(self) -> Any:
+        """Return estimate, covariance, last command and last fix."""
+        return self.running.snapshot()
+
+    def restore(self, snapshot: Any) -> None:
+        """Restore a snapshot exactly."""
+        self.running.restore(snapshot)

@@ -9,16 +9,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from controller.extended import ExtendedFilter, ExtendedSettings, level_tilt
-from controller.gains import Settings
+from controller.extended import ExtendedFilter, level_tilt
 from controller.observers import DOUBLE_INTEGRATION, OBSERVERS, DoubleIntegration, LinearFilter
+from controller.settings import ExtendedSettings, Settings
 from cosim.fmi.ports import Port, Value, parameter_port
-from cosim.fmi.slave import Slave
 from cosim.model import Parameter, parameters_of
-from fmus.craft_ports import ESTIMATE, ESTIMATES, fix_ports, sigma_ports, start_ports
+from fmus.craft_ports import ESTIMATE, ESTIMATES, SampledSlave, believed_ports, fix_ports
 from fmus.craft_ports import MEASURED as IMU
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 
+SIGMA, STARTS = believed_ports("estimator")
+NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right"
 SIGNALS = (
     *IMU,
     Port("duty_right", "input", DUTY_NOMINAL, "%", "duty command of the right motor, as it has acted"),
@@ -28,15 +29,9 @@ SIGNALS = (
     *fix_ports(),
     *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
-    *sigma_ports("estimator"),
+    *SIGMA,
     Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the estimator believes in"),
-    Port(
-        "nis",
-        "output",
-        0.0,
-        "1",
-        "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right",
-    ),
+    Port("nis", "output", 0.0, "1", NIS),
 )
 INPUTS = tuple(p.name for p in SIGNALS if p.causality == "input")
 OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
@@ -44,32 +39,10 @@ MEASURED = ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix")
 # A command acts until the sample, so no output depends on the command of the same time.
 DEPENDENCIES = dict.fromkeys(OUTPUTS, MEASURED)
 NUMBERS: tuple[Parameter, ...] = tuple(p for p in Hovercraft().parameters if not isinstance(p.default, bool))
-
-
-def filter_ports() -> tuple[Port, ...]:
-    """Return the variables of the estimator FMU: those of the controller without its gains."""
-    settings = Settings()
-    numbers = [p for p in parameters_of(Settings) if not p.name.startswith("k_") and p.name != "tilt_max"]
-    return (
-        *SIGNALS,
-        *(parameter_port(p, getattr(settings, p.name)) for p in numbers),
-        Port("estimator", "parameter", settings.estimator, "", f"estimator: {', '.join(OBSERVERS)}"),
-        *start_ports("estimator"),
-    )
-
-
-def extended_ports() -> tuple[Port, ...]:
-    """Return variables of the extended filter: plant parameters, noise, axes of fixes."""
-    model, settings = Hovercraft(), ExtendedSettings()
-    return (
-        *SIGNALS,
-        *(parameter_port(p, getattr(model, p.name)) for p in NUMBERS),
-        *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(ExtendedSettings)),
-        Port(
-            "axes", "parameter", settings.axes, "", "fixes are along the craft's own axes, or the world's: own, world"
-        ),
-        *start_ports("estimator"),
-    )
+# a filter has the parameters of the controller without its gains
+FILTER_NUMBERS = [p for p in parameters_of(Settings) if not p.name.startswith("k_") and p.name != "tilt_max"]
+EXTENDED_NUMBERS = parameters_of(ExtendedSettings)
+FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
 
 
 def initial_dependencies(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
@@ -80,27 +53,17 @@ def initial_dependencies(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
     return {n: known.get(n, ()) for n in OUTPUTS}
 
 
-class Estimator(Slave):
+class Estimator(SampledSlave):
     """Sampled estimator: a communication step is one sample; a step other than `sample_time` is refused."""
 
-    sample: float
-    running: Any
+    who = "estimator"
 
     def advance(self, t: float, h: float) -> None:
         """Process one sample."""
-        if abs(h - self.sample) > 1e-6 * self.sample:
-            raise ValueError(f"step of {h} s; the estimator is sampled at {self.sample} s (parameter sample_time)")
+        self.check_sample(h)
         *both, x_meas, y_meas, fix = self.inputs
         self.running.step(both[:3], both[3:], fix, (x_meas, y_meas))
         self._publish()
-
-    def snapshot(self) -> Any:
-        """Return estimate, covariance and last fix."""
-        return self.running.snapshot()
-
-    def restore(self, snapshot: Any) -> None:
-        """Restore a snapshot exactly."""
-        self.running.restore(snapshot)
 
     def _publish(self) -> None:
         self.set_outputs([*self.running.estimate, *self.running.sigma, self.running.nis])
@@ -109,30 +72,40 @@ class Estimator(Slave):
 class HovercraftFilter(Estimator):
     """Kalman filter of the thesis in three variants, or double integration, by parameter `estimator`."""
 
-    ports: ClassVar[tuple[Port, ...]] = filter_ports()
+    ports: ClassVar[tuple[Port, ...]] = (
+        *SIGNALS,
+        *(parameter_port(p, getattr(Settings(), p.name)) for p in FILTER_NUMBERS),
+        Port("estimator", "parameter", Settings().estimator, "", f"estimator: {', '.join(OBSERVERS)}"),
+        *STARTS,
+    )
 
     def initialize(self, given: dict[str, Value]) -> None:
         """Start the estimator at `*_hat_start` with P = 0, without an update."""
-        names = {p.name for p in parameters_of(Settings)}
         chosen = str(given.get("estimator", Settings().estimator))
         if chosen not in OBSERVERS:
             raise ValueError(f"estimator is {chosen!r}; it is one of {', '.join(OBSERVERS)}")
+        names = {p.name for p in parameters_of(Settings)}
         values: dict[str, Any] = {n: v for n, v in given.items() if n in names}
-        values.pop("estimator", None)
-        integrating = chosen == DOUBLE_INTEGRATION
-        if not integrating:
-            values["estimator"] = chosen
-        settings = replace(Settings(), **values)
+        kind: type[LinearFilter | DoubleIntegration] = DoubleIntegration
+        if chosen != DOUBLE_INTEGRATION:
+            kind, values["estimator"] = LinearFilter, chosen
+        settings = Settings(**values)
         start = [float(given.get(f"{n}_start", 0.0)) for n in ESTIMATE]
         self.sample = settings.sample_time
-        self.running = (DoubleIntegration if integrating else LinearFilter)(settings, start, self.inputs[-1])
+        self.running = kind(settings, start, self.inputs[-1])
         self._publish()
 
 
 class HovercraftEkf(Estimator):
     """Extended Kalman filter with the plant's equations as an FMU."""
 
-    ports: ClassVar[tuple[Port, ...]] = extended_ports()
+    ports: ClassVar[tuple[Port, ...]] = (
+        *SIGNALS,
+        *(parameter_port(p, getattr(Hovercraft(), p.name)) for p in NUMBERS),
+        *(parameter_port(p, getattr(ExtendedSettings(), p.name)) for p in EXTENDED_NUMBERS),
+        Port("axes", "parameter", ExtendedSettings().axes, "", FIX_AXES),
+        *STARTS,
+    )
 
     def initialize(self, given: dict[str, Value]) -> None:
         """Start the estimate at `*_hat_start` with P = 0, without update.
@@ -142,9 +115,7 @@ class HovercraftEkf(Estimator):
         from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
 
         faults, numbers = [], {p.name: v for p in NUMBERS if (v := given.get(p.name)) is not None}
-        own: dict[str, Any] = {
-            p.name: v for p in parameters_of(ExtendedSettings) if (v := given.get(p.name)) is not None
-        }
+        own: dict[str, Any] = {p.name: v for p in EXTENDED_NUMBERS if (v := given.get(p.name)) is not None}
         model, settings = Hovercraft(), ExtendedSettings()
         try:
             model = model.with_values(numbers)

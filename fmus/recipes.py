@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from types import ModuleType
 
+from cosim.base.registry import resolve
 from cosim.fmi.documentation import docstrings_html, model_text
 from cosim.fmi.fmu_build import Recipe, about_model, sort_values
 from cosim.fmi.model_description import Description
+from cosim.model import Model
 from fmus import PACKAGES
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (observed in §4.5.4).
@@ -18,101 +21,121 @@ HEAVY = {
     "actuator_second_order.natural_frequency": 16.0,
     "actuator_second_order.damping_ratio": 0.5,
 }
+Numbers = Mapping[str, float | bool]
 
-Dependencies = Mapping[str, Sequence[str]]
 
-
-def plant_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
+def plant_recipe(values: Numbers | None = None) -> Recipe:
     """Return the recipe of the plant, with defaults from `values`."""
     import cosim.model.planar as planar
     import plant.hovercraft as craft
 
-    model = craft.Hovercraft()
-    about = about_model(
-        model.with_values(values or {}),
-        "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect",
-    )
-    text = f"<p>An unconnected plant hovers.</p>{model_text(model)}{docstrings_html(craft, planar)}"
-    return Recipe(("fmus.plant_fmu", "HovercraftPlant"), PACKAGES, about, text, sort_values(values))
+    about = "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect"
+    slave = ("fmus.plant_fmu", "HovercraftPlant")
+    return _model(slave, craft.Hovercraft(), values, about, "An unconnected plant hovers.", craft, planar)
 
 
-def heavy_recipe() -> Recipe:
-    """Return the build recipe of the FMU of the heavier craft."""
-    return plant_recipe(HEAVY)
+def bench_recipe(values: Numbers | None = None) -> Recipe:
+    """Return the build recipe of the testing bench's FMU; `values` replace default parameters."""
+    import plant.bench as bench
+
+    about = "Testing bench: one tilting propeller on three load cells, converted by 12 bit and low-passed"
+    slave = ("fmus.bench_fmu", "PropellerBench")
+    return _model(slave, bench.Bench(), values, about, "An unconnected bench is at rest.", bench)
 
 
-def controller_recipe() -> Recipe:
-    """Return the recipe of the controller."""
-    from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES, HovercraftController
-
-    text = "Flight controller of the hovercraft: Kalman filter and LQR with tilt saturation"
-    return _controller(HovercraftController, text, (DEPENDENCIES, INITIAL_DEPENDENCIES))
-
-
-def poles_recipe() -> Recipe:
-    """Return the recipe of the controller by pole placement."""
-    from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES
-    from fmus.controller_laws import HovercraftPolesController
-
-    text = "Flight controller of the hovercraft: Kalman filter and poles placed, with tilt saturation"
-    return _controller(HovercraftPolesController, text, (DEPENDENCIES, INITIAL_DEPENDENCIES))
+def _model(
+    slave: tuple[str, str], model: Model, values: Numbers | None, about: str, text: str, *modules: ModuleType
+) -> Recipe:
+    description = about_model(model.with_values(values or {}), about)
+    whole = f"<p>{text}</p>{model_text(model)}{docstrings_html(*modules)}"
+    return Recipe(slave, PACKAGES, description, whole, sort_values(values))
 
 
-def integral_recipe() -> Recipe:
-    """Return the recipe of the controller with integrals."""
-    from controller.laws import IntegralFeedback
-    from fmus.controller_laws import HovercraftIntegralController, integral_dependencies
-
-    text = "Flight controller of the hovercraft: Kalman filter and LQR with integrals of position and heading"
-    return _controller(HovercraftIntegralController, text, integral_dependencies(), IntegralFeedback)
+heavy_recipe = partial(plant_recipe, HEAVY)
 
 
-def predictive_recipe() -> Recipe:
-    """Return the recipe of the predictive controller."""
-    from controller.predictive import PredictiveLaw
-    from fmus.controller_laws import HovercraftPredictiveController, predictive_dependencies
+def _controller(slave: str, about: str, *documented: str) -> Recipe:
+    """Return the recipe of a controller with the docstrings of its parts."""
+    kind = resolve(f"fmus.controller_fmu:{slave}")
+    times = {"step": kind.settings.sample_time, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
+    description = Description(f"Flight controller of the hovercraft: {about}", kind.ports, *kind.depends, **times)
+    parts = (resolve(f"controller.{name}") for name in ("loop:Loop", *documented))
+    return Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
 
-    text = "Flight controller of the hovercraft: Kalman filter and model predictive control with limits"
-    depends = predictive_dependencies(HovercraftPredictiveController)
-    return _controller(HovercraftPredictiveController, text, depends, PredictiveLaw)
+
+MODEL = "design_model:discrete_model"  # of the linear filter
+EXTENDED = ("extended:ExtendedFilter", "extended:FilterEquations")
+controller_recipe = partial(_controller, "HovercraftController", "Kalman filter and LQR with tilt saturation", MODEL)
+poles_recipe = partial(
+    _controller, "HovercraftPolesController", "Kalman filter and poles placed, with tilt saturation", MODEL
+)
+integral_recipe = partial(
+    _controller,
+    "HovercraftIntegralController",
+    "Kalman filter and LQR with integrals of position and heading",
+    MODEL,
+    "laws:IntegralFeedback",
+)
+predictive_recipe = partial(
+    _controller,
+    "HovercraftPredictiveController",
+    "Kalman filter and model predictive control with limits",
+    MODEL,
+    "predictive:Predicting",
+    "predictive:PredictiveLaw",
+)
 
 
 def time_variant_recipe() -> Recipe:
     """Return the recipe of the predictive controller with A(t), B(t)."""
-    from controller.extended import ExtendedFilter, FilterEquations
-    from controller.time_variant import TimeVariantLaw
-    from fmus.controller_laws import HovercraftTimeVariantController, time_variant_dependencies
-    from fmus.estimator_recipes import jacobians
-
-    text = "Flight controller of the hovercraft: extended Kalman filter and predictive control along the planned motion"
-    more = TimeVariantLaw, ExtendedFilter, FilterEquations
-    slave = HovercraftTimeVariantController
-    recipe = _controller(slave, text, time_variant_dependencies(), *more, linear=False)
+    parts = (
+        "predictive:Predicting",
+        "predictive:TimeVariantLaw",
+        "extended:ExtendedFilter",
+        "extended:FilterEquations",
+    )
+    about = "extended Kalman filter and predictive control along the planned motion"
+    recipe = _controller("HovercraftTimeVariantController", about, *parts)
     return replace(recipe, printed=(("controller.printed", jacobians()),))
 
 
-def _controller(
-    slave: Any, about: str, dependencies: tuple[Dependencies, Dependencies], *more: object, linear: bool = True
-) -> Recipe:
-    """Return the recipe of a controller; `linear` if its filter predicts by the linear model."""
-    from controller.kalman import discrete_model
-    from controller.loop import Loop
+def _estimator(slave: str, about: str, *documented: str) -> Recipe:
+    """Return the recipe of an estimator with the docstrings of its parts."""
+    from fmus.estimator_fmu import DEPENDENCIES, initial_dependencies
 
-    times = {"step": slave.settings.sample_time, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
-    description = Description(about, slave.ports, *dependencies, **times)
-    own = (discrete_model,) if linear else ()
-    text = docstrings_html(Loop, *own, *more, slave)
-    return Recipe((slave.__module__, slave.__name__), PACKAGES, description, text)
-
-
-def bench_recipe(values: Mapping[str, float | bool] | None = None) -> Recipe:
-    """Return the build recipe of the testing bench's FMU; `values` replace default parameters."""
-    import plant.bench as bench
-
-    model = bench.Bench()
-    about = about_model(
-        model.with_values(values or {}),
-        "Testing bench: one tilting propeller on three load cells, converted by 12 bit and low-passed",
+    kind = resolve(f"fmus.estimator_fmu:{slave}")
+    depends = DEPENDENCIES, initial_dependencies(kind.ports)
+    description = Description(
+        about, kind.ports, *depends, step=0.02, stop=10.0, variable_step=False, sampled="sample_time"
     )
-    text = f"<p>An unconnected bench is at rest.</p>{model_text(model)}{docstrings_html(bench)}"
-    return Recipe(("fmus.bench_fmu", "PropellerBench"), PACKAGES, about, text, sort_values(values))
+    parts = (resolve(f"controller.{name}") for name in documented)
+    return Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
+
+
+filter_recipe = partial(
+    _estimator,
+    "HovercraftFilter",
+    "Estimators of the hovercraft: three Kalman filters, double integration",
+    "observers:LinearFilter",
+    MODEL,
+    "observers:DoubleIntegration",
+)
+
+
+def extended_recipe() -> Recipe:
+    """Return the recipe of the extended Kalman filter, with printed Jacobians instead of sympy."""
+    about = "Extended Kalman filter of the hovercraft on the plant's equations"
+    recipe = _estimator("HovercraftEkf", about, *EXTENDED)
+    return replace(recipe, printed=(("controller.printed", jacobians()),))
+
+
+def jacobians() -> str:
+    """Return ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a cached Python module."""
+    from cosim.model.symbolic.linearize import printed_jacobians
+    from cosim.storage.cache import fingerprint, load_or_make
+    from plant.hovercraft import Hovercraft
+
+    code = fingerprint(("cosim.model", "cosim.model.symbolic", "plant", "plant.effects"))
+    outputs, effects = ("ax",), ("yaw_damping",)
+    key = f"jacobians of the hovercraft, {(outputs, effects)} {code}"
+    return str(load_or_make(key, lambda: printed_jacobians(Hovercraft(), outputs, effects)))

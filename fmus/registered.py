@@ -20,8 +20,8 @@ HOVERCRAFT = ModelEntry(
         "controller.fmu": "fmus.recipes:controller_recipe",
         "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
         **LAWS,
-        "filter.fmu": "fmus.estimator_recipes:filter_recipe",
-        "ekf.fmu": "fmus.estimator_recipes:extended_recipe",
+        "filter.fmu": "fmus.recipes:filter_recipe",
+        "ekf.fmu": "fmus.recipes:extended_recipe",
     },
     beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
     native={"controller": "fmus.controller_native:controller_native"},
@@ -37,7 +37,7 @@ RUN_PAGE = Page(
 IDENTIFY = Verb(
     command="plant.identification.command:command",
     function="plant.identification.workflow:identify",
-    artefacts="plant.identification.artefacts:ARTEFACTS",
+    artefacts="plant.identification:ARTEFACTS",
     group="Craft example",
 )
 CONSISTENCY = Verb(

@@ -181,12 +181,14 @@ class Hovercraft(Model):
         offset, slope, g = self.thrust_offset, self.thrust_slope, self.gravity
         k_t, d_t, own_height = self.table_roll_stiffness, self.table_roll_damping, self.roll_ground_effect
         awake = self.awake
-        first = _first_states(awake)
+        first, added = dict[str, int](), 0  # index of each effect's first state after the base states
+        for effect in awake:
+            first[effect.name] = added
+            added += len(effect.states)
         tilt_terms = tuple((e, first[e.name]) for e in overrides(awake, "tilt_rate", HovercraftEffect))
         thrust_terms = overrides(awake, "thrust_factor", HovercraftEffect)
         wrench_terms = overrides(awake, "wrench", HovercraftEffect)
         acceleration_terms = overrides(awake, "acceleration", HovercraftEffect)
-        added = sum(len(e.states) for e in awake)
 
         def thrusts(t: Number, vx: Number, phi: Number, right: Number, left: Number) -> tuple[Number, Number]:
             """Return both thrusts [N] with ground effect."""
@@ -257,12 +259,3 @@ class Hovercraft(Model):
             return (*state[:VX], phi, vx, vy, psi_dot, phi_dot, ax, right, left, tilt_right, tilt_left)
 
         return Equations(derivative, output)
-
-
-def _first_states(effects: tuple[HovercraftEffect, ...]) -> dict[str, int]:
-    """Return the index of each effect's first state after the base states."""
-    first, count = {}, 0
-    for effect in effects:
-        first[effect.name] = count
-        count += len(effect.states)
-    return first

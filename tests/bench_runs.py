@@ -12,8 +12,8 @@ from cosim.model import Stepper
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
 from plant.identification.cells import calibrate
-from plant.identification.identified import Outcome
-from plant.identification.planned import planned_faults
+from plant.identification.checks import planned_faults
+from plant.identification.estimates import Result
 from plant.identification.protocol import Protocol, read_partly
 from plant.identification.recordings import Recording, SimulatedRecording, load_runs, runs_of, to_recording
 from plant.identification.workflow import analyse
@@ -25,7 +25,7 @@ Play = Callable[[Sequence[SimulatedRecording]], list[Recording]]
 def read_protocol(path: Path) -> Protocol:
     """Read a protocol and check its phases."""
     protocol, faults = read_partly(path)
-    refuse(faults or planned_faults(protocol.yaml, protocol.file, protocol.bench))
+    refuse(faults or planned_faults(protocol))
     return protocol
 
 
@@ -65,7 +65,7 @@ def _play_lanes(bench: Bench, runs: Sequence[SimulatedRecording]) -> list[Record
     return [to_recording(run, volts[:, :, j]) for j, run in enumerate(runs)]
 
 
-def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[Outcome]:
+def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[list[Result]]:
     """Return whole protocols, one per seed, from plain functions without figures; equal runs share a simulation."""
     names = [name for name, _ in protocol.file.tests.named_tests()]
     loads = _play_groups(play, [load_runs(protocol, seed) for seed in seeds])
@@ -73,7 +73,7 @@ def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list
     outcomes = []
     for hung, recordings in zip(loads, tests, strict=True):
         cells = calibrate(protocol, hung)
-        outcomes.append(Outcome(protocol, cells, analyse(protocol, cells, recordings, draw=False)))
+        outcomes.append(analyse(protocol, cells, recordings, draw=False))
     return outcomes
 
 

@@ -18,25 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.designer import DesignFile, controller_starts
-from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, Law, LawInput, StateFeedback
 from controller.loop import Loop
-from controller.predictive import PredictiveLaw
-from controller.stability import FlownLoop, LoopMode
-from controller.time_variant import TimeVariantLaw
-from controller.time_variant_settings import TimeVariantSettings
-from controller.variants import (
+from controller.predictive import PredictiveLaw, TimeVariantLaw
+from controller.settings import (
+    ESTIMATORS,
+    INTEGRAL_SETTINGS,
+    PLACED_SETTINGS,
     FullSettings,
     IntegralSettings,
     PredictiveSettings,
-    integral_settings,
-    placed_settings,
+    Settings,
+    TimeVariantSettings,
 )
+from controller.stability import FlownLoop, LoopMode
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
-from cosim.model.symbolic.jacobian import load_names
-from fmus.estimator_recipes import jacobians
-from fmus.recipes import HEAVY
+from cosim.model.symbolic.linearize import load_names
+from fmus.recipes import HEAVY, jacobians
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 
 STEP = 0.02  # [s], Fig 4.8
@@ -55,8 +54,8 @@ def time_variant(p: TimeVariantSettings) -> TimeVariantLaw:
 
 LAWS: dict[str, tuple[Settings, Callable[[Any], Law]]] = {
     "LQR": (Settings(), StateFeedback),
-    "poles": (placed_settings(), StateFeedback),
-    "LQI": (integral_settings(), IntegralFeedback),
+    "poles": (PLACED_SETTINGS, StateFeedback),
+    "LQI": (INTEGRAL_SETTINGS, IntegralFeedback),
     "MPC": (PredictiveSettings(), PredictiveLaw),
     "LTV": (TimeVariantSettings(), time_variant),
 }
@@ -277,7 +276,7 @@ def swings() -> dict[str, dict[str, LoopMode]]:
     found: dict[str, dict[str, LoopMode]] = {}
     for estimator in ESTIMATORS:
         p = FullSettings(estimator=estimator)
-        loop = FlownLoop(p, p)
+        loop = FlownLoop(p)
         for name, (settings, _) in LAWS.items():
             if name in GAINS:
                 K_i = np.array(settings.integral_matrix) if isinstance(settings, IntegralSettings) else None

@@ -33,9 +33,9 @@ def coverage(path: Path, seeds: Sequence[int], tell: Callable[[int, int], None] 
     protocol = read_protocol(path)
     play, found = play_plain(protocol.bench), dict[str, list[Estimate]]()
     for first in range(0, len(seeds), AT_ONCE):
-        for outcome in simulate_seeds(protocol, play, seeds[first : first + AT_ONCE]):
-            for key, estimate in outcome.estimates.items():
-                found.setdefault(key, []).append(estimate)
+        for results in simulate_seeds(protocol, play, seeds[first : first + AT_ONCE]):
+            for test, estimate in ((r.test, e) for r in results for e in r.estimates):
+                found.setdefault(f"{test}.{estimate.name}", []).append(estimate)
         if tell is not None:
             tell(min(first + AT_ONCE, len(seeds)), len(seeds))
     return [_of(key, estimates) for key, estimates in found.items()]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.gains import Settings
+from controller.laws import feedback
 from controller.loop import Loop
-from controller.lqr import feedback
+from controller.settings import Settings
 from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
 

@@ -20,8 +20,8 @@ from cosim.logs.log import read_log
 from cosim.probing.places import probe_places
 from cosim.refinement.decision.constancy import constancy
 from cosim.subject.fmu_subject import FmuSubject
+from cosim.terms.code import term_code
 from cosim.terms.language import RatioFactor
-from cosim.terms.term_printing import term_code
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 from tests.test_refine_fmu import write_study

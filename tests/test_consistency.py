@@ -121,28 +121,20 @@ def test_the_command_prints_every_case_with_its_verdict_and_leaves_a_page(tmp_pa
     assert {r["verdict"] for r in rows} <= {"consistent", "optimistic", "pessimistic", "optimistic and pessimistic"}
 
 
-def test_too_few_runs_are_refused() -> None:
-    assert CliRunner().invoke(app, ["consistency", "--runs", "1"]).exit_code == 2
-    with pytest.raises(InputError, match="runs: is 1; give 2 or more\nsteps: is 50; give 100 or more"):
-        consistency(1, 50)
-
-
 @pytest.mark.parametrize(
     ("asked", "told"),
     [
-        (
-            ["--runs", "1000000000"],
-            "--runs: 1,000,000,000 runs of 500 steps are more than the 20,000,000 samples that fit",
-        ),
+        (["--runs", "1"], ""),
+        (["--runs", "1000000000"], "--runs: 1,000,000,000 runs of 500 steps are more than the 20,000,000 samples"),
         (["--steps", "1000000000"], "--steps: 50 runs of 1,000,000,000 steps are more than"),
     ],
 )
-def test_more_runs_than_memory_holds_are_refused_before_a_folder_is_made(
+def test_too_few_or_too_many_runs_are_refused_before_a_folder_is_made(
     asked: list[str], told: str, tmp_path: Path
 ) -> None:
     done = CliRunner().invoke(app, ["consistency", *asked, "--out", str(tmp_path / "new")])
-    assert isinstance(done.exception, InputError)
-    assert done.exception.exit_code == 2
+    assert getattr(done.exception, "exit_code", done.exit_code) == 2
     assert str(done.exception).startswith(told)
-    assert "at most" in str(done.exception)
     assert not (tmp_path / "new").exists()
+    with pytest.raises(InputError, match="runs: is 1; give 2 or more\nsteps: is 50; give 100 or more"):
+        consistency(1, 50)

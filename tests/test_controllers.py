@@ -12,18 +12,19 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 from scipy.optimize import lsq_linear
 
-from controller.design_model import design_model, discretize
-from controller.full_model import INPUTS, STATES, full_model
-from controller.gains import Settings
-from controller.horizon import NAMES, PREDICTED, Condensed, Program, condensed, predicted, steady, weights
+from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
 from controller.laws import IntegralFeedback, LawInput
 from controller.loop import Loop
-from controller.placement import POLES, placed_gain
-from controller.predictive import PredictiveLaw
-from controller.synthesis import Q_THESIS, R_THESIS, integral_gain, numbers_of, roll_numbers_of
-from controller.time_variant import TimeVariantLaw
-from controller.time_variant_settings import TimeVariantSettings
-from controller.variants import PredictiveSettings, integral_settings, placed_settings
+from controller.predictive import NAMES, PREDICTED, PredictiveLaw, TimeVariantLaw, predicted
+from controller.settings import (
+    INTEGRAL_SETTINGS,
+    PLACED_SETTINGS,
+    PLANT_STATES,
+    PredictiveSettings,
+    Settings,
+    TimeVariantSettings,
+)
+from controller.synthesis import POLES, Q_THESIS, R_THESIS, integral_gain, numbers_of, placed_gain, roll_numbers_of
 from cosim.fmi.fmu_build import build
 from cosim.model import Stepper
 from cosim.model.symbolic.linearize import linearize
@@ -67,7 +68,7 @@ def test_the_poles_stand_where_they_are_asked_for() -> None:
 
 
 def test_the_frozen_gain_is_the_placed_one() -> None:
-    assert pytest.approx(placed_gain(Settings()), rel=1e-9) == np.array(placed_settings().gain_matrix)
+    assert pytest.approx(placed_gain(Settings()), rel=1e-9) == np.array(PLACED_SETTINGS.gain_matrix)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +91,7 @@ def test_poles_that_cannot_be_are_refused(poles: tuple[complex, ...]) -> None:
 
 def test_the_frozen_gains_with_integrals_are_the_designed_ones_and_solve_the_riccati_equation() -> None:
     K, K_i = integral_gain(Settings())
-    p = integral_settings()
+    p = INTEGRAL_SETTINGS
     assert pytest.approx(K, rel=1e-9) == np.array(p.gain_matrix)
     assert pytest.approx(K_i, rel=1e-9) == np.array(p.integral_matrix)
     A, B = design_model(p)
@@ -101,10 +102,10 @@ def test_the_frozen_gains_with_integrals_are_the_designed_ones_and_solve_the_ric
 
 
 def test_integrals_stand_still_while_a_tilt_is_saturated() -> None:
-    law = IntegralFeedback(integral_settings())
+    law = IntegralFeedback(INTEGRAL_SETTINGS)
     far = LawInput(5.0, 0.0, started=True)
     assert law.command([0.0] * 5, far) == (law.limit, law.limit)
-    assert law.integrals == (0.0, 0.0)
+    assert law.integrals == [0.0, 0.0]
     near = far._replace(x_ref=0.01)
     law.command([0.0] * 5, near)
     assert law.integrals[0] == pytest.approx(-0.01 * STEP)
@@ -132,8 +133,8 @@ def test_the_predicted_model_is_the_linearised_plant_entry_by_entry() -> None:
     linear = linearize(craft)
     p = PredictiveSettings(**{**numbers_of(craft), **roll_numbers_of(craft), "duty_max": 9.0})
     A, B = full_model(p)
-    assert linear.states[:14] == STATES
-    assert linear.inputs == INPUTS
+    assert linear.states[:14] == PLANT_STATES
+    assert linear.inputs == PLANT_INPUTS
     np.testing.assert_allclose(A, linear.A[:14, :14], atol=1e-9)
     np.testing.assert_allclose(B, linear.B[:14], atol=1e-9)
 
@@ -143,33 +144,28 @@ def test_the_declared_numbers_of_prediction_are_those_of_the_craft() -> None:
     assert numbers == pytest.approx({name: getattr(MPC, name) for name in numbers}, rel=1e-7)
 
 
-def unconditioned(p: PredictiveSettings) -> Condensed:
-    """Return the cost of the law that is linearised once, from any deviation on."""
-    return condensed(p, steady(p), np.eye(len(NAMES)), Program(p).scale)
-
-
 def test_the_solver_finds_what_another_one_does() -> None:
-    program, cost = Program(MPC), unconditioned(MPC)
+    law = PredictiveLaw(MPC)
+    cost, scale = law.cost, law.scale
     root = np.linalg.cholesky(cost.H).T  # ½·U'·H·U + q'·U = ½·|root·U + root⁻ᵀ·q|² + …
     for seed in range(5):
         z = np.random.default_rng(seed).normal(size=len(NAMES)) * 0.3
         target = -np.linalg.solve(root.T, cost.f @ z)
-        best = lsq_linear(root, target, (program.low, program.high), tol=1e-12).x
-        found = program.solve(cost.at(z), program.cold())
-        assert found.solved
-        np.testing.assert_allclose(found.command, program.scale * best[:4], atol=1e-6)
+        best = lsq_linear(root, target, tuple(law.limits), tol=1e-12).x
+        law.solve(cost.at(z))
+        assert law.solved
+        np.testing.assert_allclose(law.last, scale * best[:4], atol=1e-6)
 
 
 def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equation() -> None:
     free = replace(MPC, prediction_step=0.1, horizon=0.1)  # one step, then the cost to go: exactly the LQR
     F, G = discretize(*predicted(free), 0.1)
-    Q, R = (0.1 * w for w in weights(free))
-    P = solve_discrete_are(F, G, Q, R)
-    K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)
+    law = PredictiveLaw(free)
+    P = solve_discrete_are(F, G, law.Q, law.R)
+    K = np.linalg.solve(law.R + G.T @ P @ G, G.T @ P @ F)
     z = 1e-2 * np.random.default_rng(0).normal(size=len(NAMES))
-    program = Program(free)
-    found = program.solve(unconditioned(free).at(z), program.cold())
-    np.testing.assert_allclose(found.command, -K @ z, atol=1e-9)
+    law.solve(law.cost.at(z))
+    np.testing.assert_allclose(law.last, -K @ z, atol=1e-9)
 
 
 def test_commands_keep_their_limits_wherever_the_craft_is() -> None:
@@ -285,7 +281,7 @@ def test_the_manoeuvre_of_app_g_is_within_10_percent_and_15_degrees(name: str) -
 
 
 @pytest.mark.parametrize(
-    ("name", "of"), [("pole", placed_settings()), ("lqi", integral_settings()), ("mpc", MPC), ("ltv-mpc", LTV)]
+    ("name", "of"), [("pole", PLACED_SETTINGS), ("lqi", INTEGRAL_SETTINGS), ("mpc", MPC), ("ltv-mpc", LTV)]
 )
 def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, of: Settings) -> None:
     make = dict(zip(RECIPES, list(LAWS.values())[1:], strict=True))[name][1]

@@ -13,7 +13,7 @@ import pytest
 
 import cosim
 from controller.design_model import design_model
-from controller.gains import GAINS, Settings
+from controller.settings import GAINS, Settings
 from controller.synthesis import numbers_of
 from cosim.base.errors import InputError
 from cosim.fmi.fmu_build import build

@@ -20,7 +20,7 @@ from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.places import probe_structure
 from cosim.subject.fmu_subject import FmuSubject
-from cosim.terms.term_printing import term_code
+from cosim.terms.code import term_code
 from cosim.wrapping.wrap import wrap
 from tests.blind import fmu_build
 from tests.blind.fmu_build import PLANTS, build

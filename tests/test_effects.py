@@ -223,20 +223,7 @@ def test_dry_friction_slides_the_textbook_distance() -> None:
     assert y["y"][-1] / y["x"][-1] == pytest.approx(-4 / 3, rel=1e-12)
 
 
-# Thrust.
-
-
 # Actuators.
-
-
-def acting(effect: Any, commands: list[tuple[float, ...]], h: float = 0.005) -> list[tuple[float, ...]]:
-    """Commands after the effect, one substep each."""
-    stepper = Stepper(craft_with(effect))
-    memory, out = stepper.start().memory, []
-    for k, command in enumerate(commands):
-        shaped, memory = stepper.shape(k * h, h, command, memory)
-        out.append(shaped)
-    return out
 
 
 @pytest.mark.parametrize("zeta", [0.1, 0.3, 0.5, 0.7])

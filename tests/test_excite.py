@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from controller.gains import Settings
 from controller.loop import Loop
+from controller.settings import Settings
 from cosim.base.errors import InputError
 from cosim.estimation.posing import build_problem
 from cosim.experiment.chosen_input import Excitation

@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, StateFeedback
-from controller.placement import POLES, placed_gain
+from controller.settings import ESTIMATORS, GAINS, INTEGRAL_SETTINGS, INTEGRALS, FullSettings, Settings
 from controller.stability import FlownLoop, LoopMode, worst_modes
-from controller.synthesis import integral_gain, lqr_gain
-from controller.variants import GAINS, INTEGRALS, FullSettings, integral_settings
+from controller.synthesis import POLES, integral_gain, lqr_gain, placed_gain
 from tests.controllers import LAWS, STEP, fly, swings
 
 FAST = (-2.0, -4.0, -11.0, -15.0, -16.0)  # stable on eqs 5.33/5.34, not where the turn lags
@@ -24,12 +22,12 @@ FAST = (-2.0, -4.0, -11.0, -15.0, -16.0)  # stable on eqs 5.33/5.34, not where t
 
 def slowest(K: Any, K_i: Any = None, *, axis: str, estimator: str = "appendix_f") -> LoopMode:
     p = FullSettings(estimator=estimator)
-    return next(mode for mode in FlownLoop(p, p).modes(K, K_i) if mode.axis == axis and mode.pole.imag >= 0)
+    return next(mode for mode in FlownLoop(p).modes(K, K_i) if mode.axis == axis and mode.pole.imag >= 0)
 
 
 def flown_poles(K: Any, start: str, size: float, until: float, K_i: Any = None, **settings: Any) -> list[complex]:
     """Poles [rad/s] of a pair, out of the last half second of a flight: αₖ₊₂ = a·αₖ₊₁ + b·αₖ of a tilt."""
-    kind: Any = Settings() if K_i is None else integral_settings()
+    kind: Any = Settings() if K_i is None else INTEGRAL_SETTINGS
     gains = dict(zip(GAINS, K.ravel(), strict=True))
     if K_i is not None:
         gains |= dict(zip(INTEGRALS, K_i.ravel(), strict=True))
@@ -74,7 +72,7 @@ def test_all_designs_of_the_thesis_and_ours_are_damped_as_printed_with_every_est
         assert f"{estimator:12}{told}" in text
     for estimator in ESTIMATORS:
         p = FullSettings(estimator=estimator)
-        loop = FlownLoop(p, p)
+        loop = FlownLoop(p)
         every = [*loop.modes(lqr_gain(p)), *loop.modes(placed_gain(p)), *loop.modes(*integral_gain(p))]
         assert worst_modes(every) == []
         assert min(mode.damping for mode in every) > 0.29

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.gains import Settings
 from controller.loop import Loop
+from controller.settings import Settings
 from tests.hosts_fmpy import Instance, refused
 
 STEP = 0.02  # [s], Fig 4.8

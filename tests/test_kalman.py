@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.design_model import measurement_matrix
-from controller.gains import ESTIMATORS, Settings
-from controller.kalman import discrete_model
+from controller.design_model import discrete_model, measurement_matrix
 from controller.loop import Loop
+from controller.settings import ESTIMATORS, Settings
 from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from controller.design_model import design_model, measurement_matrix
-from controller.gains import Settings
+from controller.settings import Settings
 from cosim.model import SCALAR
 from cosim.model.symbolic.linearize import LinearModel, linearize
 from plant.effects.actuator import ActuatorSecondOrder

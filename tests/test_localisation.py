@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 import cosim
 from controller.design_model import design_model, measurement_matrix
-from controller.extended import STATES, ExtendedFilter, ExtendedSettings
-from controller.gains import Settings
+from controller.extended import ExtendedFilter
 from controller.loop import Loop
 from controller.observers import LinearFilter
+from controller.settings import PLANT_STATES, ExtendedSettings, Settings
 from cosim.fmi.fmu_build import build
 from cosim.model import Stepper
-from cosim.model.symbolic.jacobian import load_names
+from cosim.model.symbolic.linearize import load_names
 from cosim.simulation.run_signals import Run
 from fmus.estimator_fmu import INPUTS, OUTPUTS
-from fmus.estimator_recipes import extended_recipe, filter_recipe, jacobians
+from fmus.recipes import extended_recipe, filter_recipe, jacobians
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
 from tests.hosts_fmpy import Instance, description_of
@@ -185,14 +185,14 @@ def test_a_camera_in_world_axes_corrects_the_distance_along_a_path_that_turns() 
     settings = ExtendedSettings(axes="world")
     extended = ExtendedFilter(Hovercraft(), settings, load_names(jacobians()), {})
     x, x_hat, sigma = manoeuvre(extended, wrong=0.3)
-    error = dict(zip(STATES, x_hat - x, strict=True))
+    error = dict(zip(PLANT_STATES, x_hat - x, strict=True))
     assert math.hypot(error["x_world"], error["y_world"]) < 0.06  # three of σ = 2 cm
     assert abs(error["x"]) < 0.06  # what is found out before the turn is along the old axis, and is kept
     assert max(sigma[250:]) < 0.03
     alone = ExtendedFilter(Hovercraft(), replace(settings, measurement_variance_x=1e6, measurement_variance_y=1e6),
                            load_names(jacobians()), {})  # fmt: skip
     _, x_hat, sigma = manoeuvre(alone, wrong=0.3)
-    assert abs(x_hat - x)[STATES.index("x_world")] > 0.25
+    assert abs(x_hat - x)[PLANT_STATES.index("x_world")] > 0.25
     assert max(sigma[250:]) > 0.3
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
 from controller.design_model import design_model
-from controller.gains import Settings
-from controller.lqr import feedback
+from controller.laws import feedback
+from controller.settings import Settings
 from controller.synthesis import Q_THESIS, R_THESIS, lqr_gain
 
 THESIS = Settings()
@@ -60,7 +60,7 @@ def test_weights_of_no_regulator_are_refused(Q: tuple[float, ...], R: tuple[floa
 @given(st.lists(st.floats(-100, 100), min_size=5, max_size=5), st.floats(0, 1))
 def test_command_never_exceeds_the_saturation(x_hat: list[float], limit: float) -> None:
     free = -np.array(THESIS.gain_matrix) @ x_hat
-    u = feedback(THESIS.gain_matrix, x_hat, (0.0,) * 5, limit)
+    u = feedback(THESIS.gain_matrix, x_hat, limit)
     assert max(map(abs, u)) <= limit
     # and is the linear one where that fits; two orders of summation
     assert u == pytest.approx(np.clip(free, -limit, limit), abs=1e-13)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.gains import Settings
 from controller.loop import Loop
+from controller.settings import Settings
 from cosim.base.errors import SimulationError
 from cosim.master.master import simulate
 from cosim.model import Stepper

@@ -15,8 +15,8 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from controller.gains import Settings
 from controller.loop import Loop
+from controller.settings import Settings
 from cosim.base.errors import InputError
 from cosim.fmi.native.compiler import can_cross, compiler
 from cosim.fmi.native.platforms import glibc_floor, this_platform

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from controller.gains import Settings
+from controller.settings import Settings
 from cosim.model import SCALAR, Stepper
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground

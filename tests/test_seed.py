@@ -15,8 +15,7 @@ from ruamel.yaml import YAML
 from scipy.optimize import brentq
 
 from controller.design_model import design_model
-from controller.gains import Settings
-from controller.variants import PredictiveSettings
+from controller.settings import PredictiveSettings, Settings
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.workflow import linearize
 from cosim.model import SCALAR
@@ -32,13 +31,6 @@ TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 PAGE = ROOT / "docs" / "seed.md"
 BENCH = ROOT / "examples" / "bench" / "protocol.yaml"
-STATUSES = {"reproduced", "corrected", "not software"}
-
-
-def rows() -> list[list[str]]:
-    lines = PAGE.read_text(encoding="utf-8").splitlines()
-    cells = [[c.strip() for c in line.strip("|").split(" | ")] for line in lines if line.startswith("| ")]
-    return [c for c in cells if len(c) >= 5 and c[1] in STATUSES]
 
 
 def asked_for() -> list[list[str]]:

@@ -41,7 +41,7 @@ from plant.effects.sensor_errors import (
     MagnetometerDisturbance,
 )
 from plant.hovercraft import Hovercraft
-from plant.identification.command_response import held_lag
+from plant.identification.estimates import held_lag
 from plant.powertrain import ground_effect
 from tests.logs import write_log
 from tests.rover import ROVER, STEP, commands, rover_log, rover_study

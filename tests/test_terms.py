@@ -26,9 +26,9 @@ from cosim.terms.catalogue import (
     bound_terms,
     sensor_errors,
 )
+from cosim.terms.code import term_code
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Force, Place, bind, unit_of
-from cosim.terms.term_printing import term_code
 
 INPUT = Place("voltage", {"u": "V", "T": "s"}, {"u": 4.0, "T": 0.1}, input=0)
 PAIR = Place(

@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controller.design_model import measurement_matrix
-from controller.gains import Settings
-from controller.kalman import discrete_model
+from controller.design_model import discrete_model, measurement_matrix
+from controller.settings import Settings
 from cosim.base.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
-from plant.identification.thrust_line import least_degree
+from plant.identification.thrust import least_degree
 from plant.powertrain import assembly_moment, ground_effect
 
 BENCH = Bench()
@@ -174,11 +173,17 @@ def _filtered(kind: type[np.floating], updates: int) -> tuple[Array, Array]:
         u = np.full(2, math.radians(5.0 if k % 200 < 100 else -5.0))
         truth = discrete[0] @ truth + discrete[1] @ u
         z = (observed @ truth + noise).astype(kind)
-        x, P = F @ x + G @ u.astype(kind), F @ P @ F.T + V  # x = F·x + G·u, P = F·P·Fᵀ + V
-        gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + W)
-        x, P = x + gain @ (z - H @ x), (np.eye(5, dtype=kind) - gain @ H) @ P
+        x, P = _sampled(F @ x + G @ u.astype(kind), P, z, (F, H, V, W))
         rows.append(x)
     return np.array(rows, dtype=np.float64), np.sqrt(np.diag(P)).astype(np.float64)
+
+
+def _sampled(x: Array, P: Array, z: Array, matrices: tuple[Array, ...]) -> tuple[Array, Array]:
+    """Return the predicted x and P = F·P·Fᵀ + V after an update with z."""
+    F, H, V, W = matrices
+    P = F @ P @ F.T + V
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + W)
+    return x + gain @ (z - H @ x), (np.eye(5, dtype=P.dtype) - gain @ H) @ P
 
 
 def noise_on_states() -> list[Row]:
@@ -206,9 +211,7 @@ def _closed_loop(*, observed: bool, seconds: float = 60.0) -> tuple[float, float
     for noise in rng.standard_normal((round(seconds / p.sample_time), 3)) * np.sqrt(p.measurement_variances):
         x = F @ x + G @ u
         if observed:
-            estimate, P = Fe @ estimate + Ge @ u, Fe @ P @ Fe.T + V
-            gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + W)
-            estimate, P = estimate + gain @ (H @ x + noise - H @ estimate), (np.eye(5) - gain @ H) @ P
+            estimate, P = _sampled(Fe @ estimate + Ge @ u, P, H @ x + noise, (Fe, H, V, W))
         else:
             estimate = x + np.array([0.0, 0.0, *noise])
         u = -K @ estimate

@@ -286,5 +286,3 @@ def record(fitted: Outcome, sentence: str, seconds: float, warnings: Sequence[st
         warnings=list(warnings),
         notes=list(notes),
     )
-
-

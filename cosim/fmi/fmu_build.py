@@ -91,7 +91,7 @@ def sort_values(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, f
 def about_model(model: Model, text: str) -> Description:
     """Return the data of a model from which its modelDescription.xml is written."""
     from cosim.fmi.ports import model_ports
-    from cosim.model.symbolic.dependencies import direct_dependencies, initial_dependencies
+    from cosim.model.symbolic.symbols import direct_dependencies, initial_dependencies
 
     about = text, model_ports(model), direct_dependencies(model), initial_dependencies(model)
     return Description(*about, step=model.rate, stop=10.0, variable_step=True, traits=Traits.of(model))

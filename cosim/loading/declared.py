@@ -18,8 +18,7 @@ from cosim.base.units import parse
 from cosim.fmi.ports import model_ports
 from cosim.loading.equations import effect_faults, equation_faults
 from cosim.loading.source import ModelText
-from cosim.model.delay import Delay
-from cosim.model.gain import Gain
+from cosim.model.delay import Delay, Gain
 from cosim.model.model import INTEGRATORS, Effect, Model, Validity, overrides
 from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import Quantity, parameters_of

@@ -5,8 +5,7 @@
 A model needs only Python's standard library, so that its FMU runs in any host with Python.
 """
 
-from cosim.model.delay import Delay
-from cosim.model.gain import Gain
+from cosim.model.delay import Delay, Gain
 from cosim.model.integrate import Moment, Stepper
 from cosim.model.model import Effect, Equations, Model, Number, Validity, Values, overrides
 from cosim.model.namespaces import SCALAR, Namespace

@@ -1,7 +1,8 @@
-"""Delay of the whole command, available to every model."""
+"""Effects on the command that are available to every model: its delay, and the gain of one input."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -46,3 +47,21 @@ class Delay(Effect):
         while len(history) > 1 and history[1][0] <= t + h - self.longest:
             history = history[1:]
         return tuple(mean), history
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gain(Effect):
+    """Gain of one input: u → k·u.
+
+    A model's subclass has a name, the input's name in `input`, and a place in the catalogue. Delays and shaping of the
+    command act before.
+    """
+
+    equation = "k·u in place of u"
+    input: ClassVar[str]
+
+    gain: float = parameter(1.0, unit="1", bounds=(0.1, 10), neutral=1.0, typical=0.1, doc="gain k of the input")
+
+    def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
+        """Return the commands with the gain on one input."""
+        return {**command, self.input: self.gain * command[self.input]}

@@ -6,10 +6,11 @@ A dual number is a value with its derivatives by all states. At a branch, the de
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from cosim.model.namespaces import ScalarNamespace
+from cosim.model.namespaces import Namespace
 
 
 class Dual:
@@ -67,21 +68,10 @@ class Dual:
 
     __radd__, __rmul__ = __add__, __mul__
 
-    def __eq__(self, other: object) -> bool:
-        return bool(self.value == _value(other))
-
-    def __lt__(self, other: Any) -> bool:
-        return bool(self.value < _value(other))
-
-    def __le__(self, other: Any) -> bool:
-        return bool(self.value <= _value(other))
-
-    def __gt__(self, other: Any) -> bool:
-        return bool(self.value > _value(other))
-
-    def __ge__(self, other: Any) -> bool:
-        return bool(self.value >= _value(other))
-
+    __eq__, __lt__, __le__, __gt__, __ge__ = (  # by value
+        lambda self, other, compare=compare: bool(compare(self.value, _value(other)))
+        for compare in (operator.eq, operator.lt, operator.le, operator.gt, operator.ge)
+    )
     __hash__ = None  # type: ignore[assignment]  # a number that is compared by value, and changes none
 
 
@@ -104,7 +94,7 @@ def _lift(function: Callable[[float], float], slope: Callable[[float, float], fl
     return lifted
 
 
-class DualNamespace(ScalarNamespace):
+class DualNamespace(Namespace):
     """Functions of the equations on dual numbers."""
 
     sin = staticmethod(_lift(math.sin, lambda x, _: math.cos(x)))
@@ -116,7 +106,7 @@ class DualNamespace(ScalarNamespace):
     @staticmethod
     def rint(x: Any) -> Any:
         """Round a number and keep its slope."""
-        return x + (ScalarNamespace.rint(_value(x)) - _value(x))
+        return x + (Namespace.rint(_value(x)) - _value(x))
 
 
 def jacobian(

@@ -25,14 +25,12 @@ INTEGRATORS = (AUTO, RK4, STIFF)
 class Parametric:
     """A frozen dataclass of parameters with checked bounds; one error names all faults."""
 
-    @property
-    def prefix(self) -> str:
-        """Return the prefix of parameter names in messages."""
-        return ""
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value."""
+        return [fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
 
     def __post_init__(self) -> None:
-        faults = [self.prefix + fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
-        if faults:
+        if faults := self.invalid_values():
             raise ValueError("; ".join(faults))
 
 
@@ -60,10 +58,9 @@ class Effect(Parametric):
     at_least: ClassVar[Mapping[str, str]] = {}
     resolved: ClassVar[tuple[str, ...]] = ()
 
-    @property
-    def prefix(self) -> str:
-        """Return the prefix of the effect's parameters: its name and a dot."""
-        return f"{self.name}."
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value, with the effect's name before the parameter's."""
+        return [f"{self.name}.{fault}" for fault in super().invalid_values()]
 
     @property
     def dormant(self) -> bool:

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 
-class Namespace(Protocol):
-    """Functions available to equations; numbers are floats, arrays of one shape, or symbols."""
+class Namespace:
+    """Functions available to equations; numbers are floats, arrays of one shape, or symbols.
 
-    def sin(self, x: Any) -> Any: ...
-    def cos(self, x: Any) -> Any: ...
-    def tanh(self, x: Any) -> Any: ...
-    def exp(self, x: Any) -> Any: ...
-    def sqrt(self, x: Any) -> Any: ...
-    def maximum(self, a: Any, b: Any) -> Any: ...
-    def minimum(self, a: Any, b: Any) -> Any: ...
-    def clip(self, x: Any, low: Any, high: Any) -> Any: ...
-    def rint(self, x: Any) -> Any: ...
-    def where(self, condition: Any, then: Any, otherwise: Any) -> Any: ...
+    These are those of Python floats, as used by the FMU; the others have the same names.
+    """
 
-
-class ScalarNamespace:
-    """Python floats with `math`, as used by the FMU."""
-
-    sin = staticmethod(math.sin)
-    cos = staticmethod(math.cos)
-    tanh = staticmethod(math.tanh)
-    exp = staticmethod(math.exp)
-    sqrt = staticmethod(math.sqrt)
-    maximum = staticmethod(max)
-    minimum = staticmethod(min)
+    sin: Any = staticmethod(math.sin)
+    cos: Any = staticmethod(math.cos)
+    tanh: Any = staticmethod(math.tanh)
+    exp: Any = staticmethod(math.exp)
+    sqrt: Any = staticmethod(math.sqrt)
+    maximum: Any = staticmethod(max)
+    minimum: Any = staticmethod(min)
 
     @staticmethod
     def clip(x: Any, low: Any, high: Any) -> Any:
@@ -45,17 +33,17 @@ class ScalarNamespace:
         return then if condition else otherwise
 
 
-SCALAR: Namespace = ScalarNamespace()
+SCALAR = Namespace()
 
 
-def arrays() -> Namespace:
+def arrays() -> Any:
     """Return the NumPy namespace for parallel runs."""
     import numpy
 
     return numpy
 
 
-class SymbolNamespace:
+class SymbolNamespace(Namespace):
     """SymPy expressions, for Jacobians, generated code and dependencies."""
 
     def __init__(self) -> None:
@@ -63,12 +51,12 @@ class SymbolNamespace:
 
         from cosim.model.symbolic.printed import Clip, Rint
 
-        self.clip, self.rint = Clip, Rint  # a branch within a condition would take sympy minutes
+        self.clip, self.rint = Clip, Rint  # type: ignore[method-assign]  # a branch within a condition would take sympy minutes
         self.sin, self.cos, self.tanh = sympy.sin, sympy.cos, sympy.tanh
         self.exp, self.sqrt = sympy.exp, sympy.sqrt
         self._piecewise = sympy.Piecewise
 
-    def where(self, condition: Any, then: Any, otherwise: Any) -> Any:
+    def where(self, condition: Any, then: Any, otherwise: Any) -> Any:  # type: ignore[override]
         if condition in (True, False):
             return then if condition else otherwise
         # Unevaluated, because simplification of nested branches takes seconds without effect.

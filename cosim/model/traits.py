@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from cosim.model.model import Model
 from cosim.model.namespaces import SCALAR
@@ -56,9 +55,19 @@ def rates_of(model: Model) -> dict[str, str]:
     if not pairs:
         return {}
     place, rng, samples = {name: k for k, name in enumerate(names)}, np.random.default_rng(1), 0
-    for _ in range(3):
+    derivative, output = model.acting(SCALAR)
+    for _ in range(3):  # outputs at a random state near the start, and their slopes [1/s]
+        start = (np.array(values, dtype=np.float64) for values in (model.start(), model.start_command()))
+        x, u = (v + 0.1 * (1.0 + np.abs(v)) * rng.standard_normal(v.size) for v in start)
+        command = tuple(u.tolist())
         try:
-            values, slopes = _sample(model, rng)
+            with np.errstate(all="ignore"):
+                f = np.array(derivative(0.0, tuple(x.tolist()), command))
+                # [s] small relative to any change
+                h = 1e-6 / (1.0 + float(np.max(np.abs(f) / (1.0 + np.abs(x)), initial=0.0)))
+                points = (tuple((x + s * h * f).tolist()) for s in (0.0, -1.0, 1.0))
+                values, before, after = (np.array(output(0.0, point, command)) for point in points)
+                slopes = (after - before) / (2.0 * h)
         except (ArithmeticError, ValueError):  # an undefined state of a root or a logarithm
             continue
         samples += 1
@@ -66,18 +75,3 @@ def rates_of(model: Model) -> dict[str, str]:
             n: r for n, r in pairs.items() if abs(slopes[place[n]] - values[place[r]]) <= 1e-3 * abs(values[place[r]])
         }
     return pairs if samples else {}
-
-
-def _sample(model: Model, rng: Any) -> tuple[Any, Any]:
-    """Return outputs at a random state near the start, and their slopes [1/s]."""
-    import numpy as np
-
-    derivative, output = model.acting(SCALAR)
-    start = (np.array(values, dtype=np.float64) for values in (model.start(), model.start_command()))
-    x, u = (v + 0.1 * (1.0 + np.abs(v)) * rng.standard_normal(v.size) for v in start)
-    command = tuple(u.tolist())
-    with np.errstate(all="ignore"):
-        f = np.array(derivative(0.0, tuple(x.tolist()), command))
-        h = 1e-6 / (1.0 + float(np.max(np.abs(f) / (1.0 + np.abs(x)), initial=0.0)))  # [s] small relative to any change
-        now, before, after = (np.array(output(0.0, tuple((x + s * h * f).tolist()), command)) for s in (0.0, -1.0, 1.0))
-        return now, (after - before) / (2.0 * h)

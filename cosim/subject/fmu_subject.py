@@ -37,9 +37,9 @@ from cosim.subject.model_subject import FILES, ModelSubject
 from cosim.subject.probed_model import probed_model
 from cosim.subject.start_state import start_state
 from cosim.terms.alike import experiments_for
+from cosim.terms.code import term_code
 from cosim.terms.fmu_model import FmuModel, fmu_model
 from cosim.terms.language import Force, with_place
-from cosim.terms.term_printing import term_code
 from cosim.wrapping.wrap import CannotWrap, wrap
 
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs

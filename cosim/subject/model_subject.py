@@ -19,7 +19,7 @@ from cosim.loading.file import LoadedModel, write_model
 from cosim.loading.own_run import predicted_outputs, shown_states
 from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.log import Log
-from cosim.model.gain import Gain
+from cosim.model.delay import Gain
 from cosim.model.integrate import substeps
 from cosim.model.model import Model
 from cosim.model.quantities import Parameter, parameters_of

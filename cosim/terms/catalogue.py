@@ -127,8 +127,11 @@ class InputLag(RememberingTerm):
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
         """Return the mean over the substep, and the value at its end; exact for an input held over the substep."""
-        mean, end = _lagged(m, h, value, memory[0], self.time)
-        return mean, (end,)
+        acts, slow = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
+        share, before = m.exp(-h / slow), memory[0]
+        end = value + (before - value) * share
+        mean = value + (before - value) * (1.0 - share) * slow / h
+        return m.where(acts, mean, value), (m.where(acts, end, value),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,15 +171,6 @@ def _swung(m: Namespace, r: Number, damping: Number) -> tuple[Number, Number]:
     swings = square > 0.0
     swing = m.where(swings, fades * m.cos(w * r), 0.5 * (slow + fast))
     return swing, m.where(swings, fades * m.sin(w * r) / w, 0.5 * (slow - fast) / v)
-
-
-def _lagged(m: Namespace, h: Number, value: Number, before: Number, time: Number) -> tuple[Number, Number]:
-    """Return mean and end value of a first-order lag over a substep."""
-    acts, slow = time > SHORTEST * h, m.maximum(time, SHORTEST * h)
-    share = m.exp(-h / slow)
-    end = value + (before - value) * share
-    mean = value + (before - value) * (1.0 - share) * slow / h
-    return m.where(acts, mean, value), m.where(acts, end, value)
 
 
 # -- at a pair of position and velocity ------------------------------------------------------------

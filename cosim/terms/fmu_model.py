@@ -6,7 +6,7 @@ depends, printed in C as a call; `cosim/kernel/library.c` evaluates the library.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, make_dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
@@ -16,8 +16,6 @@ from cosim.model.model import Effect, Equations, Model, Number, Values, override
 from cosim.model.namespaces import Namespace, SymbolNamespace
 from cosim.model.quantities import Parameter, Quantity
 from cosim.terms.language import Direction, Force, RateTerm
-
-PARAMETERS = "the equations are those of a library"
 
 
 class Dependencies(NamedTuple):
@@ -53,7 +51,7 @@ class FmuModel(Model):
             TypeError: The namespace is one of numbers.
         """
         if not isinstance(m, SymbolNamespace):
-            raise TypeError(PARAMETERS)
+            raise TypeError("the equations are those of a library")
 
         def value(row: int, state: Values, command: Values) -> Number:
             return library_value(row)(*self._arguments(m, row, state, command))
@@ -134,38 +132,19 @@ class FmuModel(Model):
 @cache
 def library_value(row: int) -> Any:
     """Return the symbolic function of a derivative or output, numbered in the order of the library."""
-    import sympy
-
-    class LibraryValue(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-        is_real = True
-
-        def fdiff(self, argindex: int = 1) -> Any:
-            return library_slope(row, self.args[argindex - 1])(*self.args)
-
-        def _ccode(self, printer: Any) -> str:
-            return f"library_value({row}, t, x, u, p)"
-
-    LibraryValue.__name__ = f"library_value_{row}"
-    return LibraryValue
+    return _library_function(
+        f"library_value_{row}",
+        lambda printer: f"library_value({row}, t, x, u, p)",
+        lambda e, place: library_slope(row, e.args[place])(*e.args),
+    )
 
 
 @cache
 def library_slope(row: int, by: Any) -> Any:
     """Return the symbolic function of a slope, printed with the place of the state by which it is taken."""
-    import sympy
-
-    class LibrarySlope(sympy.Function):  # type: ignore[misc]
-        is_real = True
-
-        def fdiff(self, argindex: int = 1) -> Any:
-            return sympy.Integer(0)  # second derivatives are not used
-
-        def _ccode(self, printer: Any) -> str:
-            place = printer._print(by)  # `x[3]`
-            return f"library_slope({row}, {place[2:-1]}, t, x, u, p)"
-
-    LibrarySlope.__name__ = f"library_slope_{row}_{by}"
-    return LibrarySlope
+    return _library_function(  # a state is printed as `x[3]`
+        f"library_slope_{row}_{by}", lambda printer: f"library_slope({row}, {printer._print(by)[2:-1]}, t, x, u, p)"
+    )
 
 
 @cache
@@ -174,20 +153,21 @@ def library_direction(number: int, row: int) -> Any:
 
     Its slopes are left out: in a Jacobian they are products of the added force and the curvature of the inertias.
     """
+    code = f"library_direction({number}, {row}, t, x, u, p)"
+    return _library_function(f"library_direction_{number}_{row}", lambda printer: code, is_costly=True)
+
+
+def _library_function(
+    name: str, code: Callable[[Any], str], slope: Callable[[Any, int], Any] | None = None, **attributes: Any
+) -> Any:
+    """Return a symbolic function that is printed as a call of the library; without `slope` its slopes are 0."""
     import sympy
 
-    class LibraryDirection(sympy.Function):  # type: ignore[misc]
-        is_real = True
-        is_costly = True
+    def fdiff(e: Any, argindex: int = 1) -> Any:
+        return sympy.Integer(0) if slope is None else slope(e, argindex - 1)
 
-        def fdiff(self, argindex: int = 1) -> Any:
-            return sympy.Integer(0)
-
-        def _ccode(self, printer: Any) -> str:
-            return f"library_direction({number}, {row}, t, x, u, p)"
-
-    LibraryDirection.__name__ = f"library_direction_{number}_{row}"
-    return LibraryDirection
+    names = {"is_real": True, "fdiff": fdiff, "_ccode": lambda e, printer: code(printer), "__module__": __name__}
+    return type(name, (sympy.Function,), names | attributes)
 
 
 def fmu_model(

@@ -226,49 +226,33 @@ def scaled(
 
 def bind(kind: type[Any], place: Place) -> type[Any]:
     """Return a term for a place: a class with name, units, bounds and usual sizes."""
-    least = {
-        **dict.fromkeys(kind.resolved, place.resolution),
-        **{n: x * place.resolution for n, x in kind.least.items()},
-    }
-    limits = {p.name: least.get(p.name, -math.inf) for p in parameters_of(kind)}
-    own = {p.name: _bound(p, place, _middle(kind, p.name, place), limits[p.name]) for p in parameters_of(kind)}
-    starts = tuple(
-        {n: _middle(kind, n, place) + v * _size(_declared(kind, n).unit, place) for n, v in start.items()}
-        for start in kind.starts
-    )
+    least = dict.fromkeys(kind.resolved, place.resolution)
+    least |= {name: multiple * place.resolution for name, multiple in kind.least.items()}
+    absolute = {f.name for f in fields(kind) if f.metadata.get(ABSOLUTE)}
+    own, middles, sizes = dict[str, Any](), dict[str, float](), dict[str, float]()
+    for p in parameters_of(kind):
+        middle = middles[p.name] = place.middle if p.name in absolute else 0.0
+        size = sizes[p.name] = math.prod(place.sizes.get(symbol, 1.0) ** power for symbol, power in _factors(p.unit))
+        limit = least.get(p.name, -math.inf)
+        low, high = (middle + bound * size for bound in p.bounds)
+        own[p.name] = parameter(
+            max(middle + float(p.default) * size, limit),
+            unit=unit_of(p.unit, place.units),
+            doc=p.doc,
+            bounds=(max(low, limit), max(high, 2.0 * limit)),
+            neutral=None if p.neutral is None else p.neutral * size,
+            typical=None if p.typical is None else p.typical * size,
+        )
     namespace = {
         "name": f"{kind.kind}_at_{place.name}",
         "place": place,
-        "starts": starts,
+        "starts": tuple({n: middles[n] + v * sizes[n] for n, v in start.items()} for start in kind.starts),
         "__annotations__": dict.fromkeys(own, "float"),
         "__doc__": kind.__doc__,
         "__module__": __name__,
         **own,
     }
     return dataclass(frozen=True, kw_only=True)(type(f"{kind.__name__}At{place.name}", (kind,), namespace))
-
-
-def _declared(kind: type[Any], name: str) -> Parameter:
-    return next(p for p in parameters_of(kind) if p.name == name)
-
-
-def _middle(kind: type[Any], name: str, place: Place) -> float:
-    """Return the value from which a parameter counts."""
-    return place.middle if any(f.name == name and f.metadata.get(ABSOLUTE) for f in fields(kind)) else 0.0
-
-
-def _bound(p: Parameter, place: Place, middle: float, least: float) -> Any:
-    size = _size(p.unit, place)
-    low, high = p.bounds
-    low, high = max(middle + low * size, least), max(middle + high * size, 2.0 * least)
-    return parameter(
-        max(middle + float(p.default) * size, least),
-        unit=unit_of(p.unit, place.units),
-        doc=p.doc,
-        bounds=(low, high),
-        neutral=None if p.neutral is None else p.neutral * size,
-        typical=None if p.typical is None else p.typical * size,
-    )
 
 
 def _factors(expression: str) -> list[tuple[str, int]]:
@@ -285,11 +269,6 @@ def _factors(expression: str) -> list[tuple[str, int]]:
     return factors
 
 
-def _size(expression: str, place: Place) -> float:
-    """Return the product of usual sizes."""
-    return math.prod(place.sizes.get(symbol, 1.0) ** power for symbol, power in _factors(expression))
-
-
 def unit_of(expression: str, units: Mapping[str, str]) -> str:
     """Return the product of units: `N.s/m` for `u/v`."""
     return unit_product([(units.get(symbol, symbol), power) for symbol, power in _factors(expression)])
@@ -298,6 +277,3 @@ def unit_of(expression: str, units: Mapping[str, str]) -> str:
 def with_place(text: str) -> str:
     """Return a variable's name as part of a term's name: letters, digits and underscores only."""
     return re.sub(r"\W", "_", text, flags=re.ASCII)
-
-
-__all__ = ["Force", "InputTerm", "Place", "RateTerm", "RememberingTerm", "Term", "bind", "scaled"]

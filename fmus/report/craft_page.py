@@ -3,52 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from cosim.base.text import MISSING, plain
 from cosim.report.charts import Drawing, Plot, round_values, sample_rows
-from cosim.report.html_tables import Grid
 from cosim.report.panels import Panel
 from cosim.simulation.report.component_page import ComponentPage
 from cosim.simulation.report.recorded import Run
 from fmus.report import account
-from fmus.report.figures_of_merit import ResponseRow, error_grid, response_rows, tiles, tilt_grid
+from fmus.report.figures_of_merit import error_grid, response_rows, tiles, tilt_grid
 from fmus.report.lines import error_panels, shown_columns, state_panels, tilt_panels
 from fmus.report.roles import Craft, find_crafts
 from fmus.report.topview import last_row, make_view, poses, true_track
 
 POSES = 1000  # of the moving picture
 TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
-
-
-@dataclass(frozen=True)
-class Readout:
-    """One state beside the picture: keys of its series and its final values."""
-
-    symbol: str
-    title: str
-    unit: str
-    cells: tuple[tuple[int | None, str], ...]
-
-
-@dataclass(frozen=True)
-class CraftPage:
-    """The sections about one craft."""
-
-    name: str
-    estimator: str
-    motion: str
-    states: list[Plot]
-    errors: list[Plot]
-    tilts: list[Plot]
-    belief: str | None
-    integral: str | None
-    band: str | None
-    tilt: str | None
-    readouts: list[Readout]
-    responses: list[ResponseRow]
-    grids: list[Grid]
 
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
@@ -71,33 +42,33 @@ def subject(run: Run, drawing: Drawing) -> ComponentPage:
     )
 
 
-def craft_page(craft: Craft, called: str, drawing: Drawing) -> CraftPage:
-    """Return the sections about one craft."""
+def craft_page(craft: Craft, called: str, drawing: Drawing) -> Mapping[str, Any]:
+    """Return the sections about one craft for the template."""
     panels = state_panels(craft)
     states = drawing.plots(panels)
-    return CraftPage(
-        name=craft.name,
-        estimator=craft.estimator or "",
-        motion=account.motion_sentence(craft, called),
-        states=states,
-        errors=drawing.plots(error_panels(craft)),
-        tilts=drawing.plots(tilt_panels(craft)),
-        belief=account.belief_sentence(craft),
-        integral=account.integral_sentence(craft),
-        band=account.band_sentence(craft),
-        tilt=account.tilt_sentence(craft),
-        readouts=[readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],
-        responses=response_rows(craft),
-        grids=[grid for grid in (error_grid(craft), tilt_grid(craft)) if grid],
-    )
+    return {
+        "name": craft.name,
+        "estimator": craft.estimator or "",
+        "motion": account.motion_sentence(craft, called),
+        "states": states,
+        "errors": drawing.plots(error_panels(craft)),
+        "tilts": drawing.plots(tilt_panels(craft)),
+        "belief": account.belief_sentence(craft),
+        "integral": account.integral_sentence(craft),
+        "band": account.band_sentence(craft),
+        "tilt": account.tilt_sentence(craft),
+        "readouts": [readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],
+        "responses": response_rows(craft),
+        "grids": [grid for grid in (error_grid(craft), tilt_grid(craft)) if grid],
+    }
 
 
-def readout(panel: Panel, plot: Plot) -> Readout:
-    """Return the last truth, estimate and reference of a state, as far as recorded, for display."""
+def readout(panel: Panel, plot: Plot) -> Mapping[str, Any]:
+    """Return the last truth, estimate and reference of a state, as far as recorded: key of its series and text."""
     cells = []
     for style in ("true", "estimate", "reference"):
         pairs = zip(plot.spec["traces"], panel.traces, strict=True)
         key, trace = next(((spec["y"], trace) for spec, trace in pairs if trace.style == style), (None, None))
         value = float(trace.values[-1]) if trace is not None and trace.values.size else math.nan
         cells.append((key, plain(value) if math.isfinite(value) else MISSING))
-    return Readout(panel.symbol, panel.title, panel.unit, tuple(cells))
+    return {"symbol": panel.symbol, "title": panel.title, "unit": panel.unit, "cells": cells}

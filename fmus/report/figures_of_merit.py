@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from cosim.base.text import MISSING, amount, length, percent
 from cosim.report.html_tables import Grid, Row
 from cosim.simulation.report.recorded import Run, mappings, number
 from fmus.report.account import SYMBOLS
-from fmus.report.figures_of_run import BAND, Response, effort, error_rms, responses, saturation
+from fmus.report.figures_of_run import BAND, effort, error_rms, responses, saturation
 from fmus.report.lines import QUANTITIES
 from fmus.report.roles import SIDES, Craft
 
@@ -21,27 +20,19 @@ MAX_RESPONSES = 16
 SETTLING = "settling_time"  # kind of criterion
 
 
-@dataclass(frozen=True)
-class ResponseRow:
-    """One reference step as text."""
-
-    symbol: str
-    time: str
-    step: str
-    settling: str
-    believed: str
-    overshoot: str
-    rms: str
-    final: str
-
-
 def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
     """Return the key figures of the first craft."""
     rows: list[Row] = []
     for variable in ("x", "psi"):
         answers = responses(crafts[0], variable) if crafts and not run.has_failed else []
         if answers:
-            rows.append(_settling_of_criterion(run, crafts[0], variable) or _settling_of_step(answers[-1]))
+            unit = SI[variable]
+            by_step = Row(
+                f"Settling of {SYMBOLS[variable]}",
+                _settling(answers[-1].settling, unit),
+                f"last step, ±{BAND:g} {unit}",
+            )
+            rows.append(_settling_of_criterion(run, crafts[0], variable) or by_step)
     if rows and (answers := responses(crafts[0], "x")):
         error = length(answers[-1].final).replace("less than", "<")
         rows.append(Row("Final error of x", error, "craft against reference"))
@@ -62,13 +53,6 @@ def _settling_of_criterion(run: Run, craft: Craft, variable: str) -> Row | None:
     return Row(f"Settling of {SYMBOLS[variable]}", time, f"last criterion, ±{band}")
 
 
-def _settling_of_step(answer: Response) -> Row:
-    unit = "m" if answer.variable == "x" else "rad"
-    return Row(
-        f"Settling of {SYMBOLS[answer.variable]}", _settling(answer.settling, unit), f"last step, ±{BAND:g} {unit}"
-    )
-
-
 def _settling(value: float, unit: str) -> str:
     """Return a settling time as text."""
     if math.isnan(value):
@@ -76,19 +60,18 @@ def _settling(value: float, unit: str) -> str:
     return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
 
 
-def response_rows(craft: Craft) -> list[ResponseRow]:
-    """Return the last responses of x and ψ."""
+def response_rows(craft: Craft) -> list[dict[str, str]]:
+    """Return the last responses of x and ψ as text."""
     answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
-    return [_response_row(answer) for answer in answers[-MAX_RESPONSES:]]
-
-
-def _response_row(answer: Response) -> ResponseRow:
-    unit = SI[answer.variable]
-    target = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}"
-    ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
-    sizes = (amount(value, unit, 2) for value in (answer.overshoot, answer.rms, answer.final))
-    settling = (_settling(value, unit) for value in (answer.settling, answer.believed))
-    return ResponseRow(SYMBOLS[answer.variable], amount(answer.time, "s"), target + ramp, *settling, *sizes)
+    rows = []
+    for answer in answers[-MAX_RESPONSES:]:
+        unit = SI[answer.variable]
+        ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
+        step = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}{ramp}"
+        row = {"symbol": SYMBOLS[answer.variable], "time": amount(answer.time, "s"), "step": step}
+        row |= {name: _settling(getattr(answer, name), unit) for name in ("settling", "believed")}
+        rows.append(row | {name: amount(getattr(answer, name), unit, 2) for name in ("overshoot", "rms", "final")})
+    return rows
 
 
 def error_grid(craft: Craft) -> Grid | None:

@@ -34,22 +34,20 @@ QUANTITIES = (
 
 def state_panels(craft: Craft) -> list[Panel]:
     """Return panels of states with references and estimates ±2σ."""
-    panels = (_state_panel(craft, quantity) for quantity in QUANTITIES)
-    return [panel for panel in panels if panel is not None]
-
-
-def _state_panel(craft: Craft, quantity: PlottedQuantity) -> Panel | None:
-    true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
-    sigma, reference = craft.estimate(f"{quantity.name}_sigma"), craft.reference(quantity.name)
-    if true is None:
-        return None
-    lines = [("reference", reference, "reference", True), ("estimate", estimate, "estimate", False)]
-    lines.append(("craft", true, "true", False))
-    traces = [
-        Trace(label, line * quantity.factor, style, held) for label, line, style, held in lines if line is not None
-    ]
-    band = _band(estimate, sigma, quantity.factor, "estimate ±2σ")
-    return Panel(quantity.title, quantity.unit, traces, band, symbol=quantity.symbol)
+    panels = []
+    for quantity in QUANTITIES:
+        true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
+        if true is None:
+            continue
+        reference = craft.reference(quantity.name)
+        lines = [("reference", reference, "reference", True), ("estimate", estimate, "estimate", False)]
+        lines.append(("craft", true, "true", False))
+        traces = [
+            Trace(label, line * quantity.factor, style, held) for label, line, style, held in lines if line is not None
+        ]
+        band = _band(craft, quantity, estimate, "estimate ±2σ")
+        panels.append(Panel(quantity.title, quantity.unit, traces, band, symbol=quantity.symbol))
+    return panels
 
 
 def error_panels(craft: Craft) -> list[Panel]:
@@ -59,24 +57,24 @@ def error_panels(craft: Craft) -> list[Panel]:
         true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
         if true is None or estimate is None:
             continue
-        zero = np.zeros(true.size)
-        band = _band(zero, craft.estimate(f"{quantity.name}_sigma"), quantity.factor, "±2σ claimed")
+        band = _band(craft, quantity, np.zeros(true.size), "±2σ claimed")
         trace = Trace("estimate − craft", (estimate - true) * quantity.factor, "error")
         panels.append(Panel(f"Error of {quantity.symbol}", quantity.unit, [trace], band))
     return panels
 
 
-def _band(centre: Array | None, sigma: Array | None, factor: float, label: str) -> Band | None:
+def _band(craft: Craft, quantity: PlottedQuantity, centre: Array | None, label: str) -> Band | None:
+    sigma = craft.estimate(f"{quantity.name}_sigma")
     if centre is None or sigma is None:
         return None
-    return Band(label, (centre - 2 * sigma) * factor, (centre + 2 * sigma) * factor)
+    return Band(label, (centre - 2 * sigma) * quantity.factor, (centre + 2 * sigma) * quantity.factor)
 
 
 def tilt_panels(craft: Craft) -> list[Panel]:
     """Return panels of commanded and actual tilts."""
     panels = []
     for side in SIDES:
-        command, actual = craft.command(f"tilt_{side}"), craft.tilt(side)
+        command, actual = craft.command(f"tilt_{side}"), craft.signal(f"tilt_{side}_actual")
         lines = [("command", command, COLOURS[side], True), ("actual", actual, "actual", False)]
         traces = [Trace(name, line * DEGREES, style, held) for name, line, style, held in lines if line is not None]
         limit = craft.tilt_limit

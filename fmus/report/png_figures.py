@@ -18,7 +18,8 @@ def figures(run: Run, folder: Path) -> list[Path]:
     crafts = find_crafts(run)
     paths = []
     for craft in crafts:
-        stem = f"{_safe(craft.name)}-" if len(crafts) > 1 else ""
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", craft.name) or "craft"
+        stem = f"{name}-" if len(crafts) > 1 else ""
         sheets = {"states": state_panels(craft), "estimation-error": error_panels(craft), "tilt": tilt_panels(craft)}
         paths += [panels_figure(folder / f"{stem}{name}.png", run, panels) for name, panels in sheets.items() if panels]
         paths.append(_path(folder / f"{stem}path.png", craft))
@@ -43,7 +44,3 @@ def _path(path: Path, craft: Craft) -> Path:
     ax.set_title(f"Path of {literal(craft.name)} from above", loc="left", fontsize=10)
     ax.legend(fontsize=8, frameon=False)
     return save(figure, path)
-
-
-def _safe(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", name) or "craft"

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from controller.gains import Settings
+from controller.settings import Settings
 from cosim.base.arrays import Array
 from cosim.base.units import read_quantity
 from cosim.simulation.report.recorded import Run, number
@@ -21,16 +20,6 @@ from cosim.simulation.report.recorded import Run, number
 SIDES = ("right", "left")
 COLOURS = {"right": "warm", "left": "cool"}
 TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
-
-
-def angle(value: Any) -> float:
-    """Return an angle [rad] from a number or text like `12 deg`, else NaN."""
-    if not isinstance(value, str):
-        return number(value)
-    try:
-        return read_quantity(value, "rad")
-    except ValueError:
-        return math.nan
 
 
 @dataclass(frozen=True)
@@ -44,10 +33,6 @@ class Craft:
     def signal(self, variable: str) -> Array | None:
         """Return a variable of the craft."""
         return self.run.signal(f"{self.name}.{variable}")
-
-    def tilt(self, side: str) -> Array | None:
-        """Return the actual tilt of a propeller [rad]."""
-        return self.signal(f"tilt_{side}_actual")
 
     def estimate(self, variable: str) -> Array | None:
         """Return a variable of the estimator."""
@@ -83,7 +68,11 @@ class Craft:
 
         Without a start value, the default applies if no command exceeds it.
         """
-        limit = angle(self.run.start(self.estimator).get("tilt_max"))
+        given = self.run.start(self.estimator).get("tilt_max")
+        try:
+            limit = read_quantity(given, "rad") if isinstance(given, str) else number(given)  # such as `12 deg`
+        except ValueError:
+            limit = math.nan
         if np.isfinite(limit) and limit > 0:
             return limit
         commands = [self.command(f"tilt_{side}") for side in SIDES]

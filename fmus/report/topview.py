@@ -137,7 +137,7 @@ def horizontal_thrust(craft: Craft, side: str) -> Array | None:
 
     T·sin α [N], or sin α without recorded thrust.
     """
-    tilt, thrust = craft.tilt(side), craft.signal(f"thrust_{side}")
+    tilt, thrust = craft.signal(f"tilt_{side}_actual"), craft.signal(f"thrust_{side}")
     if tilt is None:
         return None
     return np.sin(tilt) if thrust is None else thrust * np.sin(tilt)
@@ -211,9 +211,14 @@ def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
     up = _ticks(-(top + height) / 1000, -top / 1000, 4)
     bar = _round_up(width / 1000 / 8)
     magnified = max(1.0, MIN_SIZE * width / (2000 * (ARM + RADIUS)))
-    every = _mark_interval(crafts[0])
+    first, last = extent([crafts[0].run.time]) or (0.0, 1.0)
+    every = _round_up(max(last - first, 1e-6) / 24)
     bodies = tuple(_body(craft, rows, every) for craft in crafts)
-    note, marks = _thrust_note(crafts[0]), f"a dot every {every:g} s" if bodies[0].marks else ""
+    note, marks = "", f"a dot every {every:g} s" if bodies[0].marks else ""
+    if horizontal_thrust(crafts[0], "right") is not None:
+        recorded = crafts[0].signal("thrust_right") is not None
+        scale = f"10 cm = {newtons_per_decimetre(crafts[0]):g} N"
+        note = f"arrows: horizontal thrust, {scale}" if recorded else "arrows: sine of the tilt"
     return View(box, across, up, 100 * bar * 1000 / width, f"{bar:g} m", magnified, note, marks, bodies)
 
 
@@ -249,9 +254,11 @@ def _body(craft: Craft, rows: Rows, every: float) -> Body:
     true, (estimate, reference) = true_track(craft), _companions(craft)
     last, start = last_row(true) or 0, craft.run.start(craft.name)
     forces = [horizontal_thrust(craft, side) for side in SIDES]
-    tilts = [craft.tilt(side) for side in SIDES]
+    tilts = [craft.signal(f"tilt_{side}_actual") for side in SIDES]
     scale = 100 / newtons_per_decimetre(craft)
     right, left = (0.0 if tilt is None else number(tilt[last], 0.0) * DEGREES for tilt in tilts)
+    sizes = [(number(start.get(name), usual), usual) for name, usual in (("arm", ARM), ("propeller_radius", RADIUS))]
+    arm, radius = (round(1000 * (size if 0 < size < 100 else usual)) for size, usual in sizes)
     arrows = tuple("" if force is None else arrow(float(force[last]), scale) for force in forces)
     return Body(
         craft.name,
@@ -261,24 +268,14 @@ def _body(craft: Craft, rows: Rows, every: float) -> Body:
         pose(true, 0),
         pose(true, last),
         pose(estimate, last) if estimate else "",
-        _millimetres(start, "arm", ARM),
-        _millimetres(start, "propeller_radius", RADIUS),
+        arm,
+        radius,
         right if math.isfinite(right) else 0.0,
         left if math.isfinite(left) else 0.0,
         (arrows[0], arrows[1]),
         (craft.tilt_limit or 0.0) * DEGREES,
         _marks(true, craft.run.time, every),
     )
-
-
-def _millimetres(start: Any, name: str, usual: float) -> int:
-    size = number(start.get(name), usual)
-    return round(1000 * (size if 0 < size < 100 else usual))
-
-
-def _mark_interval(craft: Craft) -> float:
-    span = extent([craft.run.time]) or (0.0, 1.0)
-    return _round_up(max(span[1] - span[0], 1e-6) / 24)
 
 
 def _marks(track: Track, time: Array, every: float) -> tuple[tuple[int, int], ...]:
@@ -292,14 +289,6 @@ def _marks(track: Track, time: Array, every: float) -> tuple[tuple[int, int], ..
     return tuple((round(a), round(b)) for a, b in zip(u.tolist(), v.tolist(), strict=True))
 
 
-def _thrust_note(craft: Craft) -> str:
-    if horizontal_thrust(craft, "right") is None:
-        return ""
-    recorded = craft.signal("thrust_right") is not None
-    scale = f"10 cm = {newtons_per_decimetre(craft):g} N"
-    return f"arrows: horizontal thrust, {scale}" if recorded else "arrows: sine of the tilt"
-
-
 def poses(craft: Craft, rows: Rows, charts: Charts) -> dict[str, Any]:
     """Return the moving parts of the picture.
 
@@ -311,7 +300,7 @@ def poses(craft: Craft, rows: Rows, charts: Charts) -> dict[str, Any]:
             for key, line, digits in (("u", track.right, 0), ("v", track.down, 0), ("a", track.turn, 1)):
                 entry[f"{prefix}{key}"] = round_values(line[rows], digits)
     for side in SIDES:
-        force, tilt = horizontal_thrust(craft, side), craft.tilt(side)
+        force, tilt = horizontal_thrust(craft, side), craft.signal(f"tilt_{side}_actual")
         if force is not None and tilt is not None:
             entry[f"force_{side}"] = round_values(force[rows], 4)
             entry[f"tilt_{side}"] = round_values(tilt[rows] * DEGREES, 2)

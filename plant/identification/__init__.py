@@ -1,1 +1,29 @@
-"""Identification of a power-train on a testing bench from five tests, simulated or measured."""
+"""Identification of a power-train on a testing bench from five tests, simulated or measured, and of a craft's logs."""
+
+from __future__ import annotations
+
+from cosim.storage.artefact import Artefact
+
+PROTOCOL = "a protocol of a testing bench"
+ARTEFACTS = (
+    Artefact(
+        PROTOCOL,
+        "`cosim identify {file}` identifies from it",
+        keys=(frozenset({"cells", "tests"}), frozenset({"rest"}), frozenset({"distance"})),
+        without=frozenset({"logs"}),
+        schema="plant.identification.protocol:ProtocolFile",
+        schema_name="protocol",
+        title="cosim protocol of a testing bench",
+        check="plant.identification.workflow:check_protocol",
+    ),
+    Artefact(
+        "an answer of `cosim identify`",
+        "scripts read it; `cosim build --model` and studies take the model file beside it",
+        keys=(frozenset({"schema_version", "estimates"}),),
+        verb="cosim identify",
+        marks=("identify.json",),
+        files=("identify.json", "powertrain.yaml", "model.yaml", "report.html"),
+        folder="the folder of an identification",
+        folder_step="`cosim build --model` takes the model file in it",
+    ),
+)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
+from cosim.base.errors import InputError
 from cosim.base.settings import Seed
 from cosim.storage.folders import new_run
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
@@ -31,10 +33,13 @@ def command(
 
     Example: cosim identify examples/bench/protocol.yaml
     """
-    from plant.identification.craft import results_of
+    from cosim.storage.yaml_file import YamlFile
     from plant.identification.workflow import identify as identify_bench
 
-    name = results_of(protocol) if protocol.is_file() else ""
+    name = protocol.stem if protocol.is_file() else ""
+    with suppress(InputError):  # reported below
+        given = YamlFile(protocol).root.get("name")
+        name = given if isinstance(given, str) else name
     with new_run(out, name, "cosim identify", force=force) as place, stages() as progress:
         outcome = identify_bench(protocol, place, progress, report=report, seed=seed)
     warn(*outcome.warnings)

@@ -4,30 +4,47 @@ name: The craft at rest, and over 1.5 m
 model: base                       # or a model.yaml, or file.py:Class
 rest: {files: [rest.csv]}
 distance: {parameter: friction, output: x, covered: 1.5, files: [a.csv, b.csv, c.csv]}
+
+Noise: the thesis uses the variance about the mean. The variance about a straight line is given too, so that drift does
+not count as noise; its interval accounts for correlated rows.
+
+Distance: the thesis matches its observer, c of eq 5.31, to a tape measure over 1.5 m. An observer with measured
+accelerations follows these more than the model, and counts their errors as friction. Here the model alone follows the
+recorded commands; both results are given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
+from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import BASE
+from cosim.base.units import square_unit
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
+from cosim.model import Model, Stepper
 from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
-from plant.identification import messages
-from plant.identification.artefacts import PROTOCOL
-from plant.identification.distance import matching_faults
-from plant.identification.estimates import Estimate, Result
-from plant.identification.rest_noise import rest_faults
+from plant.identification import PROTOCOL
+from plant.identification.estimates import Estimate, Figure, Result, make_estimates
 
 MIN_RUNS = 3  # runs over the distance: the interval comes from the scatter between them
+MIN_REST_ROWS = 50  # below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
+DRIFT_RATIO = 1.1  # ratio to the variance about a line from which a mean hides a drift
+MOVING_RATIO = 5.0  # standard deviations between the halves of a log beyond which it was not at rest
+TRIES = 6  # values on either side of the model's own, to bracket the distance
+FIRST_SHARE = 0.01  # first of them as a share of the way to a bound
+WIDE_RANGE = 1e3  # range of an unbounded parameter as a multiple of the model's own value
+IMU = ("psi", "psi_dot", "ax")
+NAN = float("nan")
+Window = tuple[float, float] | None
 
 
 class RestFile(Part):
@@ -63,15 +80,6 @@ def craft_file(path: Path) -> YamlFile | None:
     return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
 
 
-def results_of(path: Path) -> str:
-    """Return the name of the results of an input file: the file's key `name`, or else like the file."""
-    try:
-        name = YamlFile(path).root.get("name")
-    except InputError:  # reported by the reader
-        name = None
-    return name if isinstance(name, str) else path.stem
-
-
 @dataclass(frozen=True)
 class CraftUnderTest:
     """A file of craft identification, the model and the logs that it names."""
@@ -82,48 +90,10 @@ class CraftUnderTest:
     rest: Sequence[Log] = ()
     runs: Sequence[Log] = ()
 
-    @property
-    def distances(self) -> list[float]:
-        """Return the measured travel distance of each run."""
-        assert self.file.distance is not None
-        covered = self.file.distance.covered
-        return covered if isinstance(covered, list) else [covered] * len(self.runs)
-
-    @property
-    def files(self) -> list[Path]:
-        """Return all files that the identification reads."""
-        return [self.yaml.path, *(log.path for log in (*self.rest, *self.runs))]
-
-
-@dataclass
-class CraftOutcome:
-    """Result of an identification from logs of a craft."""
-
-    craft: CraftUnderTest
-    results: list[Result] = field(default_factory=list)
-
-    @property
-    def estimates(self) -> dict[str, Estimate]:
-        """Return the estimates by `test.name`."""
-        return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
-
-    @property
-    def sentences(self) -> list[str]:
-        """Return one line per estimate, then notes."""
-        lines = [
-            f"{key} = {e.value:.5g} {e.unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {e.thesis:.5g})"
-            for key, e in self.estimates.items()
-        ]
-        return [*lines, *(note for r in self.results for note in r.notes)]
-
-    @property
-    def warnings(self) -> list[str]:
-        """Return the warnings about the estimates."""
-        return [text for r in self.results for text in r.warnings]
-
-    def closing(self, out: Path) -> str:
-        """Return a text naming the result files."""
-        return f"model: {out / 'model.yaml'}, numbers: {out / 'identify.json'}"
+    def results(self) -> list[Result]:
+        """Return the variance of every output measured at rest, and the parameter from the distance."""
+        noise = [] if self.file.rest is None else [_noise(self.rest, self.loaded.model, self.file.rest.window)]
+        return noise if self.file.distance is None else [*noise, _distance(self.runs, self.loaded, self.file.distance)]
 
 
 def read_craft(yaml: YamlFile) -> CraftUnderTest:
@@ -134,24 +104,25 @@ def read_craft(yaml: YamlFile) -> CraftUnderTest:
     """
     content, faults = yaml.partly(CraftFile, "rest")
     if content.rest is None and content.distance is None:
-        faults.append(yaml.fault((), messages.NEITHER_REST_NOR_DISTANCE(), key=True))
+        faults.append(yaml.fault((), "holds neither rest nor distance; add one", key=True))
     try:
         loaded = load_model(content.model, yaml.path.parent, yaml)
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
     except NotExecuted:
-        if faults:
-            raise InputError(faults) from None
+        refuse(faults)
         raise
-    if content.distance is not None:
-        faults += _distance_faults(yaml, content.distance, loaded)
-    model = loaded.model
+    model, distance = loaded.model, content.distance
+    if distance is not None:
+        faults += _distance_faults(yaml, distance, loaded.model)
     rest = _logs(yaml, "rest", content.rest, lambda path: read_log(path, (), model.outputs), faults)
-    runs = _logs(yaml, "distance", content.distance, lambda path: read_log(path, model.inputs, model.outputs), faults)
-    if content.rest is not None and not faults:
-        faults += rest_faults(yaml, rest, content.rest.window)
-    if content.distance is not None and not faults:
-        faults += matching_faults(model, runs)
+    runs = _logs(yaml, "distance", distance, lambda path: read_log(path, model.inputs, model.outputs), faults)
+    if not faults and content.rest is not None:
+        faults += _rest_faults(yaml, rest, content.rest.window)
+    if not faults:
+        text = "no command changes in it: nothing moves, and nothing can be matched; leave it out"
+        still = [run for run in runs if all(np.ptp(v) == 0.0 for v in run.inputs.values())]
+        faults += [Fault(run.path, 0, 0, text) for run in still]
     refuse(faults)
     return CraftUnderTest(yaml, content, loaded, rest, runs)
 
@@ -168,9 +139,10 @@ def _logs(
     for k, name in enumerate(content.files if content else ()):
         path, place = yaml.path.parent / name, (part, "files", k)
         if not path.is_file():
-            faults.append(yaml.fault(place, messages.NO_LOG(name=name)))
+            faults.append(yaml.fault(place, f"no such file: {name}; correct the path"))
         elif (bytes_ := path.read_bytes()) in names:
-            faults.append(yaml.fault(place, messages.COPY_OF_LOG(name=name, other=names[bytes_])))
+            cure = "each is a recording of its own, so leave one out"
+            faults.append(yaml.fault(place, f"{name} holds what {names[bytes_]} does; {cure}"))
         else:
             names[bytes_] = f"file {k + 1}, {name}"
             try:
@@ -180,19 +152,194 @@ def _logs(
     return logs
 
 
-def _distance_faults(yaml: YamlFile, distance: DistanceFile, loaded: LoadedModel) -> Iterator[Fault]:
-    title, name, output = loaded.model.title, distance.parameter, distance.output
-    numbers = [n for n, p in loaded.model.declared.items() if not isinstance(p.default, bool)]
-    outputs = [q.name for q in loaded.model.outputs]
+# -- noise at rest --------------------------------------------------------------------------
+
+
+def _rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
+    """Yield a fault for an empty window, and for each log that is too short or not at rest."""
+    if window is not None and window[0] >= window[1]:
+        text = f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end"
+        yield yaml.fault(("rest", "window"), text)
+        return
+    for log in logs:
+        for name in log.outputs:
+            ((_, values),) = _readings([log], name, window)
+            if values.size < MIN_REST_ROWS:
+                text = f"{values.size} rows of {name} at rest, and {MIN_REST_ROWS} are needed"
+                yield Fault(log.path, 0, 0, f"{text}; log longer (the thesis took 20 s)")
+                continue
+            first, last = np.array_split(values, 2)
+            change, noise = float(last.mean() - first.mean()), float(np.std(np.diff(values))) / np.sqrt(2.0)
+            cure = "choose a window, or leave the log out"
+            if np.ptp(values) == 0.0:
+                yield Fault(log.path, 0, 0, f"{name} is {values[0]:g} in every row: a dead channel; {cure}")
+            elif abs(change) > MOVING_RATIO * noise > 0.0:
+                text = f"{name} moves by {change:.3g} from the first half to the second: not at rest"
+                yield Fault(log.path, 0, 0, f"{text}; {cure}")
+
+
+def _readings(logs: Sequence[Log], name: str, window: Window) -> Iterator[tuple[Array, Array]]:
+    """Yield times and finite readings of an output in the window of each log that has it."""
+    low, high = window or (-np.inf, np.inf)
+    for log in logs:
+        if name in log.outputs:
+            inside = (log.time >= low - 1e-9) & (log.time <= high + 1e-9) & np.isfinite(log.outputs[name])
+            yield log.time[inside], log.outputs[name][inside]
+
+
+def _noise(logs: Sequence[Log], model: Model, window: Window) -> Result:
+    """Return the pooled S² of eq 5.44 of each output, and the variance about a line with its 95 % χ² interval."""
+    from scipy import stats
+
+    result = Result("rest", [])
+    for q in model.outputs:
+        if not (parts := list(_readings(logs, q.name, window))):
+            continue
+        rows = sum(v.size for _, v in parts)
+        about_mean = sum(float(np.sum((v - v.mean()) ** 2)) for _, v in parts) / (rows - len(parts))
+        rests = [v - np.polyval(np.polyfit(t - t.mean(), v, 1), t - t.mean()) for t, v in parts]
+        squares = sum(float(r @ r) for r in rests)
+        freedom = rows - 2 * len(parts)
+        about_line = sum(float(np.sum(r**2)) for r in rests) / freedom
+        # correlated rows count as fewer: for squares, 1 + 2·Σρ² (Bartlett)
+        correlations = (sum(float(r[lag:] @ r[:-lag]) for r in rests) / max(squares, 1e-300) for lag in range(1, 6))
+        free = max(2.0, freedom / (1.0 + 2.0 * sum(rho**2 for rho in correlations)))
+        low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
+        error, origin = about_line * float(np.sqrt(2.0 / free)), f"variance of {rows} rows at rest (5.44)"
+        values = (about_mean, about_line, low, high, error, 0.0, len(parts), origin)
+        result.estimates.append(Estimate(q.name, square_unit(q.unit) or "1", *values))
+        if about_mean > DRIFT_RATIO * about_line:
+            ratio = f"its variance about the mean is {about_mean / about_line:.3g} times that about a straight line"
+            result.warnings.append(f"{q.name} drifts: {ratio}")
+        result.figures.append(Figure(f"{q.name} at rest", "time [s]", q.unit, [("measured", *parts[0], "true")]))
+    return result
+
+
+# -- distance covered -----------------------------------------------------------------------
+
+
+def _distance_faults(yaml: YamlFile, distance: DistanceFile, model: Model) -> Iterator[Fault]:
+    numbers = [n for n, p in model.declared.items() if not isinstance(p.default, bool)]
+    outputs = [q.name for q in model.outputs]
     count, covered = len(distance.files), distance.covered
-    if name not in numbers:
-        message = messages.NO_PARAMETER(model=title, name=name, hint=did_you_mean(name, numbers))
-        yield yaml.fault(("distance", "parameter"), message)
-    if output not in outputs:
-        message = messages.NO_OUTPUT(model=title, name=output, hint=did_you_mean(output, outputs))
-        yield yaml.fault(("distance", "output"), message)
+    for kind, name, names in (("parameter", distance.parameter, numbers), ("output", distance.output, outputs)):
+        if name not in names:
+            text = f'{model.title} has no {kind} "{name}"{did_you_mean(name, names)}'
+            yield yaml.fault(("distance", kind), text)
     if count < MIN_RUNS:
-        yield yaml.fault(("distance", "files"), messages.TOO_FEW_RUNS(count=count, least=MIN_RUNS))
+        text = f"{count} are too few: the interval comes from scatter between {MIN_RUNS} or more runs; add runs"
+        yield yaml.fault(("distance", "files"), text)
     if isinstance(covered, list) and len(covered) != count:
-        message = messages.DISTANCES_UNLIKE_FILES(distances=len(covered), files=count)
-        yield yaml.fault(("distance", "covered"), message)
+        text = f"{len(covered)} distances for {count} files; give one each, or one for all"
+        yield yaml.fault(("distance", "covered"), text)
+
+
+def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> Result:
+    """Return the parameter value with which the model covers the measured distances of the runs.
+
+    The value is the mean over the runs, its interval comes from their scatter.
+    """
+    model, parameter, output = loaded.model, asked.parameter, asked.output
+    declared = model.declared[parameter]
+    lengths = asked.covered if isinstance(asked.covered, list) else [asked.covered] * len(runs)
+    near = float(loaded.parameters.get(parameter, declared.default))
+    faults, values, observed = [], list[float](), list[float]()
+    for run, length in zip(runs, lengths, strict=True):
+
+        def by_model(value: float, run: Log = run) -> float:
+            return float(_path(run, model.with_values({parameter: value}), output)[-1])
+
+        try:
+            values.append(_match(by_model, length, declared.bounds, near))
+        except ValueError as error:
+            text = f"no {parameter} makes the model cover the distance {length:g}: {error}"
+            faults.append(Fault(run.path, 0, 0, text))
+        if (observer := _observer_distance(run, model, parameter, output)) is not None:
+            try:
+                observed.append(_match(observer, length, declared.bounds, near))
+            except ValueError:
+                observed.append(NAN)
+    refuse(faults)
+    thesis = float(np.mean(observed)) if observed else NAN
+    numbers = [(parameter, declared.unit, thesis, NAN)]
+    result = Result("distance", make_estimates(numbers, np.array(values)[:, None], "distance covered (§5.5)"))
+    value = result.estimates[0].value
+    fitted = model.with_values({**loaded.parameters, parameter: float(np.clip(value, *declared.bounds))})
+    unit = next(q.unit for q in model.outputs if q.name == output)
+    for run, length in zip(runs, lengths, strict=True):
+        path = (f"model, {parameter} = {value:.3g}", run.time, _path(run, fitted, output), "true")
+        end = ("covered", run.time[-1:], np.array([length]), "dots")
+        result.figures.append(Figure(f"{run.path.name}: {output}", "time [s]", unit, [path, end]))
+    if observed and np.isnan(thesis):
+        result.warnings.append(f"the observer of App. F reaches the distance of some run with no {parameter}")
+    result.details = {"each": values, "each_by_observer": observed}
+    return result
+
+
+def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[float, float], near: float) -> float:
+    """Return the parameter value nearest `near` whose distance is `length`.
+
+    Raises:
+        ValueError: No value within the bounds gives the distance.
+    """
+    from scipy.optimize import brentq
+
+    gaps: dict[float, float] = {}
+
+    def gap(value: float) -> float:
+        if value not in gaps:
+            gaps[value] = distance_of(value) - length
+        return gaps[value]
+
+    wide = WIDE_RANGE * (abs(near) or 1.0)
+    low, high = (b if np.isfinite(b) else near + s * wide for b, s in zip(bounds, (-1, 1), strict=True))
+    above = below = near
+    for share in np.geomspace(FIRST_SHARE, 1.0, TRIES).tolist():
+        up, down = near + share * (high - near), near - share * (near - low)
+        for inner, outer in ((above, up), (below, down)):
+            ends = gap(inner), gap(outer)
+            if np.isfinite(ends).all() and ends[0] * ends[1] <= 0.0:
+                return float(brentq(gap, min(inner, outer), max(inner, outer), xtol=1e-9, rtol=1e-9))
+        above, below = up, down
+    reached = [g + length for g in gaps.values() if np.isfinite(g)]
+    span = f"from {min(reached):.4g} to {max(reached):.4g} are" if reached else "nothing is"
+    raise ValueError(f"{span} within its bounds {low:g} … {high:g}; is the distance or the sign of a command wrong?")
+
+
+def _path(run: Log, model: Model, output: str) -> Array:
+    """Return a model output under the recorded commands."""
+    stepper, row = Stepper(model), [q.name for q in model.outputs].index(output)
+    commands = np.column_stack([run.inputs[q.name] for q in model.inputs]).tolist()
+    moment = stepper.start(float(run.time[0]))
+    values = [stepper.output(moment.t, moment.state, tuple(commands[0]))[row]]
+    for k, h in enumerate(np.diff(run.time).tolist()):
+        moment = stepper.step(moment, tuple(commands[k]), h)
+        values.append(stepper.output(moment.t, moment.state, tuple(commands[k + 1]))[row])
+    return np.asarray(np.array(values) - values[0], dtype=np.float64)
+
+
+def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> Callable[[float], float] | None:
+    """Return the distance of the craft's observer (App. F), None for other models or missing sensors."""
+    from controller.observers import kalman_filter
+    from controller.settings import Settings
+    from controller.synthesis import numbers_of
+    from plant.hovercraft import Hovercraft
+
+    names = {f.name for f in fields(Settings)}
+    measured = all(name in run.outputs and np.isfinite(run.outputs[name]).all() for name in IMU)
+    if not (isinstance(model, Hovercraft) and measured and output == "x" and parameter in names):
+        return None
+    numbers: dict[str, Any] = {n: v for n, v in numbers_of(model).items() if n in names}
+    base = replace(Settings(), **numbers, sample_time=run.step)
+    tilts = np.column_stack([run.inputs["tilt_right"], run.inputs["tilt_left"]])
+    readings = np.column_stack([run.outputs[name] for name in IMU])
+
+    def distance_of(value: float) -> float:
+        change: dict[str, Any] = {parameter: value}
+        kf = kalman_filter(replace(base, **change), np.array([0.0, 0.0, *readings[0, :2], 0.0]))
+        for k in range(1, len(readings)):
+            kf.predict(u=tilts[k - 1])
+            kf.update(readings[k])
+        return float(kf.x[0])
+
+    return distance_of

@@ -1,20 +1,26 @@
-"""Estimates of a test: the thesis' estimator and an unbiased one, with an interval from repetitions."""
+"""Estimates of a test: the thesis' estimator and an unbiased one, with an interval from repetitions.
+
+The estimators of all tests share this harness, and the responses of tilt and thrust to recorded commands.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.base.arrays import Array
+from cosim.model.integrate import rk4, substeps
+from cosim.model.namespaces import arrays
 from plant.bench import Bench
-from plant.identification.cells import Cells, force_of
-from plant.identification.command_response import tilt_response
+from plant.identification.cells import Cells
 from plant.identification.recordings import Recording
+from plant.powertrain import servo_angle, servo_rate
 
 CONFIDENCE = 0.95
+LAGS = np.geomspace(0.01, 0.6, 83)  # [s] lags to try, 5 % apart
 
 
 @dataclass(frozen=True)
@@ -81,18 +87,15 @@ class Measurement:
     truth: Bench | None = None
     tilts: dict[bytes, Array] = field(default_factory=dict)  # tilt by command; simulated repetitions share commands
 
-    @property
-    def gram(self) -> float:
-        """Return gram-force per newton at the bench's gravity."""
-        return 1000.0 / self.bench.gravity
-
     def force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
         """Return the force of a cell without its tare."""
-        return force_of(r, using or self.cells, channel, self.test.rest)
+        cell, volts = (using or self.cells)[channel], r.volts[channel]
+        drift = float(volts[r.rows(self.test.rest)].mean()) - cell.zero
+        return cell.force(volts - drift)
 
     def printed_force(self, r: Recording, channel: str) -> Array:
-        """Return a cell's force as in the thesis, with tare."""
-        return force_of(r, self.cells, channel, None)
+        """Return the force as in the thesis: with tare, by a piecewise cubic through every calibration point."""
+        return replace(self.cells[channel], smooth=False).force(r.volts[channel])
 
     def tilt(self, r: Recording) -> Array:
         """Return a run's tilt [rad] by the equations."""
@@ -104,16 +107,52 @@ class Measurement:
         """Return the true value, NaN if unknown."""
         return getattr(self.truth, name) if self.truth else float("nan")
 
-    def alike(self) -> list[Recording]:
-        """Return recordings with the first one's number of rows."""
-        count = self.recordings[0].rows(self.test.window).sum()
-        return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
+
+def tilt_response(bench: Bench, time: Array, servo_duty: Array, lags: Array) -> Array:
+    """Return the tilt [rad], shape (rows, lags), with dead band and rate limit, settled at the start."""
+    m, lags = arrays(), np.asarray(lags, float)
+    target = servo_angle(servo_duty, bench.servo_neutral, bench.servo_slope)
+    h = float(np.median(np.diff(time)))
+    n = substeps(h, bench.substep)
+    tilt = np.empty((time.size, lags.size))
+    tilt[0] = target[0]
+
+    def rate(t: float, x: tuple[Array, ...], u: tuple[float, ...]) -> tuple[Array, ...]:
+        return (servo_rate(m, u[0], x[0], lags, bench.servo_dead_band, bench.servo_speed),)
+
+    for k in range(1, time.size):
+        state = (tilt[k - 1],)
+        for _ in range(n):
+            state = rk4(rate, 0.0, state, (float(target[k - 1]),), h / n)
+        tilt[k] = state[0]
+    return tilt
 
 
-PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)
+def held_lag(values: Array, step: float, lag: float) -> Array:
+    """Return the exact first-order lag of a held command."""
+    if lag <= 0:
+        return values
+    share, out = 1.0 - np.exp(-step / lag), np.empty_like(values)
+    out[0] = values[0]
+    from scipy.signal import lfilter
+
+    out[1:] = lfilter([share], [1.0, share - 1.0], values[:-1], zi=[(1.0 - share) * values[0]])[0]
+    return out
 
 
-def interval(each: Array, shifts: Array) -> tuple[Array, Array, Array, Array]:
+def low_pass(values: Array, step: float, lag: float) -> Array:
+    """Return the first-order low pass of interpolated values along the first axis (trapezoidal rule)."""
+    if lag <= 0:
+        return values
+    from scipy.signal import lfilter
+
+    ratio = 2.0 * lag / step
+    b, a = np.array([1.0, 1.0]) / (ratio + 1.0), np.array([1.0, (1.0 - ratio) / (1.0 + ratio)])
+    start = ((ratio - 1.0) / (ratio + 1.0) + 1.0 / (ratio + 1.0)) * values[:1]
+    return np.asarray(lfilter(b, a, values, axis=0, zi=start)[0])
+
+
+def interval(each: Array, shifts: Array | None = None) -> tuple[Array, Array, Array, Array]:
     """Return mean, half-width of the 95 % interval, and the standard errors from scatter and from calibration.
 
     Degrees of freedom follow Welch and Satterthwaite: the calibration error is known, the scatter estimated.
@@ -126,57 +165,57 @@ def interval(each: Array, shifts: Array) -> tuple[Array, Array, Array, Array]:
 
     n = each.shape[0]
     scatter = each.std(axis=0, ddof=1) / np.sqrt(n)
-    calibration = np.sqrt((shifts**2).sum(axis=0)) if shifts.size else np.zeros_like(scatter)
+    calibration = np.zeros_like(scatter) if shifts is None else np.sqrt((shifts**2).sum(axis=0))
     variance = scatter**2 + calibration**2
     freedom = (n - 1) * variance**2 / np.maximum(scatter**4, 1e-300)
     half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, np.minimum(freedom, 1e6)) * np.sqrt(variance)
     return each.mean(axis=0), half, scatter, calibration
 
 
-def shifts_of(per_repetition: PerRepetition, cells: Cells, channels: Sequence[str], each: Array | None = None) -> Array:
-    """Return the change of the means by one standard deviation of each calibration point, shape (points, p).
-
-    Args:
-        per_repetition: Function from the cells to the values of each repetition, shape (N, p).
-        channels: Cells whose points change.
-        each: Values with unchanged cells, if known.
-    """
-    base = (per_repetition(cells) if each is None else each).mean(axis=0)
-    rows = [
-        per_repetition({**cells, c: cells[c].shift_load(k)}).mean(axis=0) - base
-        for c in channels
-        for k in range(cells[c].loads.size)
-        if cells[c].error > 0 and cells[c].loads[k] != 0  # zero load is exact
-    ]
-    return np.array(rows) if rows else np.zeros((0, base.size))
-
-
 def make_estimates(
-    names: Sequence[tuple[str, str, float, float]], each: Array, shifts: Array, origin: str
+    numbers: Sequence[tuple[str, str, float, float]], each: Array, origin: str, shifts: Array | None = None
 ) -> list[Estimate]:
     """Return estimates from repetitions (N, p) and shifts.
 
     Args:
-        names: Name, unit, thesis' estimate and true value of each number.
+        numbers: Name, unit, thesis' estimate and true value of each number.
     """
     value, half, scatter, calibration = interval(each, shifts)
     return [
         Estimate(
             name, unit, thesis, float(v), float(v - h), float(v + h), float(s), float(c), each.shape[0], origin, truth
         )
-        for (name, unit, thesis, truth), v, h, s, c in zip(names, value, half, scatter, calibration, strict=True)
+        for (name, unit, thesis, truth), v, h, s, c in zip(numbers, value, half, scatter, calibration, strict=True)
     ]
 
 
-def pseudo_values(estimate: Callable[[Rows], Array], n: int) -> Array:
-    """Return the jackknife pseudo-values of an estimate over n repetitions, shape (n, p).
+def estimated(
+    m: Measurement,
+    test: str,
+    values: Callable[[Cells], Array],
+    channels: str,
+    numbers: Sequence[tuple[str, str, float, float]],
+    origin: str,
+) -> tuple[Result, Array, Array]:
+    """Return the result of a test with its estimates, the values of each repetition, and their shifts.
+
+    A shift is the change of the means by one standard deviation of a calibration point.
 
     Args:
-        estimate: Function from the selected repetitions to the estimate.
+        values: Function from the cells to the values of each repetition, shape (N, p).
+        channels: Cells whose points change.
+        numbers: Name, unit, thesis' estimate and true value of each number.
     """
-    whole = estimate(np.arange(n))
-    others = np.array([estimate(np.delete(np.arange(n), k)) for k in range(n)])
-    return np.asarray(n * whole - (n - 1) * others)
+    each = values(m.cells)
+    rows = []
+    for c in channels:
+        cell = m.cells[c]
+        for k in np.flatnonzero(cell.loads) if cell.error > 0 else ():  # zero load is exact
+            loads = cell.loads.copy()
+            loads[k] += cell.error
+            rows.append(values({**m.cells, c: replace(cell, loads=loads)}).mean(axis=0) - each.mean(axis=0))
+    shifts = np.array(rows) if rows else np.zeros((0, each.shape[1]))
+    return Result(test, make_estimates(numbers, each, origin, shifts)), each, shifts
 
 
 def least(grid: Array, cost: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from cosim.base.errors import Fault
-from cosim.base.text import counted
 from cosim.base.units import factor
 from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import (
@@ -29,17 +28,15 @@ from cosim.storage.yaml_file import (
     YamlFile,
     did_you_mean,
 )
-from plant.bench import FREE_HEIGHT, REST_DUTY, Bench
-from plant.identification import messages
-from plant.identification.artefacts import PROTOCOL
+from plant.bench import FREE_HEIGHT, Bench
+from plant.identification import PROTOCOL
 
 MIN_REPETITIONS = 3  # repetitions: intervals come from the scatter between them
 CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
 BENCH = "bench"  # the bench of this package
 MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
-MIN_SPAN = 10.0  # least range of calibration loads, as a multiple of a load's error
-WINDOWS = ("rest", "window", "hold")  # windows of a test
 MAX_RUN_TIME = 3600.0  # [s] of a simulated run
+MIN_HEIGHT = 0.5  # [radii] least height in eq 4.28
 
 Metres = Annotated[Positive, InUnit("m")]
 Volts = Annotated[NotNegative, InUnit("V", difference=True)]
@@ -210,27 +207,22 @@ class ProtocolFile(Part):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol.
-
-    Attributes:
-        bench: The bench with the stated parameters, exact for a simulated one.
-        is_bench_right: False if parameters or cells have faults; recordings cannot be judged by them.
-    """
+    """A protocol, and the bench with its parameters, exact for a simulated one."""
 
     yaml: YamlFile
     file: ProtocolFile
     bench: Bench
-    is_bench_right: bool = True
 
     @property
     def folder(self) -> Path:
         """Return the folder of the protocol."""
         return self.yaml.path.parent
 
-    @property
-    def is_simulated(self) -> bool:
-        """Return whether the protocol names the simulated bench."""
-        return self.file.bench == BENCH
+    def load_in_si(self, channel: str) -> float:
+        """Return the load unit of a cell in N or N m; a gram-force is converted with the bench's gravity."""
+        unit = self.file.cells[channel].unit
+        gravity = self.bench.gravity / 9.80665 if unit == "gf" else 1.0
+        return (factor(unit, CHANNELS[channel]) or 1.0) * gravity
 
 
 def read_partly(path: Path) -> tuple[Protocol, list[Fault]]:
@@ -246,109 +238,98 @@ def read_partly(path: Path) -> tuple[Protocol, list[Fault]]:
     units = {n: p.unit for n, p in bench.declared.items()}
     parameters, of_units = yaml.in_units(("parameters",), content.parameters, units)
     content = content.model_copy(update={"parameters": parameters})
-    of_bench = [*of_units, *_parameter_faults(yaml, content, bench), *_cell_faults(yaml, content)]
-    faults += of_bench
-    faults += [fault for name, test in content.tests.named_tests() for fault in _test_faults(yaml, content, name, test)]
-    if not any(True for _ in content.tests.named_tests()):
-        faults.append(yaml.fault(("tests",), messages.NO_TEST(names=", ".join(Tests.model_fields)), key=True))
-    if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
-        faults.append(yaml.fault(("bench",), messages.NO_FMU(name=content.bench, bench=BENCH)))
-    if of_bench:
-        return Protocol(yaml, content, bench, is_bench_right=False), faults
-    return Protocol(yaml, content, bench.with_values(content.parameters)), faults
-
-
-def _parameter_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> Iterator[Fault]:
-    for name, value in content.parameters.items():
+    faults += of_units
+    for name, value in parameters.items():
         if name not in bench.declared:
-            message = messages.UNKNOWN_PARAMETER(name=name, hint=did_you_mean(name, bench.declared))
-            yield yaml.fault(("parameters", name), message, key=True)
+            message = f'a bench has no "{name}"{did_you_mean(name, bench.declared)}'
+            faults.append(yaml.fault(("parameters", name), message, key=True))
         elif reason := bench.declared[name].fault(value):
-            yield yaml.fault(("parameters", name), reason)
+            faults.append(yaml.fault(("parameters", name), reason))
+    faults += _cell_faults(yaml, content)
+    if not list(content.tests.named_tests()):
+        message = f"holds no test; add one of {', '.join(Tests.model_fields)}"
+        faults.append(yaml.fault(("tests",), message, key=True))
+    if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
+        cure = f"write {BENCH} for the one that is built here, or the path of yours"
+        faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; {cure}"))
+    if not faults:
+        bench = bench.with_values(parameters)
+    for name, test in content.tests.named_tests():
+        faults += _test_faults(yaml, content, bench, ("tests", name), test)
+    return Protocol(yaml, content, bench), faults
 
 
 def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
     names = ", ".join(CHANNELS)
     for name in CHANNELS.keys() - content.cells.keys():
-        yield yaml.fault(("cells",), messages.NO_CELL(name=name, names=names), key=True)
+        yield yaml.fault(("cells",), f'cell "{name}" is missing; a bench has {names}', key=True)
     for name, cell in content.cells.items():
+        at = ("cells", name)
         if name not in CHANNELS:
-            yield yaml.fault(("cells", name), messages.UNKNOWN_CELL(names=names), key=True)
+            yield yaml.fault(at, f"no such cell; a bench has {names}", key=True)
             continue
         if factor(cell.unit, CHANNELS[name]) is None:
-            mass = cell.unit in ("g", "kg")
-            hint = f"; a mass that is hung is a force: write {cell.unit}f" if mass else ""
-            message = messages.WRONG_UNIT(unit=cell.unit, wanted=CHANNELS[name], hint=hint)
-            yield yaml.fault(("cells", name, "unit"), message)
+            is_mass = cell.unit in ("g", "kg")
+            hint = f"; a mass that is hung is a force: write {cell.unit}f" if is_mass else ""
+            yield yaml.fault((*at, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}{hint}")
         source = yaml.root["cells"][name]
-        if bool(cell.loads) != bool(cell.points):
-            yield from _calibration_faults(yaml, content, name, cell)
-        elif cell.loads or not (source.get("loads") or source.get("points")):  # unreadable values are reported
-            yield yaml.fault(("cells", name), (messages.LOADS_AND_POINTS if cell.loads else messages.NO_LOADS)())
+        if bool(cell.loads) == bool(cell.points):
+            if cell.loads or not (source.get("loads") or source.get("points")):  # unreadable values are reported
+                cure = (
+                    "give either `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
+                )
+                yield yaml.fault(at, f"has {'both' if cell.loads else 'neither'} loads and points; {cure}")
+            continue
+        loads = np.array(cell.loads or [load for load, _ in cell.points], float)
+        beyond = np.flatnonzero(np.abs(loads) > MAX_OVERLOAD * cell.full_scale).tolist()
+        key = "loads" if cell.loads else "points"
+        if cell.loads and content.bench is None:
+            yield yaml.fault((*at, key), "no bench is played; give `points` [load, voltage] as measured")
+        elif len(set(loads.tolist())) < 4:
+            yield yaml.fault((*at, key), "a curve needs four different loads at least; give more")
+        elif beyond:
+            text = f"{loads[beyond[0]]:g} is beyond the cell's full_scale of {cell.full_scale:g} {cell.unit}"
+            yield yaml.fault((*at, key, beyond[0]), f"{text}; correct the unit, the load or full_scale")
 
 
-def _calibration_faults(yaml: YamlFile, content: ProtocolFile, name: str, cell: CellFile) -> Iterator[Fault]:
-    """Yield faults in a cell's loads or points."""
-    at, unit, key = ("cells", name), cell.unit, "loads" if cell.loads else "points"
-    if cell.loads and content.bench is None:
-        yield yaml.fault((*at, key), messages.LOADS_WITHOUT_BENCH())
-        return
-    if places := [k for k, load in enumerate(cell.loads) if load in cell.loads[:k]]:
-        for k in places:
-            yield yaml.fault((*at, key, k), messages.REPEATED_LOAD(load=cell.loads[k]))
-        return
-    loads = np.array(cell.loads or [load for load, _ in cell.points], float)
-    beyond = np.flatnonzero(np.abs(loads) > MAX_OVERLOAD * cell.full_scale).tolist()
-    span, error = float(np.ptp(loads)), cell.error * cell.full_scale
-    if len(loads) < 4:
-        yield yaml.fault((*at, key), messages.TOO_FEW_LOADS())
-    elif beyond:
-        message = messages.LOAD_BEYOND_SCALE(load=loads[beyond[0]], unit=unit, limit=cell.full_scale)
-        yield yaml.fault((*at, key, beyond[0]), message)
-    elif span < MIN_SPAN * error:
-        yield yaml.fault(at, messages.NARROW_LOADS(span=span, unit=unit, error=error), key=True)
-
-
-def _test_faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test) -> Iterator[Fault]:
-    at = ("tests", name)
-    windows = {key: window for key in WINDOWS if (window := getattr(test, key, None)) is not None}
+def _test_faults(
+    yaml: YamlFile, content: ProtocolFile, bench: Bench, at: tuple[str, ...], test: Test
+) -> Iterator[Fault]:
+    least = f"too few: intervals come from scatter between {MIN_REPETITIONS} or more"
     if test.files:
-        yield from _file_faults(yaml, at, test.files)
+        if (count := len(test.files)) < MIN_REPETITIONS:
+            yield yaml.fault((*at, "files"), f"{count} recordings are {least}; add recordings")
+        for k, file in enumerate(test.files):
+            if file in test.files[:k]:
+                yield yaml.fault((*at, "files", k), f"{file} is named twice; a repetition is a run of its own")
     elif content.bench is None:
-        yield yaml.fault(at, messages.NO_FILES(), key=True)
+        cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
+        yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
     else:
-        yield from _phase_faults(yaml, at, test, windows)
-    for key, (start, end) in windows.items():
+        if test.repetitions < MIN_REPETITIONS:
+            yield yaml.fault((*at, "repetitions"), f"{test.repetitions} are {least}; raise the number")
+        times = [p[0] for p in test.phases]
+        if not times and not isinstance(test, SineTest):
+            yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
+        elif times != sorted(times) or (times and times[-1] > MAX_RUN_TIME):
+            text = f"times of phases must increase, up to {MAX_RUN_TIME:g} s; correct them"
+            yield yaml.fault((*at, "phases"), text)
+    for key in ("rest", "window", "hold"):
+        start, end = getattr(test, key, (0.0, 1.0))
         if start >= end:
-            yield yaml.fault((*at, key), messages.EMPTY_WINDOW(start=start, end=end))
+            yield yaml.fault((*at, key), f"{start:g} … {end:g} s is empty; write its start, then its end")
     if isinstance(test, SineTest) and len(test.periods) != len(test.frequencies):
-        counts = {"periods": len(test.periods), "frequencies": len(test.frequencies)}
-        yield yaml.fault((*at, "periods"), messages.PERIODS_UNLIKE_FREQUENCIES(**counts))
-    if isinstance(test, HeightTest) and not test.files and len(test.heights) < 2:
-        yield yaml.fault((*at, "heights"), messages.TOO_FEW_HEIGHTS())
-
-
-def _file_faults(yaml: YamlFile, at: tuple[str, ...], files: list[str]) -> Iterator[Fault]:
-    if len(files) < MIN_REPETITIONS:
-        message = messages.TOO_FEW_FILES(recordings=counted(len(files), "recording"), least=MIN_REPETITIONS)
-        yield yaml.fault((*at, "files"), message)
-    for k, file in enumerate(files):
-        if file in files[:k]:
-            yield yaml.fault((*at, "files", k), messages.REPEATED_FILE(name=file))
-
-
-def _phase_faults(yaml: YamlFile, at: tuple[str, ...], test: Test, windows: Mapping[str, Window]) -> Iterator[Fault]:
-    if not test.phases and not isinstance(test, SineTest):
-        yield yaml.fault(at, messages.NO_PHASES(), key=True)
-    if test.repetitions < MIN_REPETITIONS:
-        message = messages.TOO_FEW_REPETITIONS(count=test.repetitions, least=MIN_REPETITIONS)
-        yield yaml.fault((*at, "repetitions"), message)
-    times = [p[0] for p in test.phases]
-    if times != sorted(times) or (times and times[-1] > MAX_RUN_TIME):
-        yield yaml.fault((*at, "phases"), messages.WRONG_TIMES_OF_PHASES(limit=MAX_RUN_TIME))
-    elif times and not isinstance(test, SineTest):
-        for key, (_, end) in windows.items():
-            if end > times[-1] + 1e-9:
-                yield yaml.fault((*at, key), messages.WINDOW_AFTER_PHASES(end=end, last=times[-1]))
-        if times[0] <= test.rest[1] and (duty := test.phases[0][1]) > REST_DUTY:
-            yield yaml.fault((*at, "phases"), messages.THRUST_AT_START(duty=duty, limit=REST_DUTY))
+        text = f"{len(test.periods)} for {len(test.frequencies)} frequencies; give one each"
+        yield yaml.fault((*at, "periods"), text)
+    if isinstance(test, HeightTest) and not test.files:
+        heights, highest = test.heights, max(test.heights, default=0.0) * bench.propeller_radius
+        for k, height in enumerate(heights):
+            if height in heights[:k] or height < MIN_HEIGHT:
+                text = f"{height:g} radii are listed twice, or below {MIN_HEIGHT:g}, where eq 4.28 is not valid"
+                yield yaml.fault((*at, "heights", k), f"{text}; give another height")
+        if len(heights) == 1 or not yaml.root["tests"]["ground_effect"].get("heights"):
+            yield yaml.fault((*at, "heights"), "two heights are needed at least; add one")
+        elif test.free_height <= highest:
+            text = f"{test.free_height:g} m is not above the heights near the ground, which reach {highest:.3g} m"
+            cure = "give 10 radii or more, where the ground has no effect"
+            yield yaml.fault((*at, "free_height"), f"{text}; {cure}")

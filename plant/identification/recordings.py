@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,32 +18,14 @@ from cosim.blocks.restartable import RestartableFmu
 from cosim.storage.table import DECIMAL_COMMA, Column, Faults, Use, read_table
 from cosim.storage.yaml_file import did_you_mean
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
-from plant.identification import messages
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 
-SECONDS = 1.0  # duration of a calibration load
+LOAD_TIME = 1.0  # [s] duration of a calibration load
 SAME_STEP = 0.1  # share of a step by which an even clock varies
 MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
-DEGREE = np.pi / 180.0
-MAX_HEIGHT = 20.0  # [m]: twice the default height without ground effect, App. D.2; a height in mm or cm exceeds it
-
-
-class BenchColumn(NamedTuple):
-    """A column of a recording: unit, plausible range (`high` None: the bench's `converter_range`), and advice."""
-
-    unit: str
-    low: float
-    high: float | None
-    cure: str
-
-
-DUTY = BenchColumn("%", 0.0, 100.0, f"write it in % of the frame, {messages.PULSE}")
-VOLTS = BenchColumn("V", 0.0, None, "write raw voltages, say the unit, {name} [mV], or give `converter_range`")
-COLUMNS = {
-    "duty": DUTY,
-    "servo_duty": DUTY,
-    "height": BenchColumn("m", 0.0, MAX_HEIGHT, "say its unit, {name} [mm]; 20 m is as good as no ground"),
-    **dict.fromkeys(("volts_z", "volts_x", "volts_m"), VOLTS),
+COLUMNS = {  # column of a recording → unit
+    **{"duty": "%", "servo_duty": "%", "height": "m"},
+    **dict.fromkeys(("volts_z", "volts_x", "volts_m"), "V"),
 }
 
 
@@ -92,9 +73,19 @@ class Recording:
 
 
 def commands(test: Test, bench: Bench, step: float) -> list[tuple[str, Array, Array, Array, float]]:
-    """Return label, time, duty, servo duty and height of each different run of a test."""
+    """Return label, time, duty, servo duty and height of each different run of a test.
+
+    Commands are straight lines between phases; two phases at one time make a step.
+    """
+    runs = list[tuple[str, Array, Array, Array, float]]()
     if isinstance(test, SineTest):
-        return [_sine(test, bench, step, *pair) for pair in zip(test.frequencies, test.periods, strict=True)]
+        for w, periods in zip(test.frequencies, test.periods, strict=True):
+            end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
+            time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
+            duty: Array = np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty])
+            angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
+            runs.append((f" at {w:g} rad/s", time, duty, _servo_duty(bench, angle), test.height))
+        return runs
     sets = [("", test.height, test.phases)]
     if isinstance(test, HeightTest):
         places = [test.free_height, *(h * bench.propeller_radius for h in test.heights)]
@@ -103,28 +94,20 @@ def commands(test: Test, bench: Bench, step: float) -> list[tuple[str, Array, Ar
             top = max(p[1] for p in test.phases)
             other = [(t, test.validation_duty if d == top else d, a) for t, d, a in test.phases]
             sets += [(f" at {h:g} m, validation", h, other) for h in places]
-    return [(label, *_interpolate(phases, bench, step), height) for label, height, phases in sets]
+    for label, height, phases in sets:
+        times, duties, angles = np.array(phases, float).T
+        time = step * np.arange(round(times[-1] / step) + 1)
+        k = np.clip(np.searchsorted(times, time + 1e-9, side="right") - 1, 0, times.size - 2)
+        gap = times[k + 1] - times[k]
+        share = np.clip(np.divide(time - times[k], gap, out=np.ones_like(time), where=gap > 0), 0.0, 1.0)
+        duty, angle = (v[k] + share * (v[k + 1] - v[k]) for v in (duties, angles))
+        runs.append((label, time, duty, _servo_duty(bench, angle), height))
+    return runs
 
 
-def _interpolate(phases: Sequence[tuple[float, float, float]], bench: Bench, step: float) -> tuple[Array, Array, Array]:
-    """Return times, duty and servo duty as straight lines between phases; two phases at one time make a step."""
-    times, duty, angle = np.array(phases, float).T
-    time = step * np.arange(round(times[-1] / step) + 1)
-    k = np.clip(np.searchsorted(times, time + 1e-9, side="right") - 1, 0, times.size - 2)
-    gap = times[k + 1] - times[k]
-    share = np.clip(np.divide(time - times[k], gap, out=np.ones_like(time), where=gap > 0), 0.0, 1.0)
-    duty, angle = (v[k] + share * (v[k + 1] - v[k]) for v in (duty, angle))
-    return time, duty, bench.servo_neutral + angle * DEGREE / bench.servo_slope
-
-
-def _sine(
-    test: SineTest, bench: Bench, step: float, w: float, periods: float
-) -> tuple[str, Array, Array, Array, float]:
-    end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
-    time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
-    duty: Array = np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty])
-    angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
-    return f" at {w:g} rad/s", time, duty, bench.servo_neutral + angle * DEGREE / bench.servo_slope, test.height
+def _servo_duty(bench: Bench, angle: Array) -> Array:
+    """Return the duty of the servo for a tilt [°]."""
+    return bench.servo_neutral + angle * (np.pi / 180.0) / bench.servo_slope
 
 
 def runs_of(protocol: Protocol, name: str, seed: int) -> list[SimulatedRecording]:
@@ -154,11 +137,11 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[SimulatedRecording]]:
     """Return for each cell the calibration runs, one per load, with random errors of the loads."""
     file, by_channel = protocol.file, dict[str, list[SimulatedRecording]]()
-    time = np.asarray(file.step * np.arange(round(SECONDS / file.step) + 1), dtype=np.float64)
+    time = np.asarray(file.step * np.arange(round(LOAD_TIME / file.step) + 1), dtype=np.float64)
     at_rest = np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY)
     for place, channel in enumerate(CHANNELS):
         cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
-        to_si = load_in_si(protocol, channel)
+        to_si = protocol.load_in_si(channel)
         off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
         by_channel[channel] = []
         for load, e in zip(cell.loads, off, strict=True):
@@ -170,13 +153,6 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[SimulatedRecordin
     return by_channel
 
 
-def load_in_si(protocol: Protocol, channel: str) -> float:
-    """Return the load unit of a cell in N or N m; a gram-force is converted with the bench's gravity."""
-    unit = protocol.file.cells[channel].unit
-    gravity = protocol.bench.gravity / 9.80665 if unit == "gf" else 1.0
-    return (factor(unit, CHANNELS[channel]) or 1.0) * gravity
-
-
 # -- simulation ---------------------------------------------------------------------------
 
 
@@ -186,67 +162,60 @@ def to_recording(run: SimulatedRecording, volts: Array) -> Recording:
     return Recording(run.label, run.time, run.duty, run.servo_duty, np.full(run.time.size, run.height), by_cell)
 
 
-class FmuPlayer:
-    """Player that simulates runs of the tests on an FMU with the bench's variables."""
+def play_on_fmu(
+    fmu: Path,
+    parameters: Mapping[str, float],
+    runs: Sequence[SimulatedRecording],
+    progress: Callable[[int], None] | None = None,
+) -> list[Recording]:
+    """Simulate runs one after another on an FMU with the bench's variables.
 
-    def __init__(
-        self, fmu: Path, parameters: Mapping[str, float], progress: Callable[[int], None] | None = None
-    ) -> None:
-        self.parameters, self.progress, self.steps = dict(parameters), progress, 0
-        self.block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(q.name for q in Bench.inputs))
-        inputs, outputs = [s.name for s in self.block.inputs], [s.name for s in self.block.outputs]
-        own, names = [q.name for q in Bench.inputs], ", ".join(inputs + outputs)
-        missing = [n for n in (*own, *(f"volts_{c}" for c in CHANNELS)) if n not in (*inputs, *outputs)]
-        refuse(Fault(fmu, 0, 0, messages.NO_BENCH(name=n, names=names)) for n in missing)
-        self.order = [own.index(n) for n in inputs]
-        self.read = [len(inputs) + outputs.index(f"volts_{c}") for c in CHANNELS]
-        self.row = (ctypes.c_double * (len(inputs) + len(outputs)))()
-        self.block.bind(self.row, 0)
+    Row k has the reading at t_k and the command from t_k. The noise belongs to the reading at the end of a step.
 
-    def __call__(self, runs: Sequence[SimulatedRecording]) -> list[Recording]:
-        """Simulate runs one after another."""
-        return [self._play(run) for run in runs]
-
-    def _play(self, run: SimulatedRecording) -> Recording:
-        """Simulate a run; row k has the reading at t_k and the command from t_k.
-
-        The noise belongs to the reading at the end of a step.
-        """
-        block, time = self.block, run.time
-        own = {"thrust_factor": run.thrust, "filter_time": run.low_pass}
-        block.begin({**self.parameters, **own}, float(time[0]), float(time[-1]))
-        table = _inputs(run)[:, self.order]
-        volts = np.empty((time.size, 3))
-        count = len(self.order)
-        self.row[:count] = table[0].tolist()
-        block.put()
-        block.get()
-        block.start()
-        volts[0] = [self.row[k] for k in self.read]
-        step = float(np.median(np.diff(time)))
-        for k, command in enumerate(table[1:].tolist()):
-            self.row[:count] = command
+    Args:
+        progress: Function of the completed rows of all runs.
+    """
+    own = [q.name for q in Bench.inputs]
+    block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(own))
+    try:
+        inputs, outputs = [s.name for s in block.inputs], [s.name for s in block.outputs]
+        names = ", ".join(inputs + outputs)
+        needed = (*own, *(f"volts_{c}" for c in CHANNELS))
+        missing = [n for n in needed if n not in (*inputs, *outputs)]
+        refuse(Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; it has {names}') for n in missing)
+        order, count = [own.index(n) for n in inputs], len(inputs)
+        read = [count + outputs.index(f"volts_{c}") for c in CHANNELS]
+        row = (ctypes.c_double * (count + len(outputs)))()
+        block.bind(row, 0)
+        recordings, rows = [], 0
+        for run in runs:
+            time = run.time
+            step, begin, end = float(np.median(np.diff(time))), float(time[0]), float(time[-1])
+            block.begin({**parameters, "thrust_factor": run.thrust, "filter_time": run.low_pass}, begin, end)
+            # row k holds the inputs, with reading noise, of the step that ends at t_k
+            before, same = np.maximum(np.arange(time.size) - 1, 0), np.ones(time.size)
+            loads = (load * same for load in run.loads)
+            commanded = (run.duty[before], run.servo_duty[before], run.height * same, *loads, *run.noise)
+            table = np.column_stack(commanded)[:, order]
+            volts = np.empty((time.size, 3))
+            row[:count] = table[0].tolist()
             block.put()
-            block.advance(float(time[k]), step)
             block.get()
-            volts[k + 1] = [self.row[j] for j in self.read]
-        self.steps += time.size
-        if self.progress is not None:
-            self.progress(self.steps)
-        return to_recording(run, volts)
-
-    def close(self) -> None:
-        """Free the FMU."""
-        self.block.close()
-
-
-def _inputs(run: SimulatedRecording) -> Array:
-    """Return the inputs of the FMU by row: row k holds the inputs, with reading noise, of the step that ends at t_k."""
-    before = np.maximum(np.arange(run.time.size) - 1, 0)
-    same = np.ones(run.time.size)
-    return np.column_stack(
-        (run.duty[before], run.servo_duty[before], run.height * same, *(load * same for load in run.loads), *run.noise)
-    )
+            block.start()
+            volts[0] = [row[k] for k in read]
+            for k, command in enumerate(table[1:].tolist()):
+                row[:count] = command
+                block.put()
+                block.advance(float(time[k]), step)
+                block.get()
+                volts[k + 1] = [row[j] for j in read]
+            recordings.append(to_recording(run, volts))
+            rows += time.size
+            if progress is not None:
+                progress(rows)
+        return recordings
+    finally:
+        block.close()
 
 
 # -- measured recordings ------------------------------------------------------------------
@@ -266,65 +235,43 @@ def read_recording(path: Path) -> Recording:
             return None
         if not column.numeric and any(DECIMAL_COMMA.fullmatch(str(cell).strip()) for cell in column.values):
             # The cause of all other faults.
-            raise InputError([Fault(path, faults.header + 1, 1, messages.DECIMAL_COMMAS())])
-        wanted = "s" if name == "time" else COLUMNS[name].unit
+            text = "numbers have decimal commas; write decimals with a point, and separate cells with commas"
+            raise InputError([Fault(path, faults.header + 1, 1, text)])
+        wanted = COLUMNS.get(name, "s")
         if (scale := factor(unit, wanted)) is None:
-            if name == "time":
-                message = messages.NO_UNIT_OF_TIME(unit=unit)
-            elif wanted == "%" and factor(unit, "s"):
-                message = messages.TIME_FOR_DUTY(unit=unit, column=name)
-            else:
-                message = messages.NO_UNIT_OF_COLUMN(unit=unit, column=name, wanted=wanted)
-            faults.note(faults.header, column.cell, message)
+            example = ", such as 7.5 for a pulse of 1500 µs in a frame of 20 ms" if wanted == "%" else ""
+            faults.note(
+                faults.header, column.cell, f"{unit} is no unit of {name} [{wanted}]; give it in {wanted}{example}"
+            )
         return Use(name, scale or 1.0, role="the time" if name == "time" else "a column of the bench")
 
     table = read_table(faults, choose, ", ".join(COLUMNS))
     if table is not None and not table.faults:
         for name in (n for n in COLUMNS if n not in table):
-            hint = did_you_mean(name, table.by_name)
-            faults.note(table.header, 1, messages.NO_COLUMN(name=name, unit=COLUMNS[name].unit, hint=hint))
+            text = f'column "{name}" [{COLUMNS[name]}] is missing{did_you_mean(name, table.by_name)}; add it'
+            faults.note(table.header, 1, text)
         if table.rows < 10:
-            faults.note(0, 0, messages.SHORT_RECORDING(rows=counted(table.rows, "row")))
+            faults.note(0, 0, f"holds {counted(table.rows, 'row')}; a run has ten at least; record it anew")
     faults.raise_any()
     assert table is not None
     time, lines = table["time"], np.array(table.lines)
     values = np.column_stack([table[name] for name in COLUMNS])
-    time, values, lines = _fill_single_rows(time, values, lines)
-    gaps = np.diff(time)
-    if gaps.max() > 1.5 * np.median(gaps):
-        row, step = int(np.argmax(gaps)) + 1, float(np.median(gaps))
-        raise InputError([Fault(path, int(lines[row]), 1, messages.UNEVEN_CLOCK(gap=gaps.max(), step=step))])
-    duty, servo_duty, height, *volts = np.ascontiguousarray(values.T)
-    by_cell = dict(zip(CHANNELS, volts, strict=True))
-    return Recording(path.name, time, duty, servo_duty, height, by_cell, path, lines)
-
-
-def _fill_single_rows(time: Array, values: Array, lines: Array) -> tuple[Array, Array, Array]:
-    """Return rows with single gaps filled."""
     gaps = np.diff(time)
     step = float(np.median(gaps))
     missing = np.flatnonzero(np.abs(gaps - 2.0 * step) < SAME_STEP * step)
     even = np.abs(np.delete(gaps, missing) - step) < SAME_STEP * step
-    if not missing.size or not even.all() or missing.size > MAX_MISSING * time.size:
-        return time, values, lines
-    middle = values[missing].copy()
-    cells = [name.startswith("volts_") for name in COLUMNS]
-    middle[:, cells] = 0.5 * (values[missing] + values[missing + 1])[:, cells]
-    after = missing + 1
-    return (
-        np.insert(time, after, 0.5 * (time[missing] + time[after])),
-        np.insert(values, after, middle, axis=0),
-        np.insert(lines, after, lines[after]),
-    )
-
-
-def read_recordings(protocol: Protocol, name: str) -> tuple[list[Recording], list[Fault]]:
-    """Return a test's readable recordings, and the others' faults."""
-    faults: list[Fault] = []
-    recordings = []
-    for text in getattr(protocol.file.tests, name).files:
-        try:
-            recordings.append(read_recording(protocol.folder / text))
-        except InputError as error:
-            faults += error.faults
-    return recordings, faults
+    if missing.size and even.all() and missing.size <= MAX_MISSING * time.size:  # fill single missing rows
+        middle, after = values[missing].copy(), missing + 1
+        cells = [name.startswith("volts_") for name in COLUMNS]
+        middle[:, cells] = 0.5 * (values[missing] + values[after])[:, cells]
+        time = np.insert(time, after, 0.5 * (time[missing] + time[after]))
+        values, lines = np.insert(values, after, middle, axis=0), np.insert(lines, after, lines[after])
+        gaps = np.diff(time)
+    if gaps.max() > 1.5 * np.median(gaps):
+        row, step = int(np.argmax(gaps)) + 1, float(np.median(gaps))
+        text = f"{gaps.max():.3g} s pass before this row, {step:.3g} s before others; rows are missing, or the clock is"
+        cure = f"resample to rows {step:.3g} s apart, volts by straight lines, duties held"
+        raise InputError([Fault(path, int(lines[row]), 1, f"{text} uneven: {cure}")])
+    duty, servo_duty, height, *volts = np.ascontiguousarray(values.T)
+    by_cell = dict(zip(CHANNELS, volts, strict=True))
+    return Recording(path.name, time, duty, servo_duty, height, by_cell, path, lines)

@@ -1,4 +1,4 @@
-"""The page of an identification: estimates with intervals, and figures of each test."""
+"""The pages of an identification: estimates with intervals, and figures of each test."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.base.text import MISSING, append_unit, counted, plain, written
 from cosim.base.version import __version__
 from cosim.report.charts import Charts, Plot
@@ -16,12 +15,11 @@ from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.report.template import render
 from plant.identification.cells import Cell
-from plant.identification.estimates import Estimate, Figure
-from plant.identification.identified import Outcome
-from plant.identification.protocol import CHANNELS
-from plant.identification.recordings import load_in_si
+from plant.identification.craft import CraftUnderTest
+from plant.identification.estimates import Estimate, Figure, Result
+from plant.identification.protocol import CHANNELS, Protocol
 
-TEMPLATE = Path(__file__).with_name("templates") / "identify.html.j2"
+TEMPLATES = Path(__file__).with_name("templates")
 TITLES = {
     "thrust_line": "Test 1: thrust line",
     "ground_effect": "Test 2: ground effect",
@@ -30,38 +28,69 @@ TITLES = {
     "frequency": "Test 4: sines of the tilt",
     "thrust_step": "A step of the duty",
     "moment": "Test 5: moment",
+    "rest": "Noise at rest, eqs 5.44\u20135.46",
+    "distance": "Distance covered, §5.5",
 }
+CELLS = {"z": "Vertical cell", "x": "Horizontal cell", "m": "Cell of the torquemeter"}
 
 
-def page(outcome: Outcome) -> str:
-    """Return a self-contained page."""
-    protocol = outcome.protocol
-    runs = sum(map(len, outcome.recordings.values()))
-    testable = [e for e in outcome.estimates.values() if not np.isnan(e.truth)]
-    charts = Charts()
-    badges = [Badge(counted(len(outcome.results), "test")), Badge(counted(runs, "recording"))]
+def bench_page(protocol: Protocol, cells: Mapping[str, Cell], results: Sequence[Result], runs: int) -> str:
+    """Return the self-contained page of tests on a bench.
+
+    Args:
+        runs: Number of recordings.
+    """
+    charts, every = Charts(), [(r.test, e) for r in results for e in r.estimates]
+    testable = [e for _, e in every if not np.isnan(e.truth)]
+    held = sum(e.covers_truth for e in testable)
+    widths = {e.name: e.half_width / abs(e.value) for _, e in every if e.value and np.isfinite(e.half_width)}
+    headline = f"{counted(len(every), 'number')} identified from {counted(len(results), 'test')}"
+    if testable:
+        headline = f"{held} of {len(testable)} intervals of 95 % contain the true value."
+    elif widths:
+        least = max(widths, key=lambda name: widths[name])
+        headline += f"; least certain is {least}, known to ±{plain(100 * widths[least], 2)}\u00a0%."
+    calibration, shown_cells = [], []
+    for c in CHANNELS:
+        cell, unit, name = cells[c], protocol.load_in_si(c), written(protocol.file.cells[c].unit)
+        grid = np.linspace(cell.volts[0], cell.volts[-1], 200)
+        lines = [("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots")]
+        calibration.append(plot_of(Figure(f"{CELLS[c]}: load over voltage", "voltage [V]", name, lines), charts))
+        left_out = float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit
+        rail = ", ".join(f"{f / unit:g}" for f in cell.saturated_loads)
+        shown_cells.append(
+            {
+                "name": f"volts_{c}",
+                "points": counted(cell.loads.size, "point"),
+                "error": append_unit(plain(cell.error / unit, 3), name),
+                "left": append_unit(plain(left_out, 3), name),
+                "rail": append_unit(rail, name) if rail else MISSING,
+            }
+        )
+    tests = _parts(results, charts)
     return render(
-        TEMPLATE,
+        TEMPLATES / "identify.html.j2",
         {
             "name": protocol.file.name,
-            "headline": _headline(outcome, testable),
-            "tone": "good" if testable and all(e.covers_truth for e in testable) else "plain",
+            "headline": headline,
+            "tone": "good" if testable and held == len(testable) else "plain",
             "description": "Tests of a power-train on a testing bench. Each number has an unbiased estimate with a "
             "95 % interval, from the scatter of repetitions and the calibration, beside the thesis' estimate.",
-            "badges": badges,
-            "rows": [_row(key, e) for key, e in outcome.estimates.items()],
-            "known": bool(testable),
-            "calibration": [plot_of(_calibration(outcome, c), charts) for c in CHANNELS],
-            "cells": [_cell(outcome, c) for c in CHANNELS],
-            "tests": [
+            "badges": [Badge(counted(len(results), "test")), Badge(counted(runs, "recording"))],
+            "rows": [
                 {
-                    "name": r.test,
-                    "title": TITLES[r.test],
-                    "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
-                    "plots": [(plot_of(f, charts), f.counterpart) for f in r.figures],
+                    **_shown(e),
+                    "test": TITLES[test],
+                    "holds": e.covers_truth,
+                    "places": _places(e),
+                    "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
                 }
-                for r in outcome.results
+                for test, e in every
             ],
+            "known": bool(testable),
+            "calibration": calibration,
+            "cells": shown_cells,
+            "tests": tests,
             "data": charts.data(),  # after all drawings
             "repeat": f"cosim identify {protocol.yaml.path}",
             "version": __version__,
@@ -69,46 +98,53 @@ def page(outcome: Outcome) -> str:
     )
 
 
-def _headline(outcome: Outcome, testable: Sequence[Estimate]) -> str:
-    """Count correct intervals, or return the least certain estimate.
-
-    An interval is correct if the true value is inside. Without true values, the widest relative interval is named.
-    """
-    every = list(outcome.estimates.values())
-    if testable:
-        return f"{sum(e.covers_truth for e in testable)} of {len(testable)} intervals of 95 % contain the true value."
-    widths = {e.name: e.half_width / abs(e.value) for e in every if e.value and np.isfinite(e.half_width)}
-    opening = f"{counted(len(every), 'number')} identified from {counted(len(outcome.results), 'test')}"
-    if not widths:
-        return f"{opening}."
-    least = max(widths, key=lambda name: widths[name])
-    return f"{opening}; least certain is {least}, known to ±{plain(100 * widths[least], 2)}\u00a0%."
-
-
-def number(value: float, unit: str, like: float) -> str:
-    """Format a value with as many digits as `like`, the half-width of its interval, justifies."""
-    if not np.isfinite(value):
-        return MISSING
-    shown, scale = ("ms", 1000.0) if unit == "s" else ("mm", 1000.0) if unit == "m" else (written(unit), 1.0)
-    size = abs(like) * scale
-    digits = 4 if size == 0 else int(np.clip(np.floor(np.log10(max(abs(value * scale), 1e-12) / size)) + 3, 2, 6))
-    return append_unit(plain(value * scale, digits), shown)
+def craft_page(craft: CraftUnderTest, results: Sequence[Result]) -> str:
+    """Return the self-contained page of an identification from logs of a craft."""
+    charts, logs = Charts(), counted(len(craft.rest) + len(craft.runs), "log")
+    rows = [_shown(e) for r in results for e in r.estimates]
+    parts = _parts(results, charts)
+    return render(
+        TEMPLATES / "craft_logs.html.j2",
+        {
+            "name": craft.file.name,
+            "headline": f"{counted(len(rows), 'number')} identified from {logs} of the craft.",
+            "rows": rows,
+            "version": __version__,
+            "badges": [Badge(craft.loaded.model.title), Badge(logs)],
+            "parts": parts,
+            "repeat": f"cosim identify {craft.yaml.path}",
+            "data": charts.data(),  # after all drawings
+        },
+    )
 
 
-def _row(key: str, e: Estimate) -> Mapping[str, Any]:
-    names = ("value", "low", "high", "thesis", "truth")
-    shown = {name: number(getattr(e, name), e.unit, e.half_width) for name in names}
-    return {
-        **shown,
-        "name": e.name,
-        "test": TITLES[key.partition(".")[0]],
-        "interval": f"{shown['low']} … {shown['high']}",
-        "holds": e.covers_truth,
-        "places": _places(e),
-        "scatter": number(e.scatter, e.unit, e.scatter),
-        "calibration": number(e.calibration, e.unit, e.calibration),
-        "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
-    }
+def _parts(results: Sequence[Result], charts: Charts) -> list[dict[str, Any]]:
+    """Return title, notes and figures of each test."""
+    return [
+        {
+            "name": r.test,
+            "title": TITLES[r.test],
+            "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
+            "plots": [(plot_of(f, charts), f.counterpart) for f in r.figures],
+        }
+        for r in results
+    ]
+
+
+def _shown(e: Estimate) -> dict[str, Any]:
+    """Return the numbers of an estimate as text, with as many digits as the half-width of the interval justifies."""
+
+    def number(value: float, like: float) -> str:
+        if not np.isfinite(value):
+            return MISSING
+        unit, scale = {"s": ("ms", 1000.0), "m": ("mm", 1000.0)}.get(e.unit, (written(e.unit), 1.0))
+        size = abs(like) * scale
+        digits = 4 if size == 0 else int(np.clip(np.floor(np.log10(max(abs(value * scale), 1e-12) / size)) + 3, 2, 6))
+        return append_unit(plain(value * scale, digits), unit)
+
+    shown = {n: number(getattr(e, n), e.half_width) for n in ("value", "low", "high", "thesis", "truth")}
+    errors = {n: number(getattr(e, n), getattr(e, n)) for n in ("scatter", "calibration")}
+    return {"name": e.name, "origin": e.origin, "interval": f"{shown['low']} … {shown['high']}", **shown, **errors}
 
 
 def _places(e: Estimate) -> Mapping[str, float]:
@@ -121,31 +157,14 @@ def _places(e: Estimate) -> Mapping[str, float]:
     return {name: round(4.0 + 92.0 * (v - low) / span, 1) for name, v in values.items() if np.isfinite(v)}
 
 
-def _calibration(outcome: Outcome, channel: str) -> Figure:
-    cell, unit = outcome.cells[channel], load_in_si(outcome.protocol, channel)
-    grid = np.linspace(cell.volts[0], cell.volts[-1], 200)
-    where = {"z": "Vertical cell", "x": "Horizontal cell", "m": "Cell of the torquemeter"}[channel]
-    names = outcome.protocol.file.cells[channel].unit
-    lines = [("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots")]
-    return Figure(f"{where}: load over voltage", "voltage [V]", written(names), lines, counterpart="Fig 3.18")
-
-
-def _cell(outcome: Outcome, channel: str) -> Mapping[str, str]:
-    cell: Cell = outcome.cells[channel]
-    unit, name = load_in_si(outcome.protocol, channel), outcome.protocol.file.cells[channel].unit
-    rail = ", ".join(f"{f / unit:g}" for f in cell.saturated_loads)
-    return {
-        "name": f"volts_{channel}",
-        "points": counted(cell.loads.size, "point"),
-        "error": append_unit(plain(cell.error / unit, 3), written(name)),
-        "left": append_unit(plain(float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit, 3), written(name)),
-        "rail": append_unit(rail, written(name)) if rail else MISSING,
-    }
-
-
 def plot_of(figure: Figure, charts: Charts) -> Plot:
-    """Draw a figure whose lines have separate x values."""
-    traces = [_trace(label, over, values, style) for label, over, values, style in figure.lines]
+    """Draw a figure whose lines have separate x values; a line becomes points if its x decreases somewhere."""
+    traces = []
+    for label, over, values, style in figure.lines:
+        good = np.isfinite(over)
+        x, order = over[good], np.argsort(over[good], kind="stable")
+        several = "dots" not in style and bool(np.any(np.diff(x) < 0.0))  # as for several tests in sequence
+        traces.append(Trace(label, values[good][order], f"{style} dots" if several else style, x=x[order]))
     traces += [Trace("95 %", low, "bar", x=over, upper=high) for over, low, high in figure.bars]
     band = Band(figure.band[0], figure.band[2], figure.band[3], figure.band[1]) if figure.band else None
     name, _, unit = figure.x_label.partition(" [")
@@ -156,11 +175,3 @@ def plot_of(figure: Figure, charts: Charts) -> Plot:
     ends = (10.0 ** (low - margin), 10.0 ** (high + margin)) if figure.log else (low - margin, high + margin)
     panel = Panel(figure.title, figure.y_label, traces, band)
     return charts.alone(panel, ends, (name, unit.rstrip("]")), log=figure.log)
-
-
-def _trace(label: str, over: Array, values: Array, style: str) -> Trace:
-    """Return a trace of lines; points instead if x decreases somewhere, as for several tests in sequence."""
-    good = np.isfinite(over)
-    x, order = over[good], np.argsort(over[good], kind="stable")
-    several = "dots" not in style and bool(np.any(np.diff(x) < 0.0))
-    return Trace(label, values[good][order], f"{style} dots" if several else style, x=x[order])

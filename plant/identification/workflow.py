@@ -1,50 +1,91 @@
-"""Workflow of `cosim identify`: simulation or reading of a protocol, analysis, powertrain.yaml, report."""
+"""Workflow of `cosim identify`: simulation or reading of a protocol, analysis, model file, identify.json, report."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import refuse
-from cosim.base.registry import model_entry, resolve
+from cosim.base.errors import Fault, InputError, NotExecuted, refuse
+from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
-from cosim.model import Model
+from cosim.base.version import __version__
+from cosim.fmi.fmu_build import build
+from cosim.loading.file import load_model, named_model
+from cosim.model import SCALAR, Model
 from cosim.storage.artefact import Checking
-from cosim.storage.files import FilePath, check_writable
-from cosim.storage.folders import new_run
-from cosim.storage.kinds import check_given
+from cosim.storage.files import FilePath, check_writable, write_json, write_text
+from cosim.storage.folders import new_run, remove_earlier
+from cosim.storage.kinds import check_given, shell_path
+from cosim.storage.yaml_file import YamlFile
 from plant.bench import Bench
-from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
-from plant.identification.artefacts import PROTOCOL
+from plant.identification import PROTOCOL
 from plant.identification.cells import Cells, calibrate
-from plant.identification.checks import recording_faults
-from plant.identification.craft import CraftOutcome, craft_file, read_craft
-from plant.identification.craft_workflow import identify_craft
+from plant.identification.checks import planned_faults, recording_faults, result_faults
+from plant.identification.craft import craft_file, read_craft
 from plant.identification.estimates import Estimate, Measurement, Result
-from plant.identification.identified import Outcome
-from plant.identification.plausible import result_faults
-from plant.identification.prepared import prepare
-from plant.identification.protocol import BENCH, Protocol
-from plant.identification.recordings import FmuPlayer, Recording, SimulatedRecording, load_runs, runs_of
-from plant.identification.write import RECORD, REPORT, model_text, write
+from plant.identification.lags import after_sines, after_step
+from plant.identification.protocol import BENCH, Protocol, read_partly
+from plant.identification.recordings import Recording, load_runs, play_on_fmu, read_recording, runs_of
+from plant.identification.thrust import ground_effect_exponent, thrust_line
+from plant.identification.tilt import moment, projection
+from plant.powertrain import ground_effect
 
-FILES = ("powertrain.yaml", RECORD, REPORT)
+RECORD, REPORT = "identify.json", "report.html"
+NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}  # of a power-train
 # in order of dependence; the lag of a step is that of the model
 ANALYSES: Mapping[str, Callable[..., Result]] = {
-    "step": lag.analyse,
-    "frequency": frequency.analyse,
-    "ground_effect": ground_effect.analyse,
-    "thrust_line": thrust_line.analyse,
-    "thrust_step": partial(lag.analyse, thrust=True),
-    "projection": projection.analyse,
-    "moment": moment.analyse,
+    "step": after_step,
+    "frequency": after_sines,
+    "ground_effect": ground_effect_exponent,
+    "thrust_line": thrust_line,
+    "thrust_step": partial(after_step, thrust=True),
+    "projection": projection,
+    "moment": moment,
 }
 Progress = Callable[[str, float], None]
+Recordings = Mapping[str, Sequence[Recording]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Results of an identification; `model_file` is the name of the model file with the identified numbers."""
+
+    results: Sequence[Result]
+    model_file: str
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Return the estimates by `test.name`."""
+        return {f"{r.test}.{e.name}": e for r in self.results for e in r.estimates}
+
+    @property
+    def warnings(self) -> list[str]:
+        """Return the warnings, preceded by their test's name."""
+        return [f"{r.test}: {message}" for r in self.results for message in r.warnings]
+
+    @property
+    def sentences(self) -> list[str]:
+        """Return a line for each estimate: value, confidence interval, value as in the thesis, true value."""
+        lines = []
+        for key, e in self.estimates.items():
+            unit = "" if e.unit == "1" else f" {e.unit}"
+            thesis = "no value" if np.isnan(e.thesis) else f"{e.thesis:.5g}"
+            truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
+            lines.append(
+                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {thesis}{truth})"
+            )
+        return lines
+
+    def closing(self, out: Path) -> str:
+        """Return the sentence on the model file and the command that builds an FMU of it."""
+        return f"model: {out / self.model_file}, built by: cosim build --model {shell_path(out / self.model_file)}"
 
 
 def identify(
@@ -55,7 +96,7 @@ def identify(
     report: bool = True,
     seed: Seed | None = None,
     force: bool = False,
-) -> Outcome | CraftOutcome:
+) -> Outcome:
     """Identify a power-train, or noise and friction of a craft.
 
     Args:
@@ -76,101 +117,48 @@ def identify(
     check_given(path, PROTOCOL)
     with new_run(out, "", "cosim identify", force=force) as place:
         if (yaml := craft_file(path)) is not None:
-            return identify_craft(yaml, place, report=report)
-        ready = prepare(path)
-        protocol, measured = ready.protocol, ready.measured
-        named = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
-        check_writable(place, FILES, named)
-        outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
+            return _identify_craft(yaml, place, report=report)
+        protocol, model, measured = prepare(path)
+        read = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
+        check_writable(place, ("powertrain.yaml", RECORD, REPORT), read)
+        recordings, cells = _recorded(protocol, measured, protocol.file.seed if seed is None else seed, progress)
+        outcome = Outcome(checked_results(protocol, cells, recordings), "powertrain.yaml")
+        calibration = {
+            c: {
+                "loads": cell.loads.tolist(),
+                "volts": cell.volts.tolist(),
+                "error": cell.error,
+                "left_one_out": cell.cross_validation_errors.tolist(),
+                "at_the_rail": list(cell.saturated_loads),
+            }
+            for c, cell in cells.items()
+        }
+        page = ""
+        if report:
+            from plant.identification.report import bench_page
 
-        def page() -> str:
-            from plant.identification.report import page
-
-            return page(outcome)
-
-        model = (FILES[0], powertrain(outcome, ready.model))
-        write(place, model, _record(outcome), outcome.results, page if report else None, read=named)
+            page = bench_page(protocol, cells, outcome.results, sum(map(len, recordings.values())))
+        record = {"protocol": protocol.file.name, "calibration": calibration}
+        _write(place, outcome, _powertrain(protocol, outcome, model), record, page, read)
         return outcome
 
 
-def _outcome(
-    protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
-) -> Outcome:
-    """Simulate unmeasured tests and return the results."""
-    hung: dict[str, list[Recording]] = {}
-    simulated: dict[str, list[Recording]] = {}
-    if protocol.file.bench is not None:
-        tests = [name for name, _ in protocol.file.tests.named_tests() if name not in measured]
-        runs = {name: runs_of(protocol, name, seed) for name in tests}
-        hung, simulated = _on_fmu(protocol, load_runs(protocol, seed), runs, progress=progress)
-    cells = calibrate(protocol, hung)
-    refuse(fault for name, runs in simulated.items() for fault in recording_faults(protocol, name, runs, cells))
-    if progress is not None:
-        progress("analysing", 0.0)
-    recordings = {**measured, **simulated}
-    return Outcome(protocol, cells, checked_results(protocol, cells, recordings), recordings)
+def _identify_craft(yaml: YamlFile, out: Path, *, report: bool) -> Outcome:
+    """Analyse logs of a craft and write the results."""
+    craft = read_craft(yaml)
+    read = [yaml.path, *(log.path for log in (*craft.rest, *craft.runs))]
+    check_writable(out, ("model.yaml", RECORD, REPORT), read)
+    outcome = Outcome(craft.results(), "model.yaml")
+    page = ""
+    if report:
+        from plant.identification.report import craft_page
 
-
-Runs = Mapping[str, Sequence[SimulatedRecording]]
-
-
-def _on_fmu(protocol: Protocol, *groups: Runs, progress: Progress | None) -> list[dict[str, list[Recording]]]:
-    """Simulate groups of runs on the FMU."""
-    total = sum(run.time.size for group in groups for runs in group.values() for run in runs) or 1
-    tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
-    with temporary_folder("identify") as folder:
-        player = FmuPlayer(_fmu(protocol, folder), protocol.file.parameters, tell)
-        try:
-            return [{name: player(runs) for name, runs in group.items()} for group in groups]
-        finally:
-            player.close()
-
-
-def _fmu(protocol: Protocol, folder: Path) -> Path:
-    """Return the FMU of the bench: built now, or named in the protocol."""
-    if protocol.file.bench != BENCH:
-        return protocol.folder / str(protocol.file.bench)
-    from cosim.fmi.fmu_build import build
-
-    return build(resolve(model_entry(BENCH).recipe)(), folder / "bench.fmu")
-
-
-def analyse(
-    protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
-) -> list[Result]:
-    """Return the results in order of dependence.
-
-    Unknown numbers come from earlier tests, else from the protocol.
-    """
-    bench, truth = protocol.bench, protocol.bench if protocol.is_simulated else None
-    if truth is not None:  # estimated parameters must not be known
-        blank = Bench()
-        bench = bench.with_values(
-            {n: getattr(blank, n) for n in ("thrust_offset", "thrust_slope", "lag", "assembly_arm")}
-        )
-    results = []
-    for name in (n for n in ANALYSES if n in recordings):
-        measured = Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth)
-        result = ANALYSES[name](measured, draw=draw)
-        results.append(result)
-        # the lag of a step test has priority over that of sines
-        fresh = {e.name: _in_bounds(bench, e) for e in result.estimates if e.name in bench.declared}
-        if not (name == "frequency" and "step" in recordings):
-            bench = bench.with_values(fresh)
-    return results
-
-
-def checked_results(
-    protocol: Protocol, cells: Cells, recordings: Mapping[str, Sequence[Recording]], *, draw: bool = True
-) -> list[Result]:
-    """Return all tests' results, checked for plausibility.
-
-    Raises:
-        InputError: Every impossible number.
-    """
-    results = analyse(protocol, cells, recordings, draw=draw)
-    refuse(result_faults(protocol, results))
-    return results
+        page = craft_page(craft, outcome.results)
+    identified = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
+    values = {**craft.loaded.parameters, **{n: e.value for n, e in identified.items()}}
+    text = _model_text(craft.loaded.source, values, craft.loaded.sensors, identified, "runs")
+    _write(out, outcome, text, {"name": craft.file.name}, page, read)
+    return outcome
 
 
 def check_protocol(path: Path, checking: Checking) -> list[str]:
@@ -184,60 +172,191 @@ def check_protocol(path: Path, checking: Checking) -> list[str]:
     if (yaml := craft_file(path)) is not None:
         read_craft(yaml)
         return []
-    ready = prepare(path)
-    protocol, measured = ready.protocol, ready.measured
+    protocol, _, measured = prepare(path)
     if not measured or not all(cell.points for cell in protocol.file.cells.values()):
         return []
-    results = checked_results(protocol, calibrate(protocol, {}), measured, draw=False)
-    return [f"warning: {r.test}: {message}" for r in results for message in r.warnings]
+    outcome = Outcome(checked_results(protocol, calibrate(protocol, {}), measured, draw=False), "")
+    return [f"warning: {message}" for message in outcome.warnings]
 
 
-def _in_bounds(bench: Bench, e: Estimate) -> float:
-    low, high = bench.declared[e.name].bounds
-    return float(np.clip(e.value, low, high))
+# -- input ----------------------------------------------------------------------------------
 
 
-# -- results ------------------------------------------------------------------------------
+def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
+    """Read a protocol, the model whose parameters it identifies, and the measured recordings by test.
+
+    Raises:
+        InputError: Every fault of these files. With a faulty protocol, recordings are read but not judged.
+    """
+    protocol, faults = read_partly(path)
+    faults = faults or list(planned_faults(protocol))
+    text, where = protocol.file.model, protocol.yaml.place(("model",))
+    cells: Cells | None = None
+    if not faults and all(cell.points for cell in protocol.file.cells.values()):
+        try:
+            cells = calibrate(protocol, {})
+        except InputError as error:
+            faults += error.faults
+    model, not_executed = None, None
+    try:
+        model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
+        if not NUMBERS & {p.name for p in model.parameters}:
+            reason = f"{text} has none of {', '.join(sorted(NUMBERS))}: nothing that is identified is a parameter of it"
+            faults.append(Fault(path, *where, f"{reason}; name the model of what stands on the bench"))
+    except InputError as error:
+        faults += [f if f.file == protocol.yaml.path else Fault(path, *where, str(f)) for f in error.faults]
+    except NotExecuted as error:
+        not_executed = error
+    measured: dict[str, list[Recording]] = {}
+    for name, test in protocol.file.tests.named_tests():
+        if not test.files:
+            continue
+        measured[name], unread = [], list[Fault]()
+        for file in test.files:
+            try:
+                measured[name].append(read_recording(protocol.folder / file))
+            except InputError as error:
+                unread += error.faults
+        faults += unread
+        if cells is not None:
+            faults += recording_faults(protocol, name, measured[name], cells, whole=not unread)
+    refuse(faults)
+    if not_executed is not None:
+        raise not_executed
+    assert model is not None
+    return protocol, model, measured
 
 
-def _record(outcome: Outcome) -> dict[str, Any]:
-    return {
-        "protocol": outcome.protocol.file.name,
-        "calibration": {
-            c: {
-                "loads": cell.loads.tolist(),
-                "volts": cell.volts.tolist(),
-                "error": cell.error,
-                "left_one_out": cell.cross_validation_errors.tolist(),
-                "at_the_rail": list(cell.saturated_loads),
-            }
-            for c, cell in outcome.cells.items()
-        },
+def _recorded(
+    protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
+) -> tuple[dict[str, list[Recording]], Cells]:
+    """Return the recordings of all tests, simulated where not measured, and the calibrated cells."""
+    hung: dict[str, list[Recording]] = {}
+    simulated: dict[str, list[Recording]] = {}
+    if protocol.file.bench is not None:
+        names = [name for name, _ in protocol.file.tests.named_tests() if name not in measured]
+        loads, runs = load_runs(protocol, seed), {name: runs_of(protocol, name, seed) for name in names}
+        every = [run for group in (*loads.values(), *runs.values()) for run in group]
+        total = sum(run.time.size for run in every) or 1
+        tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
+        with temporary_folder("identify") as folder:
+            fmu = protocol.folder / protocol.file.bench
+            if protocol.file.bench == BENCH:
+                fmu = build(resolve(model_entry(BENCH).recipe)(), folder / "bench.fmu")
+            played = iter(play_on_fmu(fmu, protocol.file.parameters, every, tell))
+        hung, simulated = (
+            {n: [next(played) for _ in group] for n, group in groups.items()} for groups in (loads, runs)
+        )
+    cells = calibrate(protocol, hung)
+    refuse(fault for name, runs in simulated.items() for fault in recording_faults(protocol, name, runs, cells))
+    if progress is not None:
+        progress("analysing", 0.0)
+    return {**measured, **simulated}, cells
+
+
+# -- analysis -------------------------------------------------------------------------------
+
+
+def analyse(protocol: Protocol, cells: Cells, recordings: Recordings, *, draw: bool = True) -> list[Result]:
+    """Return the results in order of dependence.
+
+    Unknown numbers come from earlier tests, else from the protocol.
+    """
+    bench, truth = protocol.bench, protocol.bench if protocol.file.bench == BENCH else None
+    if truth is not None:  # estimated parameters must not be known
+        blank = Bench()
+        unknown = ("thrust_offset", "thrust_slope", "lag", "assembly_arm")
+        bench = bench.with_values({n: getattr(blank, n) for n in unknown})
+    results = []
+    for name in (n for n in ANALYSES if n in recordings):
+        measured = Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth)
+        result = ANALYSES[name](measured, draw=draw)
+        results.append(result)
+        # the lag of a step test has priority over that of sines
+        if not (name == "frequency" and "step" in recordings):
+            known = [e for e in result.estimates if e.name in bench.declared]
+            bench = bench.with_values({e.name: float(np.clip(e.value, *bench.declared[e.name].bounds)) for e in known})
+    return results
+
+
+def checked_results(protocol: Protocol, cells: Cells, recordings: Recordings, *, draw: bool = True) -> list[Result]:
+    """Return all tests' results, checked for plausibility.
+
+    Raises:
+        InputError: Every impossible number.
+    """
+    results = analyse(protocol, cells, recordings, draw=draw)
+    refuse(result_faults(protocol, results))
+    return results
+
+
+# -- files ----------------------------------------------------------------------------------
+
+
+def _write(out: Path, outcome: Outcome, model: str, record: Mapping[str, Any], page: str, read: Iterable[Path]) -> None:
+    """Write each file completely or not at all; the files of an earlier identification are replaced.
+
+    Args:
+        model: Text of the model file.
+        record: Content of identify.json besides estimates and tests.
+        page: Text of the report, or "".
+        read: Input files, which stay where they are.
+    """
+    whole = {
+        "schema_version": 1,
+        "version": __version__,
+        **record,
+        "estimates": {key: vars(e) for key, e in outcome.estimates.items()},
+        "tests": {r.test: {**r.details, "notes": r.notes, "warnings": r.warnings} for r in outcome.results},
     }
+    remove_earlier(out, read=read)
+    write_text(out / outcome.model_file, model)
+    plain = json.loads(json.dumps(whole), parse_constant=lambda _: None)  # null for missing numbers
+    write_json(out / RECORD, plain, indent=1)
+    if page:
+        write_text(out / REPORT, page)
 
 
-def powertrain(outcome: Outcome, model: Model) -> str:
-    """Return a model.yaml with every identified number, its interval and origin."""
-    protocol = outcome.protocol
+def _powertrain(protocol: Protocol, outcome: Outcome, model: Any) -> str:
+    """Return a model.yaml with every identified number, its interval and origin, and the duty of equal thrust."""
     declared = {p.name for p in model.parameters}
     values = {n: v for n, v in protocol.file.parameters.items() if n in declared}
-    chosen = {n: e for n, e in outcome.estimates_by_name.items() if n in declared}
+    chosen = dict[str, Estimate]()
+    for e in outcome.estimates.values():
+        if e.name in declared:
+            chosen.setdefault(e.name, e)  # the lag of a step test has priority over that of sines
     values |= {n: e.value for n, e in chosen.items()}
-    values |= _hovering(model, values)
-    return model_text(protocol.file.model, values, {}, chosen, "repetitions")
-
-
-def _hovering(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the nominal duty of equal thrust, eqs 4.20, 4.28."""
     needed = {"duty_nominal", "height", "propeller_radius", "ground_effect_exponent", "thrust_offset", "thrust_slope"}
-    base: Any = model
-    if not needed <= {p.name for p in model.parameters} or not needed & set(values):
-        return {}
-    from cosim.model import SCALAR
-    from plant.powertrain import ground_effect as gain
+    if needed <= declared and needed & values.keys():  # eqs 4.20, 4.28
+        after = model.with_values(values)
+        before_gain, after_gain = (
+            ground_effect(SCALAR, craft.height, craft.propeller_radius, craft.ground_effect_exponent)
+            for craft in (model, after)
+        )
+        thrust = (model.thrust_offset + model.thrust_slope * model.duty_nominal) * before_gain  # [gf]
+        values["duty_nominal"] = (thrust / after_gain - after.thrust_offset) / after.thrust_slope
+    return _model_text(protocol.file.model, values, {}, chosen, "repetitions")
 
-    after: Any = model.with_values(values)
-    before_gain = gain(SCALAR, base.height, base.propeller_radius, base.ground_effect_exponent)
-    thrust = (base.thrust_offset + base.thrust_slope * base.duty_nominal) * before_gain  # [gf]
-    after_gain = gain(SCALAR, after.height, after.propeller_radius, after.ground_effect_exponent)
-    return {"duty_nominal": (thrust / after_gain - after.thrust_offset) / after.thrust_slope}
+
+def _model_text(
+    source: str,
+    values: Mapping[str, Any],
+    sensors: Mapping[str, Any],
+    identified: Mapping[str, Estimate],
+    repetitions: str,
+) -> str:
+    """Return a model.yaml: parameters, sensor errors, and interval, unit and origin of identified numbers.
+
+    Args:
+        source: Model from which the file derives.
+        repetitions: Word after the number of repetitions, such as `runs`.
+    """
+    lines = ["schema_version: 1", f"model: {source}", "parameters:" if values else "parameters: {}"]
+    lines += [f"  {n}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for n, v in values.items()]
+    lines += ["sensors:" if sensors else "sensors: {}", *(f"  {n}: {v!r}" for n, v in sensors.items())]
+    lines += ["identified:" if identified else "identified: {}"]
+    for name, e in identified.items():
+        origin = json.dumps(f"{e.origin}; {e.repetitions} {repetitions}", ensure_ascii=False)
+        lines += [f"  {name}:", f"    ci95: [{e.low!r}, {e.high!r}]", f"    unit: {json.dumps(e.unit)}"]
+        lines += [f"    origin: {origin}"]
+    return "\n".join(lines) + "\n"

@@ -234,7 +234,8 @@ def _print_node(node: _Node, language: Language, places: Mapping[Any, str], inde
         ((symbol, e),) = node.branches[0].items()
         yield indent + language.local.format(symbol, printer.doprint(e))
         return
-    yield from (indent + line for line in language.declare([str(s) for s in node.branches[0]]))
+    if language.declared:
+        yield indent + language.declared.format(", ".join(map(str, node.branches[0])))
     for k, opening in ((AWAKE, language.when.format(node.effect, node.title)), (DORMANT, language.otherwise)):
         yield indent + opening
         for inner in node.within[k]:

@@ -17,11 +17,6 @@ COSTLY = ("sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "asin", "ac
 CHEAP = (-2, -1, 2, 0.5, -0.5)  # exponents that compilers turn into products, quotients and roots
 
 
-def _costly(f: Any) -> bool:
-    """Return True for a function or power much slower than a branch."""
-    return type(f).__name__ in COSTLY or getattr(f, "is_costly", False) or (f.is_Pow and f.exp not in CHEAP)
-
-
 def find_skippable(lines: Sequence[Line], terms: Sequence[Term]) -> dict[Any, Term]:
     """Return costly function → parameters of the terms that need it, with neutral values."""
     return _Lines(lines, terms).find_skippable() if terms else {}
@@ -45,7 +40,9 @@ class _Lines:
         functions: dict[Any, set[int] | None] = {}
         for symbol, e in self.lines:
             for f in e.atoms(sympy.Function, sympy.Pow):
-                if not _costly(f):
+                # functions and powers much slower than a branch
+                costly = type(f).__name__ in COSTLY or getattr(f, "is_costly", False)
+                if not costly and not (f.is_Pow and f.exp not in CHEAP):
                     continue
                 place = sympy.Dummy(real=True)
                 needed = (

@@ -6,7 +6,7 @@ print C or Python.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -51,17 +51,15 @@ class Body:
     parameters: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, model: Model, *, effects: bool | Collection[str] = True, flags: Mapping[str, bool] | None = None
-    ) -> Body:
-        """Return the body of a model, with Booleans of the model or of `flags`.
+    def of(cls, model: Model, *, effects: bool | Collection[str] = True) -> Body:
+        """Return the body of a model, with all, some or no effects of its catalogue.
 
         Raises:
             OfNumbersOnly: The equations use an operation that symbols lack.
         """
         import sympy
 
-        s = symbolic(model, flags, effects)
+        s = symbolic(model, None, effects)
         with number_guard(smooth=True):
             derivative, output = s.model.acting(SymbolNamespace())
             rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)

@@ -20,6 +20,7 @@ class Language:
         skipped, either: Format of an expression that is 0 unless one of some conditions is true.
         local, store: Format of a common subexpression and of a result.
         assign: Format of an assignment to a declared symbol.
+        declared: Format of a declaration of symbols without values, "" for none.
         when, otherwise: Start of the branches of an active effect (place, title) and of a dormant one.
         end: End of the branches.
         angle, power: Evaluation of sine and cosine, and of a power, near a point (place, symbols, arguments).
@@ -30,15 +31,12 @@ class Language:
     local: str
     store: str
     assign: str
+    declared: str
     when: str
     otherwise: str
     end: str
     angle: str
     power: str
-
-    def declare(self, names: Sequence[str]) -> list[str]:
-        """Return the lines that declare symbols without values."""
-        raise NotImplementedError
 
     def function(
         self,
@@ -80,6 +78,20 @@ class Language:
         Args:
             conditions: Function → condition for its evaluation; otherwise the value is 0.
         """
+        skipped, base = self.skipped, self.base_printer()
+
+        class Printer(base):  # type: ignore[misc, valid-type]  # sympy is untyped
+            def _print(self, e: Any, **options: Any) -> str:
+                text = str(super()._print(e, **options))
+                return skipped.format(conditions[e], text) if conditions and e in conditions else text
+
+            def _print_Symbol(self, symbol: Any) -> str:
+                return places.get(symbol) or str(super()._print_Symbol(symbol))
+
+        return Printer()
+
+    def base_printer(self) -> Any:
+        """Return sympy's class for this language."""
         raise NotImplementedError
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:
@@ -92,20 +104,16 @@ class C(Language):
 
     skipped, either = "(({}) ? {} : 0.0)", " || "
     local, store, assign = "const double {} = {};", "out[{}] = {};", "{} = {};"
+    declared = "double {};"
     when, otherwise, end = "if (awake[{}]) {{ /* {} */", "} else {", "}"
     angle = "double {1}, {2}; near_angle(near + {0}, {3}, &{1}, &{2});"
     power = "const double {1} = near_power(near + {0}, {2}, {3});"
 
-    def declare(self, names: Sequence[str]) -> list[str]:  # noqa: D102
-        return [f"double {', '.join(names)};"]
-
-    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
+    def base_printer(self) -> Any:  # noqa: D102
         from sympy import Function
         from sympy.printing.c import C99CodePrinter
 
-        skipped = self.skipped
-
-        class Printer(C99CodePrinter):  # type: ignore[misc]  # sympy is untyped
+        class Printer(C99CodePrinter):  # type: ignore[misc]
             def doprint(self, expression: Any, assign_to: Any = None) -> str:
                 try:
                     text = " ".join(super().doprint(expression, assign_to).split())
@@ -117,14 +125,7 @@ class C(Language):
                     raise Unprintable(f"C has no {', '.join(unknown) or 'such function'}")
                 return text
 
-            def _print(self, e: Any, **options: Any) -> str:
-                text = str(super()._print(e, **options))
-                return skipped.format(conditions[e], text) if conditions and e in conditions else text
-
-            def _print_Symbol(self, symbol: Any) -> str:
-                return places.get(symbol) or str(super()._print_Symbol(symbol))
-
-        return Printer()
+        return Printer
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
         kinds = {
@@ -141,57 +142,22 @@ class C(Language):
         return f"static void {name}({declarations})\n{{\n    {text}\n}}\n"
 
 
-def _compute_both_sides(printer: Any, choose: str) -> Any:
-    """Return a printer whose branches compute both sides: `choose(condition, then, otherwise)`."""
-    plain = type(printer)
-
-    class Printer(plain):  # type: ignore[misc, valid-type]
-        def _print_Piecewise(self, e: Any) -> str:
-            *branches, last = e.args
-            if last[1] != True:  # noqa: E712 - sympy's own
-                raise Unprintable("a branch without an otherwise")
-            text = str(self._print(last[0]))
-            for value, condition in reversed(branches):
-                text = f"{choose}({self._print(condition)}, {self._print(value)}, {text})"
-            return text
-
-        def _print_And(self, e: Any) -> str:
-            return " & ".join(f"({self._print(a)})" for a in e.args)
-
-        def _print_Or(self, e: Any) -> str:
-            return " | ".join(f"({self._print(a)})" for a in e.args)
-
-    return Printer()
-
-
 class Python(Language):
     """Python printer with the functions of `math`."""
 
     skipped, either = "({1} if {0} else 0.0)", " or "
-    local, store, assign = "{} = {}", "out[{}] = {}", "{} = {}"
+    local, store, assign, declared = "{} = {}", "out[{}] = {}", "{} = {}", ""
     when, otherwise, end = "if awake[{}]:  # {}", "else:", ""
 
-    def declare(self, names: Sequence[str]) -> list[str]:  # noqa: D102
-        return []
-
-    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
+    def base_printer(self) -> Any:  # noqa: D102
         from sympy.printing.pycode import PythonCodePrinter
 
-        skipped = self.skipped
-
-        class Printer(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
-            def _print(self, e: Any, **options: Any) -> str:
-                text = str(super()._print(e, **options))
-                return skipped.format(conditions[e], text) if conditions and e in conditions else text
-
-            def _print_Symbol(self, symbol: Any) -> str:
-                return places.get(symbol) or str(super()._print_Symbol(symbol))
-
+        class Printer(PythonCodePrinter):  # type: ignore[misc]
             def _print_sign(self, e: Any) -> str:  # sympy's own gives ±1 at 0
                 x = self._print(e.args[0])
                 return f"(1.0 if {x} > 0.0 else -1.0 if {x} < 0.0 else 0.0)"
 
-        return Printer()
+        return Printer
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
         return f"def {name}({', '.join(arguments)}):\n    {body or 'pass'}\n"
@@ -202,4 +168,23 @@ class Arrays(Python):
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
         """Return the Python printer without skipping, since points differ in their terms."""
-        return _compute_both_sides(super().printer(places), "math.where")
+        return super().printer(places)
+
+    def base_printer(self) -> Any:  # noqa: D102
+        class Printer(super().base_printer()):  # type: ignore[misc]
+            def _print_Piecewise(self, e: Any) -> str:
+                *branches, last = e.args
+                if last[1] != True:  # noqa: E712 - sympy's own
+                    raise Unprintable("a branch without an otherwise")
+                text = str(self._print(last[0]))
+                for value, condition in reversed(branches):
+                    text = f"math.where({self._print(condition)}, {self._print(value)}, {text})"
+                return text
+
+            def _print_And(self, e: Any) -> str:
+                return " & ".join(f"({self._print(a)})" for a in e.args)
+
+            def _print_Or(self, e: Any) -> str:
+                return " | ".join(f"({self._print(a)})" for a in e.args)
+
+        return Printer

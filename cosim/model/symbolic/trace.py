@@ -166,14 +166,12 @@ class Trace:
 
     def _watch(self, kind: type[Any], place: int) -> type[Any]:
         """Return the effect's class with recording hooks."""
-        hooks = {name: self._hook(getattr(kind, name), name, place) for name in _overridden(kind)}
+
+        def hook(name: str, lines: Callable[..., Any]) -> Callable[..., Any]:
+            return lambda effect, *arguments, **keywords: self._call(lines, effect, name, place, arguments, keywords)
+
+        hooks = {name: hook(name, getattr(kind, name)) for name in _overridden(kind)}
         return type(kind.__name__, (kind,), {**hooks, "__module__": kind.__module__})
-
-    def _hook(self, lines: Callable[..., Any], name: str, place: int) -> Callable[..., Any]:
-        def record(effect: Any, *arguments: Any, **keywords: Any) -> Any:
-            return self._call(lines, effect, name, place, arguments, keywords)
-
-        return record
 
     def _call(
         self, lines: Callable[..., Any], effect: Any, name: str, place: int, arguments: Any, keywords: Any
@@ -185,7 +183,8 @@ class Trace:
         if key in self._calls:
             return self._calls[key]
         result = lines(effect, *arguments, **keywords)
-        neutral = _neutral(effect)
+        values = {getattr(effect, p.name): p.neutral for p in parameters_of(effect) if p.neutral is not None}
+        neutral = {s: sympy.Integer(int(v)) if v == int(v) else sympy.Float(v) for s, v in values.items()}
         passed = {e for e in _numbers(arguments) if getattr(e, "is_Symbol", False)}
         block = Block({}, place, {}, f"{effect.name}.{name}")
 
@@ -193,7 +192,8 @@ class Trace:
             awake = sympy.sympify(value)
             asleep = awake.xreplace(neutral)
             if asleep.has(sympy.nan, sympy.zoo, sympy.oo):
-                text = f"{effect.name} has no value where {_at(effect)}: {name} gives {asleep}"
+                at = ", ".join(f"{p.name} is {p.neutral:g}" for p in parameters_of(effect) if p.neutral is not None)
+                text = f"{effect.name} has no value where {at}: {name} gives {asleep}"
                 cure = "let m.where choose another value there"
                 raise Untraceable(text, type(effect), name, cure)
             if asleep == awake and (awake in passed or awake.is_Number):
@@ -230,19 +230,6 @@ def _overridden(kind: type[Any]) -> Iterator[str]:
         defined = [c for c in kind.__mro__ if name in vars(c) and issubclass(c, Effect)]
         if len(defined) > 1:
             yield name
-
-
-def _neutral(effect: Any) -> dict[Any, Any]:
-    """Return symbol → neutral value of an effect."""
-    import sympy
-
-    values = ((getattr(effect, p.name), p.neutral) for p in parameters_of(effect) if p.neutral is not None)
-    return {symbol: sympy.Integer(int(v)) if v == int(v) else sympy.Float(v) for symbol, v in values}
-
-
-def _at(effect: Any) -> str:
-    """Return the neutral values of an effect in words."""
-    return ", ".join(f"{p.name} is {p.neutral:g}" for p in parameters_of(effect) if p.neutral is not None)
 
 
 def _numbers(value: Any) -> Iterator[Any]:

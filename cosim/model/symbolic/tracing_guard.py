@@ -43,7 +43,9 @@ def number_guard(*, smooth: bool = False) -> Iterator[None]:
             if isinstance(a, sympy.Expr) and isinstance(b, (int, float, sympy.Expr)):
                 file = sys._getframe(1).f_code.co_filename
                 if not file.startswith(library) and not file.startswith("<") and is_refused(name, a, b):
-                    raise OfNumbersOnly(_sentence(name, a, b))
+                    first, second = (b, a) if name.startswith("__r") else (a, b)
+                    text = f"{first} {SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
+                    raise OfNumbersOnly(f"{text} {EQUALITY if name in EQUALITIES else REMAINDER}")
             return plain(a, b)
 
         return operator
@@ -56,9 +58,3 @@ def number_guard(*, smooth: bool = False) -> Iterator[None]:
     finally:
         for kind, name, plain in operators:
             setattr(kind, name, plain)
-
-
-def _sentence(name: str, a: Any, b: Any) -> str:
-    first, second = (b, a) if name.startswith("__r") else (a, b)
-    text = f"{first} {SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
-    return f"{text} {EQUALITY if SIGNS[name] in ('==', '!=') else REMAINDER}"

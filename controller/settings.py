@@ -1,0 +1,371 @@
+"""Parameters of the running controllers and estimators, declared once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from cosim.model import SCALAR, Parameter, parameter, parameters_of
+from cosim.model.model import Parametric
+from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
+from plant.powertrain import ground_effect
+
+ESTIMATORS = ("appendix_f", "lagged", "consistent")
+SENSED = ("psi", "psi_dot", "ax")
+GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
+CRAFT = {p.name: p for p in parameters_of(Hovercraft)}
+DESIGN = "design model: "  # beginning of meanings
+
+# Eq 6.5 with all digits: LQR gain of eqs 5.33/5.34 with the weights of eq 6.4. A test repeats the design.
+K_X = math.sqrt(0.5)
+K_VX = 0.6593433035062245
+K_PSI = math.sqrt(0.05)
+K_PSI_DOT = 0.1016985602839789
+K_A = 0.0495788342133304
+
+
+def gain(default: float, tilt: str, state: str, source: str = ", eq 6.5") -> Any:
+    """Declare an entry of K or K_i: tilt command [rad] per unit of a state."""
+    units = {"x": "rad/m", "vx": "rad.s/m", "psi": "1", "psi_dot": "s", "a": "rad.s2/m"}
+    unit = (units | {"the integral of x": "rad/m/s", "the integral of psi": "1/s"})[state]
+    return parameter(default, unit=unit, bounds=(-1e4, 1e4), doc=f"gain from {state} to the {tilt} tilt{source}")
+
+
+def declared(by: Mapping[str, Parameter], name: str, of: str = "") -> Any:
+    """Declare a parameter of another class again, with a prefix `of` in its meaning."""
+    p = by[name]
+    return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=of + p.doc)
+
+
+def variance(default: float, unit: str, doc: str) -> Any:
+    """Declare a noise variance."""
+    return parameter(default, unit=unit, bounds=(0, 1e6), doc=doc)
+
+
+def variances_of(p: Any, kind: str, names: Sequence[str]) -> tuple[float, ...]:
+    """Return variances by the names of their states or readings, 0 for one without noise."""
+    return tuple(getattr(p, f"{kind}_variance_{name}", 0.0) for name in names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(Parametric):
+    """Parameters of the controller FMU; the estimator is one of `estimators`."""
+
+    estimators: ClassVar[tuple[str, ...]] = ESTIMATORS
+
+    k_1_1: float = gain(K_X, "right", "x")
+    k_1_2: float = gain(K_VX, "right", "vx")
+    k_1_3: float = gain(K_PSI, "right", "psi")
+    k_1_4: float = gain(K_PSI_DOT, "right", "psi_dot")
+    k_1_5: float = gain(K_A, "right", "a")
+    k_2_1: float = gain(K_X, "left", "x")
+    k_2_2: float = gain(K_VX, "left", "vx")
+    k_2_3: float = gain(-K_PSI, "left", "psi")
+    k_2_4: float = gain(-K_PSI_DOT, "left", "psi_dot")
+    k_2_5: float = gain(K_A, "left", "a")
+
+    mass: float = declared(CRAFT, "mass", DESIGN)
+    izz: float = declared(CRAFT, "izz", DESIGN)
+    arm: float = declared(CRAFT, "arm", DESIGN)
+    friction: float = declared(CRAFT, "friction", DESIGN)
+    lag: float = declared(CRAFT, "lag", DESIGN)
+    duty_nominal: float = declared(CRAFT, "duty_nominal", DESIGN)
+    thrust_nominal: float = parameter(
+        2.4973, unit="N", bounds=(0.01, 100), doc="design model: thrust per propeller in ground effect T_N, eq 5.36"
+    )
+    yaw_damping: float = parameter(
+        0.0, unit="N.m.s/rad", bounds=(0, 10), doc="design model: viscous yaw moment per yaw rate; the thesis has none"
+    )
+    sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
+    tilt_max: float = parameter(math.radians(12), unit="rad", bounds=(0, math.pi / 2), doc="tilt saturation, App G")
+
+    process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
+    process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
+    process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
+    process_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "process noise of psi_dot per step, eq 5.47")
+    process_variance_a: float = variance(1e-4, "m2/s4", "process noise of the thrust acceleration per step, eq 5.47")
+    measurement_variance_psi: float = variance(SENSOR_VARIANCE["psi"], "rad2", "measurement noise of psi, eq 5.46")
+    measurement_variance_psi_dot: float = variance(
+        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
+    )
+    measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
+    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x; the thesis has no fixes, §7.1")
+    fix_latency: float = parameter(0.0, unit="s", bounds=(0, 1), doc="how old a fix is when it arrives, §7.1")
+
+    estimator: str = "appendix_f"
+
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value."""
+        faults = super().invalid_values()
+        if self.estimator not in self.estimators:
+            allowed = f"it is {'one of ' * (len(self.estimators) > 1)}{', '.join(self.estimators)}"
+            faults.append(f"estimator is {self.estimator!r}; {allowed}")
+        return faults
+
+    @property
+    def gain_matrix(self) -> tuple[tuple[float, ...], ...]:
+        """Return K, shape (2, 5)."""
+        return tuple(tuple(getattr(self, f"k_{i}_{j}") for j in range(1, 6)) for i in (1, 2))
+
+    @property
+    def process_variances(self) -> tuple[float, ...]:
+        """Return the diagonal of V, eq 5.47, shape (5,)."""
+        return variances_of(self, "process", ("x", "vx", "psi", "psi_dot", "a"))
+
+    @property
+    def measurement_variances(self) -> tuple[float, ...]:
+        """Return the diagonal of W, eq 5.46, shape (3,)."""
+        return variances_of(self, "measurement", SENSED)
+
+
+# -- other laws --------------------------------------------------------------------------------
+
+INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))  # K_i, row by row
+
+# Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn), and of the LQR with integral weights 0.3 and 0.05.
+# Tests repeat the design.
+PLACED = (1.098053097345133, 0.8497106634030005, 0.2389282086946114, 0.10751769391257515, 0.06654667040403645)
+WITH_INTEGRAL = (1.065117707211288, 0.7494112674097084, 0.2908023505812724, 0.10930731206491429, 0.05538288175826896)
+OF_X_INTEGRAL, OF_PSI_INTEGRAL = 0.3872983346207414, 0.15811388300841878
+
+
+def weight(default: float, unit: str, doc: str) -> Any:
+    """Declare a weight of the predictive law."""
+    return parameter(default, unit=unit, bounds=(0, 1e6), doc=f"weight of {doc}")
+
+
+def mirrored(row: Sequence[float]) -> dict[str, Any]:
+    """Return ten gains from the right tilt's five; ψ and ψ̇ change sign for the left."""
+    signs = (1.0, 1.0, -1.0, -1.0, 1.0)
+    left = (sign * k for sign, k in zip(signs, row, strict=True))
+    return dict(zip(GAINS, (*row, *left), strict=True))
+
+
+PLACED_SETTINGS = Settings(**mirrored(PLACED))
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegralSettings(Settings):
+    """Parameters of the LQR with integrals of measured x and ψ as states six and seven."""
+
+    k_1_6: float = gain(OF_X_INTEGRAL, "right", "the integral of x", "")
+    k_1_7: float = gain(OF_PSI_INTEGRAL, "right", "the integral of psi", "")
+    k_2_6: float = gain(OF_X_INTEGRAL, "left", "the integral of x", "")
+    k_2_7: float = gain(-OF_PSI_INTEGRAL, "left", "the integral of psi", "")
+
+    @property
+    def integral_matrix(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the gains of the integrals, shape (2, 2)."""
+        return (self.k_1_6, self.k_1_7), (self.k_2_6, self.k_2_7)
+
+
+INTEGRAL_SETTINGS = IntegralSettings(**mirrored(WITH_INTEGRAL))
+
+
+def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
+    """Return the parameters that prevent a predictive solution, with reasons."""
+    found: list[tuple[tuple[str, ...], str]] = []
+    if not p.duty_min < p.duty_nominal < p.duty_max:
+        low = not p.duty_min < p.duty_nominal
+        said = (
+            f"no duty of {p.duty_min:g} to {p.duty_max:g} % holds the craft, which hovers at {p.duty_nominal:.6g} %:"
+            " the predictive law has no solution; widen the limits about it"
+        )
+        found.append((("duty_min" if low else "duty_max", "duty_nominal"), said))
+    for names, why in (
+        (("weight_tilt", "weight_duty"), "so that there is one best command"),
+        (("weight_x", "weight_y", "weight_psi"), "so that no position is left to itself"),
+    ):
+        found += [((n,), f"{n} is {getattr(p, n):g}; it is above 0, {why}") for n in names if not getattr(p, n) > 0]
+    if not p.prediction_step <= p.horizon <= 1000 * p.prediction_step:
+        said = f"the horizon of {p.horizon:g} s has 1 to 1000 steps of prediction_step, {p.prediction_step:g} s"
+        found.append((("horizon", "prediction_step"), said))
+    if not p.tilt_max > 0:
+        found.append((("tilt_max",), "tilt_max is above 0; with 0 nothing can be commanded"))
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullSettings(Settings):
+    """Parameters with roll and motors, for the fourteen states linearized at hover."""
+
+    ixx: float = parameter(0.009377, unit="kg.m2", bounds=(2e-3, 1), doc="design model: roll inertia, eq 5.4")
+    ground_gain: float = parameter(
+        1.1420239, unit="1", bounds=(1, 10), doc="design model: gain of the ground effect at hover, eq 4.28"
+    )
+    thrust_per_duty: float = parameter(
+        3.530619, unit="N/%", bounds=(0.01, 100), doc="design model: slope of the thrust line, eq 4.20"
+    )
+    roll_stiffness: float = parameter(
+        5.4174681,
+        unit="N.m/rad",
+        bounds=(-1e3, 1e4),
+        doc="design model: roll moment per roll, table and ground effect",
+    )
+    roll_damping: float = parameter(
+        0.45, unit="N.m.s/rad", bounds=(0, 10), doc="design model: roll moment per roll rate"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionSettings(Settings):
+    """Parameters of predictive laws: weights, limits, horizon. The gains `k_i_j` are unused."""
+
+    weight_x: float = weight(1.0, "1/m2", "x")
+    weight_vx: float = weight(0.5, "s2/m2", "vx")
+    weight_psi: float = weight(0.1, "1/rad2", "psi")
+    weight_psi_dot: float = weight(0.01, "s2/rad2", "psi_dot")
+    weight_y: float = weight(1.0, "1/m2", "y")
+    weight_vy: float = weight(0.5, "s2/m2", "vy")
+    weight_tilt: float = weight(1.0, "1/rad2", "each tilt")
+    weight_duty: float = weight(1.0, "1/%2", "the duty of each motor, from the nominal one")
+    duty_min: float = parameter(6.0, unit="%", bounds=(0, 100), doc="least duty; eq 4.20 was fitted on 6-7 %")
+    duty_max: float = parameter(7.0, unit="%", bounds=(0, 100), doc="greatest duty; eq 4.20 was fitted on 6-7 %")
+    speed_max: float = parameter(
+        0.0, unit="m/s", bounds=(0, 100), doc="greatest speed forward or back, 0 for none; given up where it must be"
+    )
+    prediction_step: float = parameter(0.02, unit="s", bounds=(0.01, 1), doc="step of the prediction")
+    horizon: float = parameter(2.0, unit="s", bounds=(0.1, 20), doc="how far is predicted; then as the LQR would")
+    iterations_max: float = parameter(
+        200.0, unit="1", bounds=(1, 1e5), doc="most iterations of the solver a sample; then limits only cut off"
+    )
+
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value."""
+        return [*super().invalid_values(), *(said for _, said in conflicts(self))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveSettings(PredictionSettings, FullSettings):
+    """Parameters of the predictive law linearized once."""
+
+
+# -- extended filter and A(t), B(t) -------------------------------------------------------------
+
+AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
+PLANT_STATES = tuple(q.name for q in Hovercraft.base_states)
+LINEAR = {p.name: p for p in parameters_of(Settings)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtendedSettings(Parametric):
+    """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
+
+    Process noise is per sample; noise of the five design states is from eq 5.47, the rest is chosen here. Motion along
+    the craft's axes also moves the world position, which has no noise of its own.
+    """
+
+    process_variance_x: float = declared(LINEAR, "process_variance_x")
+    process_variance_y: float = variance(1e-4, "m2", "process noise of y per step, as of x")
+    process_variance_psi: float = declared(LINEAR, "process_variance_psi")
+    process_variance_vx: float = declared(LINEAR, "process_variance_vx")
+    process_variance_vy: float = variance(1e-4, "m2/s2", "process noise of vy per step, as of vx")
+    process_variance_psi_dot: float = declared(LINEAR, "process_variance_psi_dot")
+    process_variance_phi: float = variance(1e-8, "rad2", "process noise of phi per step")
+    process_variance_phi_dot: float = variance(1e-6, "rad2/s2", "process noise of phi_dot per step")
+    process_variance_thrust_right: float = variance(1e-6, "N2", "process noise of the right thrust per step")
+    process_variance_thrust_left: float = variance(1e-6, "N2", "process noise of the left thrust per step")
+    process_variance_tilt_right: float = variance(4e-6, "rad2", "process noise of the right tilt per step, a's 1e-4")
+    process_variance_tilt_left: float = variance(4e-6, "rad2", "process noise of the left tilt per step, a's 1e-4")
+    measurement_variance_psi: float = declared(LINEAR, "measurement_variance_psi")
+    measurement_variance_psi_dot: float = declared(LINEAR, "measurement_variance_psi_dot")
+    measurement_variance_ax: float = declared(LINEAR, "measurement_variance_ax")
+    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x, §7.1")
+    measurement_variance_y: float = variance(1e-4, "m2", "noise of a fix of y, §7.1; 1e6 where y is not measured")
+    fix_latency: float = declared(LINEAR, "fix_latency")
+    sample_time: float = declared(LINEAR, "sample_time")
+
+    axes: str = "own"
+
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value."""
+        stranger = [] if self.axes in AXES else [f"axes is {self.axes!r}; it is one of {', '.join(AXES)}"]
+        return [*super().invalid_values(), *stranger]
+
+
+NOISE = {p.name: p for p in parameters_of(ExtendedSettings)}
+# The equations are assumed accurate to 1 % of a propeller's thrust, 25 mN at its arm, independently at each sample of
+# 0.02 s: (0.025 N/m·Δt)², (0.025 N·L/I·Δt)². Positions and angles follow exactly from their rates.
+PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
+
+
+def equation_noise(default: float, unit: str, of: str) -> Any:
+    """Declare the variance of the equations' error at each sample."""
+    return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeVariantSettings(PredictionSettings):
+    """Parameters of the craft's equations besides the design model, and noise of the extended filter.
+
+    The thrust line passes through `thrust_nominal` at `duty_nominal`. Unused: `k_i_j`, `process_variance_a`.
+    """
+
+    estimators: ClassVar[tuple[str, ...]] = ("extended",)
+
+    ixx: float = declared(CRAFT, "ixx")
+    propeller_radius: float = declared(CRAFT, "propeller_radius")
+    height: float = declared(CRAFT, "height")
+    thrust_slope: float = declared(CRAFT, "thrust_slope")
+    ground_effect_exponent: float = declared(CRAFT, "ground_effect_exponent")
+    gravity: float = declared(CRAFT, "gravity")
+    table_roll_stiffness: float = declared(CRAFT, "table_roll_stiffness")
+    table_roll_damping: float = declared(CRAFT, "table_roll_damping")
+    process_variance_x: float = equation_noise(0.0, "m2", "x")
+    process_variance_y: float = equation_noise(0.0, "m2", "y")
+    process_variance_psi: float = equation_noise(0.0, "rad2", "psi")
+    process_variance_vx: float = equation_noise(PUSH, "m2/s2", "vx")
+    process_variance_vy: float = equation_noise(PUSH, "m2/s2", "vy")
+    process_variance_psi_dot: float = equation_noise(TURN, "rad2/s2", "psi_dot")
+    process_variance_phi: float = equation_noise(0.0, "rad2", "phi")
+    process_variance_phi_dot: float = equation_noise(ROLL, "rad2/s2", "phi_dot")
+    process_variance_thrust_right: float = declared(NOISE, "process_variance_thrust_right")
+    process_variance_thrust_left: float = declared(NOISE, "process_variance_thrust_left")
+    process_variance_tilt_right: float = declared(NOISE, "process_variance_tilt_right")
+    process_variance_tilt_left: float = declared(NOISE, "process_variance_tilt_left")
+    measurement_variance_y: float = declared(NOISE, "measurement_variance_y")
+
+    estimator: str = "extended"
+
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value."""
+        return super().invalid_values() or [said for _, said in craft_faults(self)]
+
+
+OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT)
+
+
+def craft_of(p: Any) -> Hovercraft:
+    """Return the craft with these parameters.
+
+    Raises:
+        ValueError: The parameters are invalid for a craft.
+    """
+    values = {name: getattr(p, name) for name in OF_CRAFT}
+    return Hovercraft(**values, thrust_offset=_thrust_offset(p)).with_values({"yaw_damping.coefficient": p.yaw_damping})
+
+
+def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
+    """Return names and reasons of parameters invalid for a craft."""
+    low, high = CRAFT["thrust_offset"].bounds
+    if not low <= _thrust_offset(p) <= high:
+        names = "thrust_nominal", "thrust_slope", "duty_nominal"
+        said = (
+            f"a thrust line of {p.thrust_slope:g} gf/% through thrust_nominal {p.thrust_nominal:g} N at"
+            f" {p.duty_nominal:g} % has {_thrust_offset(p):.4g} gf at no duty; take numbers that give"
+            f" {low:g} to {high:g} gf"
+        )
+        return [(names, said)]
+    try:
+        craft_of(p)
+    except ValueError as error:
+        return [(("yaw_damping",), str(error))]
+    return []
+
+
+def _thrust_offset(p: Any) -> float:
+    """Return the offset a [gf] of the thrust line T_OGE = a + b·δ, eq 4.20, so that Γ·T_OGE(δ_N) = T_N."""
+    gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
+    return float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)
