@@ -19,8 +19,8 @@ import numpy as np
 from benchmarks.bench_coupling import coupling_figures
 from benchmarks.bench_library import library_figures
 from benchmarks.bench_native import native_figures
-from controller.settings import Settings
 from controller.loop import Loop
+from controller.settings import Settings
 from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted
 from cosim.blocks.faults import gaussian, stream
