@@ -96,7 +96,7 @@ def fit(
             except (KeyboardInterrupt, Terminated) as signal:
                 stop = stop_error(signal, 0.0, "the proof")
         hold_stops()
-        risen = ()
+        risen: tuple[str, ...] = ()
         if parts and parts[-1].sealed:
             part = parts[-1]
             before, after = ([(r.log, r.replays[part.horizon]) for r in side] for side in (part.before, part.after))
