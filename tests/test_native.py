@@ -18,8 +18,7 @@ from fmpy.validation import validate_fmu
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError
-from cosim.fmi.native.compiler import can_cross, compiler
-from cosim.fmi.native.platforms import glibc_floor, this_platform
+from cosim.fmi.native.compiler import can_cross, compiler, glibc_floor, this_platform
 from cosim.fmi.ports import model_ports
 from cosim.fmi.state import MEMORY as MEMORY_PART
 from cosim.fmi.state import STATE, own_of, with_memory

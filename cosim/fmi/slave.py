@@ -120,7 +120,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         if self.phase is INITIALIZATION:
             self._refresh()
         elif self.is_stale:
-            self._follow()
+            self.is_stale = False
+            try:
+                self.follow_inputs()
+            except Exception as error:
+                raise make_loggable(error) from error
         if max(vrs, default=0) >= self.output_slice.stop:
             self._check_kind(vrs, "Real")
         values = self.values
@@ -144,7 +148,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         if self.phase is STEP:
             self.is_stale = True
         else:
-            self._mark(vrs)
+            self.host_values.update(vrs)
+            self.current = False
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         self._set_parameters(vrs, values, "Boolean")
@@ -152,13 +157,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def set_string(self, vrs: list[int], values: list[str]) -> None:
         self._set_parameters(vrs, values, "String")
 
-    def _follow(self) -> None:
-        """Write the outputs of new inputs."""
-        self.is_stale = False
-        try:
-            self.follow_inputs()
-        except Exception as error:
-            raise make_loggable(error) from error
+    def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:
+        for vr, value in zip(vrs, values, strict=True):
+            self._check_settable(vr, kind)
+            self.values[vr] = value
+        self.host_values.update(vrs)
+        self.current = False
 
     def _get_fmu_state(self) -> dict[str, Any]:
         return {
@@ -182,7 +186,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.is_stale = bool(state.get("is_stale"))
         if self.phase is STEP:
             self.values = list(state["values"])
-            self.initialize(self._collect_values())
+            self._initialize()
             self.restore(state["own"])
         self.values = list(state["values"])
 
@@ -192,26 +196,16 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     # -- internal -------------------------------------------------------------------------------
 
-    def _collect_values(self) -> dict[str, Value]:
-        return {self.ports[vr].name: self.values[vr] for vr in self.host_values}
+    def _initialize(self) -> None:
+        self.initialize({self.ports[vr].name: self.values[vr] for vr in self.host_values})
 
     def _refresh(self) -> None:
         if not self.current:
             try:
-                self.initialize(self._collect_values())
+                self._initialize()
             except Exception as error:
                 raise make_loggable(error) from error
             self.current = True
-
-    def _mark(self, vrs: list[int]) -> None:
-        self.host_values.update(vrs)
-        self.current = False
-
-    def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:
-        for vr, value in zip(vrs, values, strict=True):
-            self._check_settable(vr, kind)
-            self.values[vr] = value
-        self._mark(vrs)
 
     def _check_kind(self, vrs: list[int], kind: Kind) -> None:
         for vr in vrs:

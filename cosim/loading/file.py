@@ -6,7 +6,7 @@ import linecache
 import os.path
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -17,22 +17,21 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.registry import BASE, entry_of, is_model, model_entry, models, resolve
+from cosim.base.registry import BASE, is_model, model_entry, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
 from cosim.loading.declared import make_model
-from cosim.loading.refined import NoNearest, names_refine, refined_file
+from cosim.loading.refined import names_refine, refined_file
 from cosim.loading.source import ModelText
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
-from cosim.storage.files import FilePath, named_path, write_text
+from cosim.storage.files import write_text
 from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 from cosim.terms.language import Term
 
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
-    from cosim.fmi.ports import Value as StartValue
 
 SUBCLASS = "a model is a subclass of cosim.model.Model"
 ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
@@ -373,43 +372,3 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
             f"  {name}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for name, v in values.items()
         ]
     write_text(path, "\n".join(lines) + "\n")
-
-
-def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
-    """Return the model named by the user.
-
-    A refine folder means its refined model, or with `nearest` its nearest model.
-    """
-    if model is None and nearest:
-        raise InputError.at(
-            Path("--nearest"),
-            ("has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"),
-        )
-    if model is None:
-        return load_model(BASE, Path())
-    try:
-        file = refined_file(Path(model), nearest=nearest) if nearest or names_refine(Path(model)) else model
-    except NoNearest as error:
-        raise InputError.at(Path(model), str(error)) from None
-    return load_model(str(file), Path())
-
-
-def designed_starts(
-    design: FilePath | None, model: Model, tell: Callable[[str], None]
-) -> Mapping[str, Mapping[str, StartValue]]:
-    """Return the start values that a design file gives to controllers, by file of an FMU; none without a file.
-
-    Raises:
-        InputError: Every fault of the file, or a model without a controller to design.
-    """
-    if design is None:
-        return {}
-    entry = entry_of(type(model))
-    if entry is None or not entry.design:
-        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
-        reason = f"{model.title} has no controller to design. Models with a controller: {names}"
-        raise InputError.at(Path("--design"), reason)
-    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), model)
-    for warning in warnings:
-        tell(warning)
-    return dict(starts)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim.base.errors import Fault, refuse
-from cosim.fmi.native.platforms import PLATFORMS
+from cosim.fmi.native.compiler import PLATFORMS
 from cosim.verbs.options import Json
 from cosim.verbs.terminal import say, say_json, warn
 
