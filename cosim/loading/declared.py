@@ -85,13 +85,20 @@ def _form_faults(kind: type[Model]) -> Faults:
     for name, item, reason in TUPLES:
         value = getattr(kind, name)
         base = {"catalogue": Effect, "sensors": SensorError}.get(name, object)
-        is_right = _is_tuple_of(value, item) and all(item is not type or issubclass(one, base) for one in value)
-        if not is_right:
-            yield kind, name, reason
-        elif item is type:
-            yield from _label_faults(value)
         if item is type and isinstance(value, (tuple, list)):
             owners += [one for one in value if isinstance(one, type)]
+        if not (_is_tuple_of(value, item) and all(item is not type or issubclass(one, base) for one in value)):
+            yield kind, name, reason
+            continue
+        for owner in value if item is type else ():  # an effect or sensor error
+            for key in ("name", "equation"):
+                if not isinstance(getattr(owner, key, None), str):
+                    yield owner, key, f'{owner.__name__} has no {key}; add {key} = "…"'
+            if "." in (label := str(getattr(owner, "name", ""))):
+                yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
+            for key in ("states", "memory"):
+                if not _is_tuple_of(getattr(owner, key), Quantity):
+                    yield owner, key, f"{key} is a tuple of quantities, {COMMA}"
     for name, key, item, form in MAPPINGS:
         value = getattr(kind, name)
         if not isinstance(value, Mapping) or not (
@@ -106,19 +113,6 @@ def _form_faults(kind: type[Model]) -> Faults:
 
 def _is_tuple_of(value: Any, kind: Any) -> bool:
     return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
-
-
-def _label_faults(owners: Iterable[type]) -> Faults:
-    """Yield faults in the names, equations, states and memory of effects and sensor errors."""
-    for owner in owners:
-        for name in ("name", "equation"):
-            if not isinstance(getattr(owner, name, None), str):
-                yield owner, name, f'{owner.__name__} has no {name}; add {name} = "…"'
-        if "." in (label := str(getattr(owner, "name", ""))):
-            yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
-        for name in ("states", "memory"):
-            if not _is_tuple_of(getattr(owner, name), Quantity):
-                yield owner, name, f"{name} is a tuple of quantities, {COMMA}"
 
 
 def _parameter_faults(kind: type[Model]) -> Faults:
