@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 from cosim.base.units import DISPLAY, unit_definitions
@@ -15,6 +15,7 @@ from cosim.fmi.sampled import AUTHOR, FRAME, TOOL
 from cosim.model.traits import Traits
 
 LICENCE = "MIT"
+KINDS3 = {"Real": "Float64", "Boolean": "Boolean", "String": "String"}
 
 
 @dataclass(frozen=True)
@@ -68,20 +69,10 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
     root.insert(list(root).index(capabilities) + 1, unit_definitions({p.unit for p in about.ports if p.unit}))
     for element in (default_experiment(about), *vendor_annotations(about, "json")):
         root.insert(list(root).index(variables), element)
-    for variable, port in zip(variables, about.ports, strict=True):
-        if port.kind == "Real":
-            set_unit_and_limits(variable[0], port.unit, port.bounds)
-            if "start" in variable[0].attrib:  # pythonfmu prints only 16 of 17 digits.
-                variable[0].set("start", repr(float(port.start)))
-    root.remove(root.find("ModelStructure"))
-    index = {port.name: str(k + 1) for k, port in enumerate(about.ports)}
-    structure = SubElement(root, "ModelStructure")
-    for tag, dependencies in (("Outputs", about.dependencies), ("InitialUnknowns", about.initial_dependencies)):
-        group = SubElement(structure, tag)
-        for port in about.ports:
-            if port.causality == "output":
-                sources = sorted((index[name] for name in dependencies[port.name]), key=int)
-                SubElement(group, "Unknown", index=index[port.name], dependencies=" ".join(sources))
+    for element in (variables, root.find("ModelStructure")):
+        root.remove(element)
+    root.append(model_variables(about))
+    root.append(model_structure(about))
     return xml_bytes(root)
 
 
@@ -134,3 +125,96 @@ def vendor_annotations(about: Description, state: str) -> list[Element]:
         if optional := " ".join(port.name for port in about.ports if port.optional):
             node.set("optional", optional)
     return annotations
+
+
+@dataclass(frozen=True)
+class Local:
+    """A variable of native FMUs only."""
+
+    name: str
+    role: Literal["state", "derivative", "memory", "indicator"]
+    unit: str
+    doc: str
+
+
+def model_variables(about: Description, fmi: int = 2, locals: Sequence[Local] = ()) -> Element:
+    """Return ModelVariables: the ports and the local variables, without event indicators in FMI 2.0."""
+    ports = about.ports
+    variables = Element("ModelVariables")
+    if fmi == 3:  # FMI 3.0 requires the time.
+        reference = str(len(ports) + len(locals))
+        head = {"name": "time", "valueReference": reference, "causality": "independent", "variability": "continuous"}
+        SubElement(variables, "Float64", head)
+
+    def add(kind: str, reference: int, name: str, doc: str, more: dict[str, str]) -> Element:
+        """Add a variable and return the element with the attributes of its type."""
+        head = {"name": name, "valueReference": str(reference), **({"description": doc} if doc else {}), **more}
+        if fmi == 3:
+            return SubElement(variables, KINDS3[kind], head)
+        return SubElement(SubElement(variables, "ScalarVariable", head), kind)
+
+    for k, port in enumerate(ports):
+        more = {"causality": port.causality, "variability": "continuous" if port.kind == "Real" else "discrete"}
+        if port.causality == "parameter":
+            more |= {"variability": "fixed", "initial": "exact"}
+        elif port.causality == "output":
+            more["initial"] = "calculated"
+        node = add(port.kind, k, port.name, port.doc, more)
+        if port.kind == "Real":
+            set_unit_and_limits(node, port.unit, port.bounds)
+        if port.causality == "output":
+            continue
+        if isinstance(port.start, str):
+            start = port.start
+        else:
+            start = str(port.start).lower() if isinstance(port.start, bool) else repr(float(port.start))
+        if port.kind == "String" and fmi == 3:
+            SubElement(node, "Start", value=start)
+        else:
+            node.set("start", start)
+    rates = [v.name for v in locals if v.role == "derivative"]
+    for k, v in enumerate(locals, len(ports)):
+        if v.role == "indicator" and fmi == 2:
+            continue
+        variability = "discrete" if v.role == "memory" else "continuous"
+        node = add(
+            "Real", k, v.name, v.doc, {"causality": "local", "variability": variability, "initial": "calculated"}
+        )
+        set_unit_and_limits(node, v.unit)
+        if v.role == "derivative":
+            # States come first. FMI 2.0 counts variables from 1.
+            node.set("derivative", str(len(ports) + rates.index(v.name) + (fmi == 2)))
+    return variables
+
+
+def model_structure(
+    about: Description,
+    fmi: int = 2,
+    locals: Sequence[Local] = (),
+    dependencies: Mapping[str, Sequence[str]] | None = None,
+) -> Element:
+    """Return ModelStructure with dependencies, by default those of the description."""
+    numbers = {v.name: k + (fmi == 2) for k, v in enumerate((*about.ports, *locals))}
+    states, rates, indicators = ([v.name for v in locals if v.role == r] for r in ("state", "derivative", "indicator"))
+    outputs = [p.name for p in about.ports if p.causality == "output"]
+    dependencies, starting = dependencies or about.dependencies, about.initial_dependencies
+    initial = {**{n: starting[n] for n in outputs}, **dict.fromkeys((*states, *rates))}
+    structure = Element("ModelStructure")
+
+    def add(parent: Element, tag: str, unknowns: Mapping[str, Sequence[str] | None]) -> None:
+        for name, sources in unknowns.items():
+            node = SubElement(parent, tag, {"index" if fmi == 2 else "valueReference": str(numbers[name])})
+            if sources is not None:
+                node.set("dependencies", " ".join(map(str, sorted(numbers[n] for n in sources))))
+
+    if fmi == 2:
+        add(SubElement(structure, "Outputs"), "Unknown", {n: dependencies[n] for n in outputs})
+        if rates:
+            add(SubElement(structure, "Derivatives"), "Unknown", {n: dependencies[n] for n in rates})
+        add(SubElement(structure, "InitialUnknowns"), "Unknown", initial)
+    else:
+        add(structure, "Output", {n: dependencies[n] for n in outputs})
+        add(structure, "ContinuousStateDerivative", {n: dependencies[n] for n in rates})
+        add(structure, "InitialUnknown", initial)
+        add(structure, "EventIndicator", dict.fromkeys(indicators))
+    return structure

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from pythonfmu import Boolean, Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real, String
+from pythonfmu import Boolean, Fmi2Slave, Real, String
 
 from cosim.fmi.ports import Kind, Port, Value
 from cosim.fmi.state import to_bytes
@@ -50,8 +50,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.start_time = 0.0
         self.input_count = sum(p.causality == "input" for p in self.ports)
         self.output_slice = slice(self.input_count, self.input_count + sum(p.causality == "output" for p in self.ports))
-        for port in self.ports:
-            self.register_variable(self._variable(port))
+        for port in self.ports:  # The model description is written from the ports.
+            self.register_variable(TYPES[port.kind](port.name), nested=False)
 
     # -- methods of subclasses -----------------------------------------------------------------
 
@@ -219,17 +219,3 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             raise ValueError(f"{port.name} is an output")
         if self.phase is STEP and port.causality == "parameter":
             raise ValueError(f"{port.name} is a fixed parameter; set it before the end of initialization")
-
-    def _variable(self, port: Port) -> Any:
-        vr = len(self.vars)
-        fixed = Fmi2Variability.fixed if port.causality == "parameter" else None
-        discrete = Fmi2Variability.discrete if port.kind != "Real" and fixed is None else None
-        initial = {"output": Fmi2Initial.calculated, "parameter": Fmi2Initial.exact}.get(port.causality)
-        return TYPES[port.kind](
-            port.name,
-            causality=Fmi2Causality[port.causality],
-            variability=fixed or discrete or Fmi2Variability.continuous,
-            initial=initial,
-            description=port.doc,
-            getter=lambda: self.values[vr],
-        )

@@ -4,33 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
 
 from cosim.base.units import unit_definitions
 from cosim.fmi.model_description import (
     LICENCE,
     Description,
+    Local,
     default_experiment,
+    model_structure,
+    model_variables,
     naming_convention,
-    set_unit_and_limits,
     vendor_annotations,
     xml_bytes,
 )
 from cosim.fmi.sampled import AUTHOR, TOOL
 
-KINDS3 = {"Real": "Float64", "Boolean": "Boolean", "String": "String"}
 LOG = {"logStatusWarning": "what the model was not made for", "logStatusError": "why a call was refused"}
-
-
-@dataclass(frozen=True)
-class Local:
-    """A variable of native FMUs only."""
-
-    name: str
-    role: Literal["state", "derivative", "memory", "indicator"]
-    unit: str
-    doc: str
 
 
 @dataclass(frozen=True)
@@ -99,89 +89,11 @@ def describe_native(native: Native, fmi: int, identifier: str, version: str, gui
     vendors = vendor_annotations(about, "doubles")
     if is2:
         root.extend(vendors)
-    root.append(_variables(native, fmi))
-    root.append(_structure(native, fmi, names))
+    root.append(model_variables(about, fmi, native.locals))
+    root.append(model_structure(about, fmi, native.locals, native.dependencies))
     if vendors and not is2:
         annotations = SubElement(root, "Annotations")
         for vendor in vendors:
             (tool,) = vendor
             SubElement(annotations, "Annotation", type=TOOL).extend(tool)
     return xml_bytes(root)
-
-
-def _variables(native: Native, fmi: int) -> Element:
-    """Return ModelVariables: the ports and the local variables, without event indicators in FMI 2.0."""
-    ports = native.about.ports
-    variables = Element("ModelVariables")
-    if fmi == 3:  # FMI 3.0 requires the time.
-        reference = str(len(ports) + len(native.locals))
-        head = {"name": "time", "valueReference": reference, "causality": "independent", "variability": "continuous"}
-        SubElement(variables, "Float64", head)
-
-    def add(kind: str, reference: int, name: str, doc: str, more: dict[str, str]) -> Element:
-        """Add a variable and return the element with the attributes of its type."""
-        head = {"name": name, "valueReference": str(reference), **({"description": doc} if doc else {}), **more}
-        if fmi == 3:
-            return SubElement(variables, KINDS3[kind], head)
-        return SubElement(SubElement(variables, "ScalarVariable", head), kind)
-
-    for k, port in enumerate(ports):
-        more = {"causality": port.causality, "variability": "continuous" if port.kind == "Real" else "discrete"}
-        if port.causality == "parameter":
-            more |= {"variability": "fixed", "initial": "exact"}
-        elif port.causality == "output":
-            more["initial"] = "calculated"
-        node = add(port.kind, k, port.name, port.doc, more)
-        if port.kind == "Real":
-            set_unit_and_limits(node, port.unit, port.bounds)
-        if port.causality == "output":
-            continue
-        if isinstance(port.start, str):
-            start = port.start
-        else:
-            start = str(port.start).lower() if isinstance(port.start, bool) else repr(float(port.start))
-        if port.kind == "String" and fmi == 3:
-            SubElement(node, "Start", value=start)
-        else:
-            node.set("start", start)
-    rates = native.named("derivative")
-    for k, v in enumerate(native.locals, len(ports)):
-        if v.role == "indicator" and fmi == 2:
-            continue
-        variability = "discrete" if v.role == "memory" else "continuous"
-        node = add(
-            "Real", k, v.name, v.doc, {"causality": "local", "variability": variability, "initial": "calculated"}
-        )
-        set_unit_and_limits(node, v.unit)
-        if v.role == "derivative":
-            # States come first. FMI 2.0 counts variables from 1.
-            node.set("derivative", str(len(ports) + rates.index(v.name) + (fmi == 2)))
-    return variables
-
-
-def _structure(native: Native, fmi: int, names: Sequence[str]) -> Element:
-    """Return ModelStructure with dependencies."""
-    numbers = {name: k + (fmi == 2) for k, name in enumerate(names)}
-    states, rates = native.named("state"), native.named("derivative")
-    outputs = [p.name for p in native.about.ports if p.causality == "output"]
-    dependencies, starting = native.dependencies or native.about.dependencies, native.about.initial_dependencies
-    initial = {**{n: starting[n] for n in outputs}, **dict.fromkeys((*states, *rates))}
-    structure = Element("ModelStructure")
-
-    def add(parent: Element, tag: str, unknowns: Mapping[str, Sequence[str] | None]) -> None:
-        for name, sources in unknowns.items():
-            node = SubElement(parent, tag, {"index" if fmi == 2 else "valueReference": str(numbers[name])})
-            if sources is not None:
-                node.set("dependencies", " ".join(map(str, sorted(numbers[n] for n in sources))))
-
-    if fmi == 2:
-        add(SubElement(structure, "Outputs"), "Unknown", {n: dependencies[n] for n in outputs})
-        if rates:
-            add(SubElement(structure, "Derivatives"), "Unknown", {n: dependencies[n] for n in rates})
-        add(SubElement(structure, "InitialUnknowns"), "Unknown", initial)
-    else:
-        add(structure, "Output", {n: dependencies[n] for n in outputs})
-        add(structure, "ContinuousStateDerivative", {n: dependencies[n] for n in rates})
-        add(structure, "InitialUnknown", initial)
-        add(structure, "EventIndicator", dict.fromkeys(native.named("indicator")))
-    return structure

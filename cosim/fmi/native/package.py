@@ -12,9 +12,10 @@ from cosim.base.drafts import draft_of
 from cosim.base.version import __version__
 from cosim.fmi.documentation import documentation
 from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
+from cosim.fmi.model_description import Local
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.compiler import PLATFORMS, commands, fmi_headers, glibc_floor, library_of
-from cosim.fmi.native.native_description import Local, Native, describe_native
+from cosim.fmi.native.native_description import Native, describe_native
 from cosim.fmi.native.printing import ModelPrinter
 from cosim.fmi.ports import model_ports
 from cosim.model.model import Model
