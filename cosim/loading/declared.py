@@ -23,7 +23,7 @@ from cosim.model.gain import Gain
 from cosim.model.model import INTEGRATORS, Effect, Model, Validity, overrides
 from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import Quantity, parameters_of
-from cosim.model.sensors import Drift, LeverArm, SensorError
+from cosim.model.sensors import LeverArm, SensorError
 from cosim.storage.yaml_file import did_you_mean
 
 Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
@@ -51,7 +51,7 @@ MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and 
 def make_model(kind: type[Model], source: ModelText) -> Model:
     """Return a model with default parameters; raise InputError with all faults of its class."""
     refuse(source.fault(*fault) for fault in _form_faults(kind))
-    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind), *_static_faults(kind)]
+    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind)]
     values = [*_parameter_faults(kind)]
     faults = [source.fault(*f) for f in (*declared, *_name_faults(kind), *_number_faults(kind), *values)]
     if not values:
@@ -295,19 +295,3 @@ def _delay_faults(kind: type[Model]) -> Faults:
             yield owner, "memory", f"{owner.name} delays {counts}; give it one for each input, in their order"
         if owner is not delays[0]:
             yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; let one of them do it"
-
-
-def _static_faults(kind: type[Model]) -> Faults:
-    """Yield faults of time-dependent effects without states."""
-    if kind.base_states:
-        return
-    table = f"{kind.__name__} has no states, so each row of its tables is independent of the others"
-    for owner in kind.catalogue:
-        if owner.states or owner.memory or owner.delay:
-            yield owner, "", f"{table}; {owner.name} keeps what was before: leave it out, or give the model a state"
-        elif owner.shape is not Effect.shape:
-            reason = "shapes what acts on states: let it act in the output, by a hook of your own"
-            yield owner, "", f"{kind.__name__} has no states, and {owner.name} {reason}"
-    for sensor in kind.sensors:
-        if sensor.depends_on_past() or issubclass(sensor, Drift):
-            yield sensor, "", f"{table}; {sensor.name} depends on time: leave it out, or give the model a state"

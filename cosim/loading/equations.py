@@ -44,8 +44,6 @@ def equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
 
     No effect is active on floats. All effects are active on symbols, for both values of Boolean parameters.
     """
-    import sympy
-
     trial = _Trial(source)
     model = trial.attempt("cannot be made", kind)
     if model is FAILED:
@@ -66,14 +64,9 @@ def equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
         s = trial.attempt("cannot be made of symbols", symbolic, model, flag)
         if s is FAILED:
             break
-        m, symbols, count = SymbolNamespace(), (s.time, s.state, s.command), len(trial.faults)
+        m = SymbolNamespace()
         trial.attempt("`start_state` raises", s.model.start_state, m)
-        _try_equations(trial, s.model, m, symbols, _symbol_objection)
-        if len(trial.faults) == count and not s.model.base_states:
-            outputs = s.model.equations(m).output(*symbols)
-            if any(s.time in sympy.sympify(value).free_symbols for value in outputs):
-                table = f"{kind.__name__} has no states, so each row of its tables is independent of the others"
-                trial.note(kind, "equations", f"{table}; let no output depend on time")
+        _try_equations(trial, s.model, m, (s.time, s.state, s.command), _symbol_objection)
     return trial.faults
 
 

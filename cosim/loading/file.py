@@ -37,15 +37,13 @@ SUBCLASS = "a model is a subclass of cosim.model.Model"
 ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
 
 
-NUMBER_OR_SWITCH = "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
-
-
 def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
     """Return a number or a switch, with a single message on failure."""
     try:
         return inner(value)
     except ValidationError:
-        raise ValueError(NUMBER_OR_SWITCH) from None
+        cure = "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
+        raise ValueError(cure) from None
 
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -134,22 +132,27 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     Raises:
         InputError: Every fault of the model.
     """
+
+    def refusal(file: Path, *messages: str) -> InputError:
+        at = named_in
+        return InputError([at.fault(("model",), m) if at else Fault(file, 0, 0, m) for m in messages])
+
     if text == BASE or is_model(text):
         try:
             return LoadedModel(named_model(text), model_entry(text).name)
         except InputError as error:
-            faults = [named_in.fault(("model",), f.message) for f in error.faults] if named_in else error.faults
-            raise InputError(faults) from None
+            if named_in is None:
+                raise
+            raise refusal(folder, *(f.message for f in error.faults)) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
     path = folder / file
     if named_in and not path.is_file():
-        raise InputError([named_in.fault(("model",), f"no such model: {text}; {ALLOWED}")])
+        raise refusal(path, f"no such model: {text}; {ALLOWED}")
     if own:
         return LoadedModel(own_model(text, folder), _absolute(text, folder))
     if path.suffix == ".py":
         kind = (ModelText(path).classes or ["Class"])[-1]
-        message = f"names no class: write {text}:{kind}; {ALLOWED}"
-        raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
+        raise refusal(path, f"names no class: write {text}:{kind}; {ALLOWED}")
     if not path.exists():
         raise InputError.at(path, f"no such file; {ALLOWED}")
     return read_model(path)
@@ -224,34 +227,20 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     """Return a model.yaml's model with default parameters."""
     if is_model(content.model):
         return named_model(content.model)
-    registered = registered_names(MODEL_GROUP)
+    registered, file = registered_names(MODEL_GROUP), yaml.path.parent / content.model.rpartition(":")[0]
     names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
-    allowed = f"a model is {', '.join(names)}"
+    message = f"no such file: {file}"
     if not re.fullmatch(r".+\.py:\w+", content.model):
-        cure = did_you_mean(content.model, registered)
-        message = f'no model "{content.model}"{cure}; {allowed}'
-        raise InputError([yaml.fault(("model",), message)])
-    file = yaml.path.parent / content.model.rpartition(":")[0]
-    if not file.is_file():
-        raise InputError([yaml.fault(("model",), f"no such file: {file}; {allowed}")])
-    return own_model(content.model, yaml.path.parent)
+        message = f'no model "{content.model}"{did_you_mean(content.model, registered)}'
+    elif file.is_file():
+        return own_model(content.model, yaml.path.parent)
+    raise InputError([yaml.fault(("model",), f"{message}; a model is {', '.join(names)}")])
 
 
 def _absolute(text: str, folder: Path) -> str:
     """Return `file.py:Class` with an absolute path, for model files in other folders."""
     file, _, name = text.rpartition(":")
     return f"{(folder / file).resolve()}:{name}"
-
-
-def _relative(source: str, folder: Path) -> str:
-    """Return a model's source with its path relative to a folder, so that both can be moved together.
-
-    The path stays absolute unless the folder is at or below the folder of the source.
-    """
-    file, _, name = source.rpartition(":")
-    if not file or not folder.is_relative_to(Path(file).parent):
-        return source
-    return f"{Path(os.path.relpath(file, folder)).as_posix()}:{name}"
 
 
 def own_model(text: str, folder: Path) -> Model:
@@ -361,7 +350,11 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
     Args:
         folder: Final folder, if the file will be moved.
     """
-    lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
+    source, within = loaded.source, (folder or path.parent).resolve()
+    file, _, name = source.rpartition(":")
+    if file and within.is_relative_to(Path(file).parent):  # so that both can be moved together
+        source = f"{Path(os.path.relpath(file, within)).as_posix()}:{name}"
+    lines = ["schema_version: 1", f"model: {source}"]
     if loaded.model.chosen_substep is not None:
         lines.append(f"substep: {loaded.model.chosen_substep!r}")
     if loaded.model.chosen_integrator is not None:
