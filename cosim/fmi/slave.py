@@ -32,7 +32,13 @@ def make_loggable(error: Exception) -> Exception:
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     """FMU in Python, its variables stored by value reference.
 
-    Subclasses provide `ports`, `initialize`, `advance`, `snapshot` and `restore`.
+    Subclasses provide `ports` and four methods:
+
+        initialize(values): Initialize from values set by the host, and write the outputs. Called after every change of
+            a value.
+        advance(t, h): Step from `t` to `t + h` [s] with held inputs, and write outputs.
+        snapshot(): Return the state beyond the variables' values as JSON types.
+        restore(snapshot): Restore the state from a snapshot.
     """
 
     ports: ClassVar[tuple[Port, ...]]
@@ -53,26 +59,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         for port in self.ports:  # The model description is written from the ports.
             self.register_variable(TYPES[port.kind](port.name), nested=False)
 
-    # -- methods of subclasses -----------------------------------------------------------------
-
-    def initialize(self, values: dict[str, Value]) -> None:
-        """Initialize from values set by the host, and write the outputs. Called after every change of a value."""
-        raise NotImplementedError
-
-    def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s] with held inputs, and write outputs."""
-        raise NotImplementedError
-
     def follow_inputs(self) -> None:
         """Write the outputs that follow new inputs at once, without a step; those of a sampled FMU do not."""
-
-    def snapshot(self) -> Any:
-        """Return state beyond the variables' values as JSON types."""
-        raise NotImplementedError
-
-    def restore(self, snapshot: Any) -> None:
-        """Restore the state from a snapshot."""
-        raise NotImplementedError
 
     @property
     def inputs(self) -> tuple[Any, ...]:
