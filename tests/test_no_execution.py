@@ -29,7 +29,6 @@ from plant.hovercraft import Hovercraft
 class Craft(Hovercraft):
     pass
 """
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 Named = Callable[[Path], "Path | str"]  # makes a file that names evil.py, in a folder
 
 
