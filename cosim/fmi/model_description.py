@@ -194,7 +194,8 @@ def model_structure(
     dependencies: Mapping[str, Sequence[str]] | None = None,
 ) -> Element:
     """Return ModelStructure with dependencies, by default those of the description."""
-    numbers = {v.name: k + (fmi == 2) for k, v in enumerate((*about.ports, *locals))}
+    variables: list[Port | Local] = [*about.ports, *locals]
+    numbers = {v.name: k + (fmi == 2) for k, v in enumerate(variables)}
     states, rates, indicators = ([v.name for v in locals if v.role == r] for r in ("state", "derivative", "indicator"))
     outputs = [p.name for p in about.ports if p.causality == "output"]
     dependencies, starting = dependencies or about.dependencies, about.initial_dependencies

@@ -91,14 +91,14 @@ def _form_faults(kind: type[Model]) -> Faults:
             yield kind, name, reason
             continue
         for owner in value if item is type else ():  # an effect or sensor error
-            for key in ("name", "equation"):
-                if not isinstance(getattr(owner, key, None), str):
-                    yield owner, key, f'{owner.__name__} has no {key}; add {key} = "…"'
+            for label in ("name", "equation"):
+                if not isinstance(getattr(owner, label, None), str):
+                    yield owner, label, f'{owner.__name__} has no {label}; add {label} = "…"'
             if "." in (label := str(getattr(owner, "name", ""))):
                 yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
-            for key in ("states", "memory"):
-                if not _is_tuple_of(getattr(owner, key), Quantity):
-                    yield owner, key, f"{key} is a tuple of quantities, {COMMA}"
+            for group in ("states", "memory"):
+                if not _is_tuple_of(getattr(owner, group), Quantity):
+                    yield owner, group, f"{group} is a tuple of quantities, {COMMA}"
     for name, key, item, form in MAPPINGS:
         value = getattr(kind, name)
         if not isinstance(value, Mapping) or not (

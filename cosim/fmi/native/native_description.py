@@ -18,6 +18,7 @@ from cosim.fmi.model_description import (
     vendor_annotations,
     xml_bytes,
 )
+from cosim.fmi.ports import Port
 from cosim.fmi.sampled import AUTHOR, TOOL
 
 LOG = {"logStatusWarning": "what the model was not made for", "logStatusError": "why a call was refused"}
@@ -55,7 +56,7 @@ class Native:
 def describe_native(native: Native, fmi: int, identifier: str, version: str, guid: str) -> bytes:
     """Return modelDescription.xml of FMI 2.0 or 3.0; that of 2.0 names the sources in `all.c`."""
     about, is2 = native.about, fmi == 2
-    names = [v.name for v in (*about.ports, *native.locals)]
+    variables: list[Port | Local] = [*about.ports, *native.locals]
     states = native.named("state")
     root = Element("fmiModelDescription", {"fmiVersion": f"{fmi}.0", "modelName": native.name})
     root.attrib |= {
@@ -66,7 +67,7 @@ def describe_native(native: Native, fmi: int, identifier: str, version: str, gui
         "copyright": AUTHOR,
         "license": LICENCE,
         "generationTool": f"{TOOL} {version}",
-        "variableNamingConvention": naming_convention(names),
+        "variableNamingConvention": naming_convention(v.name for v in variables),
     }
     state = "FMUstate" if is2 else "FMUState"
     common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
@@ -81,7 +82,7 @@ def describe_native(native: Native, fmi: int, identifier: str, version: str, gui
     SubElement(root, "CoSimulation", common | steps)
     for interface in root if is2 else ():
         SubElement(SubElement(interface, "SourceFiles"), "File", name="all.c")
-    root.append(unit_definitions({v.unit for v in (*about.ports, *native.locals) if v.unit}))
+    root.append(unit_definitions({v.unit for v in variables if v.unit}))
     categories = SubElement(root, "LogCategories")
     for category, meaning in LOG.items():
         SubElement(categories, "Category", name=category, description=meaning)

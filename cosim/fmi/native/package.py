@@ -10,8 +10,8 @@ from typing import Any
 
 from cosim.base.drafts import draft_of
 from cosim.base.version import __version__
-from cosim.fmi.documentation import documentation
-from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
+from cosim.fmi.documentation import ASSETS, documentation
+from cosim.fmi.fmu_build import Recipe, digest, write_zip
 from cosim.fmi.model_description import Local
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.compiler import PLATFORMS, commands, fmi_headers, glibc_floor, library_of

@@ -296,7 +296,8 @@ class ModelPrinter:
         for name, quantities in starts.items():
             text += table("int", name, [str(self.place[f"{q}_start"]) for q in quantities])
         inputs = [q.name for q in self.model.inputs]
-        range_inputs, ranges = [], []
+        range_inputs: list[str] = []
+        ranges: list[str] = []
         for v in self.model.valid:
             sizes = f"{len(range_inputs)}, {len(v.inputs)}, {number(v.low)}, {number(v.high)}"
             ranges.append(f"{{{quote(v.quantity)}, {sizes}, {quote(v.beyond)}}}")
