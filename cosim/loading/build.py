@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from shutil import copyfile
-from typing import TYPE_CHECKING
 
 from cosim.base.drafts import draft_of
-from cosim.base.errors import InputError
-from cosim.base.registry import BASE, entry_of, is_model, models, resolve
+from cosim.base.registry import entry_of, is_model, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import ModelName, Names
-from cosim.loading.file import LoadedModel, load_model
-from cosim.loading.refined import NoNearest, names_refine, refined_file
-from cosim.loading.substep import with_substep
+from cosim.loading.build_native import build_native, designed_model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.yaml_file import YamlFile
-
-if TYPE_CHECKING:
-    from cosim.fmi.ports import Value
 
 PLANT = "plant.fmu"
 
@@ -60,8 +52,6 @@ def build(
     folder = named_path(folder)
     check_folder(folder)
     if native:
-        from cosim.loading.build_native import build_native
-
         natives = build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms, design=design, tell=tell)
         return [fmu.path for fmu in natives]
 
@@ -82,36 +72,3 @@ def build(
             with draft_of(folder / name) as target:
                 copyfile(draft, target)
     return [folder / name for name in recipes]
-
-
-def designed_model(
-    text: str | None, nearest: bool, design: FilePath | None, tell: Callable[[str], None]
-) -> tuple[LoadedModel, Mapping[str, Mapping[str, Value]]]:
-    """Return the named model, and the start values that a design file gives to controllers, by file of an FMU.
-
-    A refine folder means its refined model, or with `nearest` its nearest model.
-
-    Raises:
-        InputError: Every fault of the model or file, or a model without a controller to design.
-    """
-    if text is None and nearest:
-        reason = "has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"
-        raise InputError.at(Path("--nearest"), reason)
-    file: str | Path = BASE if text is None else text
-    if text is not None and (nearest or names_refine(Path(text))):
-        try:
-            file = refined_file(Path(text), nearest=nearest)
-        except NoNearest as error:
-            raise InputError.at(Path(text), str(error)) from None
-    loaded, _ = with_substep(load_model(str(file), Path()))
-    if design is None:
-        return loaded, {}
-    entry = entry_of(type(loaded.model))
-    if entry is None or not entry.design:
-        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
-        reason = f"{loaded.model.title} has no controller to design. Models with a controller: {names}"
-        raise InputError.at(Path("--design"), reason)
-    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), loaded.model)
-    for warning in warnings:
-        tell(warning)
-    return loaded, dict(starts)

@@ -10,16 +10,17 @@ from weakref import WeakKeyDictionary
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.registry import is_model, model_entry, resolve
+from cosim.base.registry import BASE, entry_of, is_model, model_entry, models, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.fmi.native.compiler import PLATFORMS, CompilerFailed, NoCompiler, commands
 from cosim.fmi.ports import Value
-from cosim.loading.build import designed_model
-from cosim.loading.file import LoadedModel
+from cosim.loading.file import LoadedModel, load_model
+from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import ModelText
+from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.yaml_file import did_you_mean
+from cosim.storage.yaml_file import YamlFile, did_you_mean
 
 if TYPE_CHECKING:
     from cosim.fmi.native.native_description import Native
@@ -138,3 +139,36 @@ def _check_compiler(platforms: Sequence[str]) -> None:
         commands(tuple(platforms))
     except NoCompiler as error:
         raise InputError.at(Path("--native"), str(error)) from None
+
+
+def designed_model(
+    text: str | None, nearest: bool, design: FilePath | None, tell: Callable[[str], None]
+) -> tuple[LoadedModel, Mapping[str, Mapping[str, Value]]]:
+    """Return the named model, and the start values that a design file gives to controllers, by file of an FMU.
+
+    A refine folder means its refined model, or with `nearest` its nearest model.
+
+    Raises:
+        InputError: Every fault of the model or file, or a model without a controller to design.
+    """
+    if text is None and nearest:
+        reason = "has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"
+        raise InputError.at(Path("--nearest"), reason)
+    file: str | Path = BASE if text is None else text
+    if text is not None and (nearest or names_refine(Path(text))):
+        try:
+            file = refined_file(Path(text), nearest=nearest)
+        except NoNearest as error:
+            raise InputError.at(Path(text), str(error)) from None
+    loaded, _ = with_substep(load_model(str(file), Path()))
+    if design is None:
+        return loaded, {}
+    entry = entry_of(type(loaded.model))
+    if entry is None or not entry.design:
+        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
+        reason = f"{loaded.model.title} has no controller to design. Models with a controller: {names}"
+        raise InputError.at(Path("--design"), reason)
+    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), loaded.model)
+    for warning in warnings:
+        tell(warning)
+    return loaded, dict(starts)
