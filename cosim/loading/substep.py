@@ -95,14 +95,14 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         return loaded, []
     mode = max((mode for mode, _ in modes), key=lambda m: m.speed)
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
-    too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
+    too_fast, integrator = model.integrator == AUTO and count > MOST_SUBSTEPS, model.chosen_integrator
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
         substep, integrator = fastest.stiff_substep(), STIFF
         note = Note(f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}")
     elif count > MOST_SUBSTEPS:
         raise InputError([text.fault(type(model), "", _stiff(model, mode))])
     else:
-        substep, integrator = model.rate / count, model.chosen_integrator
+        substep = model.rate / count
         note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
     return replace(loaded, model=model.with_substep(substep, integrator)), [note]
 
