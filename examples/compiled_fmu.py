@@ -12,8 +12,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from cosim.fmi.native.compiler import NoCompiler, fmi_headers, library_command
-from cosim.fmi.native.platforms import this_platform
+from cosim.fmi.native.compiler import NoCompiler, fmi_headers, library_command, this_platform
 
 OPTIONS = ("-std=c99", "-O2", "-w", "-s", "-ffp-contract=off")
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from controller.design_model import design_model, discrete_model, fix_matrix, measurement_matrix
 from controller.settings import ESTIMATORS, Settings
-from cosim.fmi.native.layout import VariableLayout
-from cosim.fmi.native.package import Native, part
-from cosim.fmi.native.printing import LANGUAGE, GeneratedSources, quote, variable_tables
+from cosim.fmi.native.native_description import Native
+from cosim.fmi.native.package import part
+from cosim.fmi.native.printing import LANGUAGE, quote, variable_tables
 from cosim.fmi.ports import Value
 from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE
@@ -90,13 +90,8 @@ def controller_native(starts: Mapping[str, Value] | None = None) -> Native:
     }
     counts = {"states": STATES, "commands": COMMANDS, "measured": MEASURED, "fixed": FIXED}
     body = "".join((tables, DESIGN % counts, NAMES % place, _design(place)))
-    return Native(
-        "HovercraftController",
-        VariableLayout(recipe.about),
-        GeneratedSources(body, sizes),
-        {n: part(n) for n in ("filter.c", "steps_only.c")},
-        recipe.text,
-    )
+    parts = {n: part(n) for n in ("filter.c", "steps_only.c")}
+    return Native("HovercraftController", recipe.about, body, sizes, parts, recipe.text)
 
 
 def _design(place: dict[str, int]) -> str:

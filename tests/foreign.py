@@ -2,7 +2,7 @@
 
 Whatever FMUs with a library for this platform lie in the folders are run alone, in every way that they offer, by
 both at the tolerance and step of their default experiment; what they record is compared row by row. Each FMU runs
-in a process of its own, for some crash. Prints a table in Markdown and, with --json FILE, leaves it as data.
+in a process of its own, for some crash. Prints a table in Markdown.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -204,29 +203,6 @@ def ways_of(path: Path) -> list[str]:
     return [way for way, tag in known if tag in text] or ["co-simulation"]
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The matrix in Markdown."""
-    lines = [
-        "| FMU | made by | FMI | way | FMPy | cosim | rows | largest difference |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        difference = row.get("difference")
-        shown = "" if difference is None else "0" if difference == 0 else f"{difference:.1e} ({row['where']})"
-        shown += f"; FMPy from itself {row['itself']:.1e}" if "itself" in row else ""
-        shown += f"; not compared: {', '.join(row['missing'])}" if row.get("missing") else ""
-        number = "" if "rows_cosim" not in row else f"{row['rows_cosim']}"
-        if "rows" in row and "rows_cosim" in row and row["rows"] != row["rows_cosim"]:
-            number += f" (FMPy {row['rows']})"
-        short = {key: " ".join(row.get(key, "").split()).replace("|", "/")[:110] for key in ("fmpy", "cosim")}
-        name = f"{row['fmu']} ({row['sha256'][:6]})" if "sha256" in row else row["fmu"]
-        tool = " ".join(row.get("tool", "?").split())[:40]
-        fmi = row.get("fmi", "?")
-        cells = (name, tool, fmi, row["way"], short["fmpy"], short["cosim"], number, shown)
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
 def page(rows: list[dict[str, Any]]) -> str:
     """Return the table with a row per FMU; docs/foreign-fmus.md has the sums by tool."""
     lines = ["| FMU | made by | FMI | co-simulation | model exchange |", "|---|---|---|---|---|"]
@@ -275,29 +251,18 @@ def summary(rows: list[dict[str, Any]]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--page", action="store_true", help="end with the table of the docs")
-    parser.add_argument("--from", dest="read", type=Path, help="show what --json left, without running")
     parser.add_argument("--one", nargs=3, metavar=("FMU", "WAY", "ANSWER"))
-    parser.add_argument("--only", default="", help="part of the FMU's path")
     given = parser.parse_args()
     if given.one:
         path, way, answer = given.one
         Path(answer).write_text(json.dumps(one(Path(path), way)))
         return 0
-    rows = [] if given.read is None else json.loads(given.read.read_text())
+    rows = []
     for path in fmus_in(given.folders):
-        if given.only in str(path):
-            for way in ways_of(path):
-                rows.append(measured(path, way))
-                print(table(rows[-1:]).splitlines()[-1], flush=True)
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1))
-    print(f"\n{page(rows)}\n" if given.page else "")
-    print(f"FMPy {version('fmpy')}, Python {sys.version.split()[0]}, {sys.platform}")
-    print(summary(rows))
-    lost = Counter(r["fmu"] for r in rows if r.get("fmpy") == "runs" and r.get("cosim") != "runs")
-    return 1 if lost else 0
+        rows += [measured(path, way) for way in ways_of(path)]
+        print(path.name, file=sys.stderr, flush=True)
+    print(f"{page(rows)}\n\nFMPy {version('fmpy')}, Python {sys.version.split()[0]}, {sys.platform}\n{summary(rows)}")
+    return int(any(r.get("fmpy") == "runs" and r.get("cosim") != "runs" for r in rows))
 
 
 if __name__ == "__main__":

@@ -52,16 +52,12 @@ LOOPS = {  # column → plant, controller
 
 @dataclass(frozen=True)
 class Host:
-    """A simulator: why it is not here, "" where it is; what it makes of a job, rows; whether it reads SSPs.
-
-    fmus: it runs FMUs alone
-    """
+    """A simulator: why it is not here, "" where it is; what it makes of a job, rows; whether it reads SSPs."""
 
     name: str
     missing: Callable[[], str]
     rows: Callable[[dict[str, Any]], np.ndarray] | None = None
     ssps: bool = True
-    fmus: bool = True
 
 
 class Refused(Exception):
@@ -122,11 +118,6 @@ def needs(package: str) -> Callable[[], str]:
     return lambda: "" if importlib.util.find_spec(package) else f"not here: pip install {package}"
 
 
-def undriven(found: Any, why: str) -> str:
-    """Return the text for a host that this script cannot drive."""
-    return "here, but not driven by this script" if found else f"not here: {why}"
-
-
 def ecos_needs() -> str:
     return needs("ecospy")() or ("" if list(LIBRARIES.glob("libtbb.so*")) else "not here: pip install tbb")
 
@@ -141,22 +132,16 @@ HOSTS = (
         checker_rows,
         ssps=False,
     ),
-    Host("fmusim", lambda: undriven(shutil.which("fmusim"), "cargo builds modelica/fmusim, with crates of crates.io")),
-    Host("OMSimulator", lambda: undriven(shutil.which("OMSimulator"), "it comes with OpenModelica")),
-    Host("PyFMI", lambda: undriven(importlib.util.find_spec("pyfmi"), "it comes with conda")),
 )
 PACKAGES = {"FMPy": "fmpy", "libcosim": "libcosimpy", "ecos": "ecospy"}
 
 
 def shown_version(host: Host) -> str:
-    """A host's name with its version."""
-    if host.name in PACKAGES and not host.missing():
-        package = PACKAGES[host.name]
-        return f"{host.name} {version(package)}" if package == "fmpy" else f"{host.name} ({package} {version(package)})"
-    if host.name == "FMUComplianceChecker" and not host.missing():
-        said = subprocess.run([str(checker()), "-v"], capture_output=True, text=True, check=False).stdout
-        return f"{host.name} {said.split('checker ')[1].split()[0]}" if "checker " in said else host.name
-    return host.name
+    """A host's name with the version of its package."""
+    if host.name not in PACKAGES or host.missing():
+        return host.name
+    package = PACKAGES[host.name]
+    return f"{host.name} {version(package)}" if package == "fmpy" else f"{host.name} ({package} {version(package)})"
 
 
 @cache

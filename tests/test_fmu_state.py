@@ -29,9 +29,10 @@ MEMORY = {  # every effect that remembers, delay, play and second-order tilt, an
 CONTROLLER = {"x_hat_start": 0.1, "psi_hat_start": 0.05, "estimator": "consistent", "k_1_1": 0.6}
 CASES = pytest.mark.parametrize(
     ("which", "values"),
-    [("plant_fmu", {}), ("plant_fmu", MEMORY), ("controller_fmu", {}), ("controller_fmu", CONTROLLER)],
-    ids=["plant", "plant-memory", "controller", "controller-consistent"],
-)
+    [("plant_fmu", {}), ("plant_fmu", MEMORY), ("controller_fmu", {}), ("controller_fmu", CONTROLLER),
+     ("native_plant", MEMORY)],
+    ids=["plant", "plant-memory", "controller", "controller-consistent", "native-plant-memory"],
+)  # fmt: skip
 Rows = list[dict[str, float]]
 
 
@@ -104,7 +105,7 @@ def test_a_state_moves_into_another_instance(fmu: Path, values: dict[str, Any]) 
 
 @CASES
 def test_a_state_of_initialization_mode_keeps_what_was_set(fmu: Path, which: str, values: dict[str, Any]) -> None:
-    other = {"psi_start": 0.7} if which == "plant_fmu" else {"psi_hat_start": 0.1}
+    other = {"psi_hat_start": 0.1} if which == "controller_fmu" else {"psi_start": 0.7}
     with Instance(fmu) as instance:
         first = instance.begin(values).outputs()
         data = instance.serialized()
@@ -127,13 +128,21 @@ def test_a_state_of_initialization_mode_keeps_what_was_set(fmu: Path, which: str
 
 
 @pytest.mark.parametrize(
-    ("giver", "taker"), [("plant_fmu", "controller_fmu"), ("controller_fmu", "plant_fmu"), ("plant_fmu", "heavier")]
+    ("giver", "taker"),
+    [
+        ("plant_fmu", "controller_fmu"),
+        ("controller_fmu", "plant_fmu"),
+        ("plant_fmu", "heavier"),
+        ("native_plant", "native_controller"),
+    ],
 )
 def test_a_state_of_another_fmu_is_refused(
     giver: str, taker: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     # a plant with the same variables and other defaults: what the state does not name would silently be the taker's
-    path = {name: request.getfixturevalue(name) for name in (giver, taker) if name != "heavier"}
+    path = {name: request.getfixturevalue(name) for name in (giver, taker) if name.endswith(("fmu", "plant"))}
+    if taker == "native_controller":
+        path[taker] = path[giver].with_name("controller-native.fmu")
     if taker == "heavier":
         path[taker] = build(plant_recipe({"mass": 0.9}), tmp_path / "heavier.fmu")
     with Instance(path[giver]) as one:
@@ -144,7 +153,7 @@ def test_a_state_of_another_fmu_is_refused(
         with pytest.raises(FMICallException) as caught:
             other.restore(data)
         assert caught.value.status in (3, 4)
-        assert "this FMU state is of another FMU" in other.log[-1]
+        assert "of another FMU" in other.log[-1]
 
 
 @pytest.mark.parametrize("data", [b"", b"{}", b"no state", b"[1, 2]"])

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import Crashed, DiskFull, InputError, SimulationError, TimedOut
-from cosim.base.scratch import LOCK, scratch, sweep
+from cosim.base.errors import Crashed, DiskFull, InputError, SimulationError
+from cosim.base.scratch import LOCK
 from cosim.isolation.worker import PROGRESS
 from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.workflow import replay
@@ -48,93 +48,63 @@ def rows_in(folder: Path) -> int:
     return read_columns(folder / "results.csv").rows
 
 
+FAULT = r"crashed: segmentation fault \(SIGSEGV\)"
+ABORT = r"crashed: abort \(SIGABRT\)"
+SLOW = r"takes longer than 0.3 s \(limits: step\)"
+LARGE = "{memory: 300 MB}"
+# call, deed, its number, limits → message after the name, exit code, fewest and most rows
+STOPS = [
+    ("DoStep", "segfault", 5, "", f"at t = 0.4 s: fmi2DoStep {FAULT}", 4, 5, 5),
+    ("DoStep", "overflow", 5, "", f"at t = 0.4 s: fmi2DoStep {FAULT}", 4, 5, 5),
+    ("DoStep", "free", 5, "", f"at t = 0.4 s: fmi2DoStep {ABORT}", 4, 5, 5),
+    ("DoStep", "exit", 5, "", "at t = 0.4 s: fmi2DoStep ended the process, exit code 0", 4, 5, 5),
+    ("SetReal", "abort", 8, "", f"at t = .* s: fmi2SetReal {ABORT}", 4, 1, 10),  # initialization sets it too
+    ("Instantiate", "segfault", 1, "", f"at t = 0 s: fmi2Instantiate {FAULT}", 4, 0, 0),
+    ("load", "segfault", 1, "", f"at t = 0 s: loading {FAULT}", 4, 0, 0),
+    ("Terminate", "segfault", 1, "", f"at t = 1 s: fmi2Terminate {FAULT}", 4, 11, 11),
+    ("FreeInstance", "free", 1, "", f"at t = 1 s: fmi2FreeInstance {ABORT}", 4, 11, 11),
+    ("DoStep", "hang", 5, LIMITS, f"at t = 0.4 s: fmi2DoStep {SLOW}", 124, 5, 5),
+    ("DoStep", "log", 5, LIMITS, f"at t = 0.4 s: fmi2DoStep {SLOW}", 124, 5, 5),
+    ("DoStep", "print", 5, LIMITS, f"at t = 0.4 s: fmi2DoStep {SLOW}", 124, 5, 5),
+    ("ExitInitializationMode", "sleep", 1, LIMITS, f"at t = 0 s: fmi2ExitInitializationMode {SLOW}", 124, 0, 0),
+    ("FreeInstance", "sleep", 1, LIMITS, f"at t = 1 s: fmi2FreeInstance {SLOW}", 124, 11, 11),
+    # loading is apart and has a limit of its own
+    ("Instantiate", "sleep", 1, "{total: 50 ms, load: 400 ms}",
+     r"at t = 0 s: fmi2Instantiate takes longer than 0.4 s \(limits: load\)", 124, 0, 0),
+    ("DoStep", "slow", 0, "{total: 300 ms}", r".*longer than 0.3 s in all \(limits: total\)", 124, 2, 9999),
+    ("DoStep", "memory", 5, LARGE, "at t = 0.4 s: fmi2DoStep: .* more than 300 MB", 4, 5, 5),
+    # processes and files that an FMU makes are found at times of their own
+    ("DoStep", "grow", 5, LARGE, "at t = .* more than 300 MB", 4, 5, 11),
+    ("DoStep", "orphan", 5, LARGE, "at t = .* more than 300 MB", 4, 5, 11),
+    ("DoStep", "file", 5, LARGE, "at t = .* more than 300 MB", 4, 5, 11),
+]  # fmt: skip
+
+
 @pytest.mark.fresh
-@pytest.mark.thorough
+@pytest.mark.skipif(not LINUX, reason="crashes go by other names, resident sizes differ")
 @pytest.mark.parametrize(
-    ("call", "deed", "words", "rows"),
-    [
-        ("DoStep", "segfault", "fmi2DoStep crashed: segmentation fault (SIGSEGV)", 5),
-        ("DoStep", "overflow", "fmi2DoStep crashed: segmentation fault (SIGSEGV)", 5),
-        ("DoStep", "free", "fmi2DoStep crashed: abort (SIGABRT)", 5),
-        ("DoStep", "exit", "fmi2DoStep ended the process, exit code 0", 5),
-        ("SetReal", "abort", "fmi2SetReal crashed: abort (SIGABRT)", None),  # the sweeps of initialization set it too
-        ("Instantiate", "segfault", "fmi2Instantiate crashed: segmentation fault (SIGSEGV)", 0),
-        ("load", "segfault", "loading crashed: segmentation fault (SIGSEGV)", 0),
-        ("Terminate", "segfault", "fmi2Terminate crashed: segmentation fault (SIGSEGV)", 11),
-        ("FreeInstance", "free", "fmi2FreeInstance crashed: abort (SIGABRT)", 11),
-    ],
+    ("call", "deed", "at", "limits", "words", "code", "fewest", "most"),
+    [pytest.param(*stop, marks=[pytest.mark.thorough] if stop[3] in ("", LIMITS) else []) for stop in STOPS],
 )
-@pytest.mark.skipif(sys.platform == "win32", reason="its crashes go by other names")
-def test_a_crash_in_any_call_is_told_and_the_rows_before_are_kept(
-    tmp_path: Path, call: str, deed: str, words: str, rows: int | None
-) -> None:
-    at = {"DoStep": 5, "SetReal": 8}.get(call, 1)
-    with pytest.raises(Crashed) as crashed:
-        run(deeds_scenario(tmp_path, call, deed, at), tmp_path / "out", report=False)
-    kept = len((tmp_path / "out" / "results.csv").read_text().splitlines()) - 1
-    assert (0 < kept < 11) if rows is None else kept == rows
-    assert str(crashed.value).startswith(f"bad at t = {0.1 * max(0, kept - 1):g} s: ")
-    assert words in str(crashed.value)
-    assert "\n" not in str(crashed.value)
-    assert crashed.value.exit_code == 4
-    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == f"failed: {crashed.value}"
+def test_a_crash_a_hang_and_growth_in_any_call_are_told_and_the_rows_before_are_kept(
+    tmp_path: Path, call: str, deed: str, at: int, limits: str, words: str, code: int, fewest: int, most: int,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    path = deeds_scenario(tmp_path, call, deed, at, duration=1000.0 if deed == "slow" else 1.0, limits=limits)
+    with pytest.raises(SimulationError, match=f"^bad {words}") as stopped:
+        run(own_process(path) if deed == "orphan" else path, tmp_path / "out", report=False)
+    assert stopped.value.exit_code == code
+    assert isinstance(stopped.value, Crashed) == (code == 4 and limits == "")
+    assert "\n" not in str(stopped.value)
+    rows = len((tmp_path / "out" / "results.csv").read_text().splitlines()) - 1
+    assert fewest <= rows <= most
+    if not limits:
+        assert str(stopped.value).startswith(f"bad at t = {0.1 * max(0, rows - 1):g} s: ")
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == f"failed: {stopped.value}"
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["manifest.json", "results.csv"]
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("call", "deed", "rows", "words"),
-    [
-        ("DoStep", "hang", 5, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s \(limits: step\)"),
-        ("DoStep", "log", 5, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s \(limits: step\)"),
-        ("DoStep", "print", 5, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s \(limits: step\)"),
-        ("ExitInitializationMode", "sleep", 0, r"bad at t = 0 s: fmi2ExitInitializationMode takes longer than"),
-        ("FreeInstance", "sleep", 11, r"bad at t = 1 s: fmi2FreeInstance takes longer than 0.3 s"),
-    ],
-)
-def test_a_hang_in_any_call_ends_at_its_limit_with_the_rows_before(
-    tmp_path: Path, call: str, deed: str, rows: int, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = deeds_scenario(tmp_path, call, deed, 5 if call == "DoStep" else 1, limits=LIMITS)
-    with pytest.raises(TimedOut, match=words) as timed_out:
-        run(path, tmp_path / "out", report=False)
-    assert timed_out.value.exit_code == 124
-    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 1 + rows
     shown = capsys.readouterr().err
     assert len(shown) < 70_000  # of an endless output
     assert ("left out" in shown) == (deed == "print")
-
-
-def test_loading_is_apart_and_has_a_limit_of_its_own(tmp_path: Path) -> None:
-    path = deeds_scenario(tmp_path, "Instantiate", "sleep", limits="{total: 50 ms, load: 400 ms}")
-    with pytest.raises(TimedOut, match=r"bad at t = 0 s: fmi2Instantiate takes longer than 0.4 s \(limits: load\)"):
-        run(path, tmp_path / "out", report=False)
-
-
-def test_all_together_may_not_take_longer_than_the_total(tmp_path: Path) -> None:
-    path = deeds_scenario(tmp_path, "DoStep", "slow", at=0, duration=1000.0, limits="{total: 300 ms}")
-    with pytest.raises(TimedOut, match=r"longer than 0.3 s in all \(limits: total\)"):
-        run(path, tmp_path / "out", report=False)
-    assert rows_in(tmp_path / "out") > 1
-
-
-@pytest.mark.fresh
-@pytest.mark.skipif(not LINUX, reason="resident sizes differ")
-def test_memory_without_end_stops_at_its_limit(tmp_path: Path) -> None:
-    path = deeds_scenario(tmp_path, "DoStep", "memory", at=5, limits="{memory: 300 MB}")
-    with pytest.raises(SimulationError, match=r"bad at t = 0.4 s: fmi2DoStep: .* more than 300 MB"):
-        run(path, tmp_path / "out", report=False)
-    assert rows_in(tmp_path / "out") == 5
-
-
-@pytest.mark.skipif(not LINUX, reason="resident sizes differ")
-@pytest.mark.parametrize(("deed", "process"), [("grow", ""), ("orphan", "own"), ("file", "")])
-def test_memory_of_processes_and_files_that_an_fmu_makes_counts(tmp_path: Path, deed: str, process: str) -> None:
-    path = deeds_scenario(tmp_path, "DoStep", deed, at=5, limits="{memory: 300 MB}")
-    with pytest.raises(SimulationError, match=r"^bad at t = .* more than 300 MB") as stopped:
-        run(own_process(path) if process else path, tmp_path / "out", report=False)
-    assert stopped.value.exit_code == 4
-    assert rows_in(tmp_path / "out") >= 5  # it is found at times of its own
 
 
 @pytest.mark.skipif(not LINUX, reason="descriptors as Linux has them")
@@ -205,24 +175,9 @@ def test_a_process_that_an_fmu_starts_in_a_session_of_its_own_is_not_waited_for(
     os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)  # it holds the worker's streams open for a minute
 
 
-# -- a process of its own --------------------------------------------------------------------------
-
-
 def own_process(path: Path) -> Path:
     path.write_text(path.read_text().replace("{fmu: bad.fmu}", "{fmu: bad.fmu, process: own}"))
     return path
-
-
-@pytest.mark.thorough
-def test_an_fmu_in_a_process_of_its_own_gives_the_same_rows_and_manifest_repeats_them(tmp_path: Path) -> None:
-    path = deeds_scenario(tmp_path, "Instantiate", "folder")
-    shared = run(path, tmp_path / "shared", report=False)
-    own = run(own_process(path), tmp_path / "own", report=False)
-    again = run(tmp_path / "own" / "manifest.json", tmp_path / "again", report=False)
-    assert (own.results.values == shared.results.values).all()
-    assert (again.results.values == shared.results.values).all()
-    assert again.manifest["scenario"]["components"]["bad"]["process"] == "own"
-    assert own.manifest["warnings"] == shared.manifest["warnings"]
 
 
 # -- a run that is stopped ------------------------------------------------------------------------
@@ -312,17 +267,6 @@ def test_no_worker_outlives_a_caller_that_is_killed_nor_does_what_it_unpacked(tm
     waited_for(lambda: not any(map(runs, [worker, *grandchildren])))
     assert {p.name for p in (tmp_path / "out").iterdir()} <= {STARTED}
     assert not [p for p in workers_left() if (p / LOCK).exists() and str(worker) in p.name]
-
-
-def test_what_a_killed_process_left_is_taken_away_by_the_next(tmp_path: Path) -> None:
-    left, used = tmp_path / "work-left", scratch("work-", tmp_path)
-    left.mkdir()
-    (left / LOCK).touch()
-    (tmp_path / "work-being-made").mkdir()
-    sweep(tmp_path, "work-")
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["work-being-made", used.path.name])
-    used.remove()
-    assert not used.path.exists()
 
 
 # -- a full disk ----------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.graph_verb import graph_of
 from tests.conftest import ROOT
 from tests.logs import write_log
-from tests.warm import cosim
 
 EVIL = """import os
 from pathlib import Path
@@ -30,7 +29,6 @@ from plant.hovercraft import Hovercraft
 class Craft(Hovercraft):
     pass
 """
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 Named = Callable[[Path], "Path | str"]  # makes a file that names evil.py, in a folder
 
 
@@ -131,16 +129,6 @@ def test_faults_are_told_though_the_model_is_not_executed(folder: Path) -> None:
     with pytest.raises(InputError, match=r"evil.py:1:\d+: does not load: SyntaxError"):
         check_files(folder / "evil.py", load=False)
     assert not (folder / "executed").exists()
-
-
-@pytest.mark.thorough
-@pytest.mark.fresh
-def test_python_that_ends_its_process_does_not_end_the_command_with_exit_code_0(folder: Path) -> None:
-    path = model_file(folder)
-    (folder / "evil.py").write_text(EVIL.format(deed="os._exit(0)"))
-    done = cosim("check", path, env=ENVIRONMENT)
-    assert done.returncode == 2
-    assert cosim("check", "--no-load", path, env=ENVIRONMENT).returncode == 0
 
 
 def test_an_ssp_executes_nothing_without_loading(folder: Path, plant_fmu: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import zipfile
 from dataclasses import replace
@@ -183,20 +182,6 @@ def test_an_original_with_its_own_resources_and_another_library_name(fmi: int, w
     assert off(expected, found) < 1e-9 * np.ptp(expected[:, 1:])
     variables = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "w.fmu"), validate=False).modelVariables}
     assert variables["mass"].start == "2.0"
-
-
-@VERSIONS
-def test_it_runs_here(fmi: int, tmp_path: Path) -> None:
-    path = wrapped_drive(tmp_path, "coulomb", {"coulomb_at_velocity.level": 5.0}, fmi)
-    run, speeds = importlib.import_module("cosim").simulate, []
-    for level in (0.0, 5.0):
-        start = {"force": 20.0, "coulomb_at_velocity.level": level}
-        results = run(path, tmp_path / f"{level}", start, stop=1.0, step=0.01, report=False).results
-        (column,) = (c for c in results.columns if c.endswith(".velocity"))
-        speeds.append(results[column][-1])
-    assert speeds == pytest.approx(
-        [20.0 / 200 * (1 - np.exp(-200 / 95)), 15.0 / 200 * (1 - np.exp(-200 / 95))], rel=0.02
-    )
 
 
 def test_a_refined_fmu_is_refined_again(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from cosim.blocks.fmu import FmuBlock
-from cosim.fmi.annotation import traits_of
+from cosim.fmi.sampled import traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
 

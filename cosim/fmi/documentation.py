@@ -7,11 +7,10 @@ from html import escape
 from pathlib import Path
 
 from cosim.fmi.model_description import LICENCE, Description
-from cosim.fmi.ports import Port
 from cosim.fmi.sampled import AUTHOR
 from cosim.model.model import AUTO, RK4, STIFF, Model
 
-GUID_PLACEHOLDER = "{guid}"
+ASSETS = Path(__file__).resolve().parent / "assets"
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #1c2430; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
@@ -40,29 +39,21 @@ def model_text(model: Model) -> str:
     return docstrings_html(type(model), model.equations) + needs + catalogue
 
 
-def write_documentation(
-    folder: Path, about: Description, text: str, version: str, licence: Path, way: str = "FMI 2.0 co-simulation"
-) -> None:
-    """Write the FMU's documentation page `index.html`, and the licence."""
-    folder.mkdir(parents=True, exist_ok=True)
-    title = escape(about.description)
-    groups = (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter"))
-    tables = "".join(f"<h2>{head}</h2>{_table([p for p in about.ports if p.causality == c])}" for head, c in groups)
+def documentation(about: Description, text: str, version: str, guid: str, way: str) -> dict[str, bytes]:
+    """Return the files of the FMU's folder `documentation`: its page `index.html`, and the licence."""
+    title, tables = escape(about.description), ""
+    for head, causality in (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter")):
+        rows = "".join(
+            f"<tr><td><code>{escape(p.name)}</code></td><td class=number>{'' if p.causality == 'output' else p.start}"
+            f"</td><td>{escape(p.unit)}</td><td>{escape(p.doc)}</td></tr>"
+            for p in about.ports
+            if p.causality == causality
+        )
+        tables += f"<h2>{head}</h2><table><tr><th>Variable<th>Start<th>Unit<th>Meaning</tr>{rows}</table>"
     page = (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
         f"<h1>{title}</h1><p>Version {escape(version)} · {way} · communication step {about.step} s<br>"
-        f'{AUTHOR} · licence {LICENCE} (<a href="license.txt">text</a>) · GUID <code>{GUID_PLACEHOLDER}</code></p>'
+        f'{AUTHOR} · licence {LICENCE} (<a href="license.txt">text</a>) · GUID <code>{guid}</code></p>'
         f"{text}{tables}</html>\n"
     )
-    (folder / "index.html").write_text(page, encoding="utf-8")
-    if licence.exists():
-        (folder / "license.txt").write_bytes(licence.read_bytes())
-
-
-def _table(ports: list[Port]) -> str:
-    rows = "".join(
-        f"<tr><td><code>{escape(p.name)}</code></td><td class=number>{'' if p.causality == 'output' else p.start}</td>"
-        f"<td>{escape(p.unit)}</td><td>{escape(p.doc)}</td></tr>"
-        for p in ports
-    )
-    return f"<table><tr><th>Variable<th>Start<th>Unit<th>Meaning</tr>{rows}</table>"
+    return {"index.html": page.encode(), "license.txt": (ASSETS / "license.txt").read_bytes()}

@@ -11,7 +11,7 @@ import hashlib
 import re
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
@@ -20,7 +20,7 @@ from pathlib import Path
 from cosim.base.drafts import draft_of
 from cosim.base.scratch import temporary_folder
 from cosim.base.version import __version__
-from cosim.fmi.documentation import GUID_PLACEHOLDER, model_text, write_documentation
+from cosim.fmi.documentation import ASSETS, documentation, model_text
 from cosim.fmi.model_description import Description, complete
 from cosim.fmi.ports import Value, with_starts
 from cosim.model.model import Model
@@ -32,7 +32,6 @@ EXCLUDED_PACKAGE = "cosim.model.symbolic"  # imported at build time only
 SCRIPT_MODULES = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script of pythonfmu
 OWN_MODULE = "own_model"  # module name of a user's model inside its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
-ASSETS = Path(__file__).resolve().parent / "assets"
 
 
 @dataclass(frozen=True)
@@ -99,23 +98,18 @@ def about_model(model: Model, text: str) -> Description:
 
 def build(recipe: Recipe, path: Path) -> Path:
     """Write an FMU completely or not at all, byte-reproducible."""
-    with temporary_folder("build") as folder:
-        draft = _pack(recipe, folder)
-        members = {name: data for name, data in _members(draft) if "__pycache__" not in name}
-        xml = members.pop("modelDescription.xml")
-        # The page contains the GUID, which is a hash of everything else, so a placeholder comes first.
-        guid = f"{{{digest(members, xml_of(recipe, xml, ''))[:32]}}}"
-        page = "documentation/index.html"
-        members[page] = members[page].replace(GUID_PLACEHOLDER.encode(), guid.encode())
-        members["modelDescription.xml"] = xml_of(recipe, xml, guid)
+    with temporary_folder("build") as folder, zipfile.ZipFile(_pack(recipe, folder)) as draft:
+        members = {name: draft.read(name) for name in draft.namelist() if "__pycache__" not in name}
+    members["model.png"] = (ASSETS / "model.png").read_bytes()
+    xml = members.pop("modelDescription.xml")
+    # The page contains the GUID, which is a hash of everything else.
+    guid = f"{{{digest(members, complete(xml, recipe.about, __version__, '') + recipe.text.encode())[:32]}}}"
+    pages = documentation(recipe.about, recipe.text, __version__, guid, "FMI 2.0 co-simulation")
+    members |= {f"documentation/{name}": data for name, data in pages.items()}
+    members["modelDescription.xml"] = complete(xml, recipe.about, __version__, guid)
     with draft_of(path) as target:
         write_zip(target, members)
     return path
-
-
-def xml_of(recipe: Recipe, xml: bytes, guid: str) -> bytes:
-    """Return the completed model description."""
-    return complete(xml, recipe.about, __version__, guid)
 
 
 def _pack(recipe: Recipe, folder: Path) -> Path:
@@ -132,33 +126,28 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     identity += recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
+    # imports of the framework and of the carried packages, which in the FMU are those of its own package
+    names = "|".join((FRAMEWORK, *recipe.packages))
+    whole, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
     for name, text in sources.items():
         file = folder / package / name
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(_rename_imports(text.decode(), (FRAMEWORK, *recipe.packages), package).encode())
+        source = re.sub(whole, replacement, text.decode(), flags=re.MULTILINE)
+        source = re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
+        file.write_bytes(source.encode())
     script = folder / f"{package}_slave.py"
     script.write_text(_script(recipe, package, class_name), encoding="utf-8")
-    documentation = folder / "documentation"
-    write_documentation(documentation, recipe.about, recipe.text, __version__, ASSETS / "license.txt")
     path, modules, keeps_none = list(sys.path), set(sys.modules), sys.dont_write_bytecode
     sys.dont_write_bytecode = True  # the folder is temporary
     try:
         draft = folder / "draft.fmu"
-        FmuBuilder.build_FMU(script, draft, [folder / package], documentation)
+        FmuBuilder.build_FMU(script, draft, [folder / package])
         return draft
     finally:
         sys.path[:], sys.dont_write_bytecode = path, keeps_none
         for name in set(sys.modules) - modules:
             if name.startswith(package):
                 del sys.modules[name]
-
-
-def _rename_imports(source: str, packages: Sequence[str], package: str) -> str:
-    """Return a module's source, importing from the FMU's package."""
-    names = "|".join(packages)
-    pattern, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
-    source = re.sub(pattern, replacement, source, flags=re.MULTILINE)
-    return re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
 
 
 def _script(recipe: Recipe, package: str, class_name: str) -> str:
@@ -191,9 +180,11 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
         yield f"{OWN_MODULE}.py", recipe.own[0].read_bytes()
     queue = [recipe.slave[0], *SCRIPT_MODULES, *(_imports(recipe.own[0].read_bytes()) if recipe.own else ())]
     modules: dict[str, tuple[str, bytes]] = {}
+    carried = tuple(f"{package}." for package in (*CARRIED_PACKAGES, *recipe.packages))
     while queue:
         name = queue.pop()
-        if name in modules or not _is_carried(name, recipe.packages):
+        is_carried = f"{name}.".startswith(carried) and not f"{name}.".startswith(f"{EXCLUDED_PACKAGE}.")
+        if name in modules or not (name == FRAMEWORK or is_carried):
             continue
         if name in printed:
             modules[name] = (f"{name.replace('.', '/')}.py", printed[name].encode())
@@ -214,14 +205,6 @@ def _spec(name: str) -> ModuleSpec | None:
         return None
 
 
-def _is_carried(module: str, packages: Sequence[str]) -> bool:
-    """Return whether a module belongs into the FMU."""
-    if module == EXCLUDED_PACKAGE or module.startswith(f"{EXCLUDED_PACKAGE}."):
-        return False
-    inside = (*CARRIED_PACKAGES, *packages)
-    return module == FRAMEWORK or any(module == name or module.startswith(f"{name}.") for name in inside)
-
-
 def _imports(source: bytes) -> Iterator[str]:
     """Yield the imported modules; an imported name may be a module too."""
     for node in ast.walk(ast.parse(source)):
@@ -232,21 +215,18 @@ def _imports(source: bytes) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def _members(archive: Path) -> Iterator[tuple[str, bytes]]:
-    with zipfile.ZipFile(archive) as packed:
-        for name in sorted(packed.namelist()):
-            yield name, packed.read(name)
-    if (icon := ASSETS / "model.png").exists():
-        yield "model.png", icon.read_bytes()
+def archive_member(name: str) -> zipfile.ZipInfo:
+    """Return the entry of a member with the same date and rights everywhere."""
+    info = zipfile.ZipInfo(name, EPOCH)
+    info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+    return info
 
 
 def write_zip(path: Path, members: dict[str, bytes]) -> None:
     """Write a ZIP archive whose bytes depend on its members only."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         for name in sorted(members):
-            info = zipfile.ZipInfo(name, EPOCH)
-            info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-            packed.writestr(info, members[name])
+            packed.writestr(archive_member(name), members[name])
 
 
 def digest(members: dict[str, bytes], more: bytes) -> str:

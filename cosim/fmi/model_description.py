@@ -1,4 +1,4 @@
-"""Completion of pythonfmu's model descriptions: units, limits, dependencies, initial unknowns."""
+"""Completion of pythonfmu's model descriptions: units, limits, dependencies, initial unknowns, annotations."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 from cosim.base.units import DISPLAY, unit_definitions
-from cosim.fmi.annotation import annotation
 from cosim.fmi.ports import Port
-from cosim.fmi.sampled import AUTHOR, sampled_annotation
+from cosim.fmi.sampled import AUTHOR, FRAME, TOOL
 from cosim.model.traits import Traits
 
 LICENCE = "MIT"
+KINDS3 = {"Real": "Float64", "Boolean": "Boolean", "String": "String"}
 
 
 @dataclass(frozen=True)
@@ -35,11 +36,6 @@ class Description:
     traits: Traits | None = None
     sampled: str = ""
 
-    @property
-    def optional(self) -> tuple[str, ...]:
-        """Return the inputs that may stay unconnected."""
-        return tuple(port.name for port in self.ports if port.optional)
-
 
 # FMI's structured names without quotes: names joined by dots, perhaps with indices, or the derivative of such a name
 _PART = r"[A-Za-z_][A-Za-z0-9_]*(\[\d+(,\d+)*\])?"
@@ -53,7 +49,7 @@ def naming_convention(names: Iterable[str]) -> str:
 
 def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
     """Return pythonfmu's model description with all missing content."""
-    root = fromstring(xml)
+    root: Any = fromstring(xml)
     root.attrib.pop("generationDateAndTime", None)  # Equal sources must give equal bytes.
     root.attrib |= {
         "guid": guid,
@@ -64,21 +60,19 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
         "copyright": AUTHOR,
         "variableNamingConvention": naming_convention(port.name for port in about.ports),
     }
-    capabilities = _child(root, "CoSimulation")
+    capabilities, variables = root.find("CoSimulation"), root.find("ModelVariables")
     capabilities.attrib |= {
         "canHandleVariableCommunicationStepSize": str(about.variable_step).lower(),
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
     }
     root.insert(list(root).index(capabilities) + 1, unit_definitions({p.unit for p in about.ports if p.unit}))
-    more = [] if about.traits is None else [annotation(about.traits)]
-    more += [sampled_annotation(about.sampled, about.optional)] if about.sampled else []
-    for element in (default_experiment(about), *more):
-        root.insert(list(root).index(_child(root, "ModelVariables")), element)
-    for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):
-        _complete_variable(variable, port)
-    root.remove(_child(root, "ModelStructure"))
-    root.append(_structure(about))
+    for element in (default_experiment(about), *vendor_annotations(about, "json")):
+        root.insert(list(root).index(variables), element)
+    for element in (variables, root.find("ModelStructure")):
+        root.remove(element)
+    root.append(model_variables(about))
+    root.append(model_structure(about))
     return xml_bytes(root)
 
 
@@ -95,46 +89,133 @@ def default_experiment(about: Description) -> Element:
     return Element("DefaultExperiment", times)
 
 
-def set_unit(node: Element, unit: str) -> None:
-    """Set unit and display unit of a variable, if it has a unit."""
+def set_unit_and_limits(node: Element, unit: str, bounds: tuple[float, float] = (-math.inf, math.inf)) -> None:
+    """Set unit, display unit and finite limits of a variable."""
     if unit:
         node.set("unit", unit)
         if display := DISPLAY.get(unit):
             node.set("displayUnit", display[0])
-
-
-def set_limits(node: Element, port: Port) -> None:
-    """Set the finite limits of a variable."""
-    for name, limit in zip(("min", "max"), port.bounds, strict=True):
+    for name, limit in zip(("min", "max"), bounds, strict=True):
         if math.isfinite(limit):
             node.set(name, repr(float(limit)))
 
 
-def _complete_variable(variable: Element, port: Port) -> None:
-    """Set unit, display unit, limits and exact start value. pythonfmu prints only 16 of 17 digits."""
-    node = variable[0]
-    if port.kind != "Real":
-        return
-    set_unit(node, port.unit)
-    set_limits(node, port)
-    if "start" in node.attrib:
-        node.set("start", repr(float(port.start)))
+def vendor_annotations(about: Description, state: str) -> list[Element]:
+    """Return `VendorAnnotations`, each with a single element as FMI demands: of traits, and of the accepted step.
+
+    Args:
+        state: Format of the serialized FMU state.
+    """
+    annotations = []
+
+    def add(tag: str, **attributes: str) -> Element:
+        annotations.append(Element("VendorAnnotations"))
+        return SubElement(SubElement(annotations[-1], "Tool", name=TOOL), tag, attributes)
+
+    if traits := about.traits:
+        node = add("Traits", state=state)
+        for name, rate in traits.rates.items():
+            SubElement(node, "Rate", of=name, signal=rate)
+        for name, (low, high) in traits.bounds.items():
+            SubElement(node, "Limits", of=name, low=repr(low), high=repr(high))
+        if traits.planar:
+            SubElement(node, "PlanarFrame", {key: getattr(traits.planar, key) for key in FRAME})
+    if about.sampled:
+        node = add("Sampled", parameter=about.sampled)
+        if optional := " ".join(port.name for port in about.ports if port.optional):
+            node.set("optional", optional)
+    return annotations
 
 
-def _structure(about: Description) -> Element:
-    """Return ModelStructure with real dependencies."""
-    index = {port.name: str(k + 1) for k, port in enumerate(about.ports)}
+@dataclass(frozen=True)
+class Local:
+    """A variable of native FMUs only."""
+
+    name: str
+    role: Literal["state", "derivative", "memory", "indicator"]
+    unit: str
+    doc: str
+
+
+def model_variables(about: Description, fmi: int = 2, locals: Sequence[Local] = ()) -> Element:
+    """Return ModelVariables: the ports and the local variables, without event indicators in FMI 2.0."""
+    ports = about.ports
+    variables = Element("ModelVariables")
+    if fmi == 3:  # FMI 3.0 requires the time.
+        reference = str(len(ports) + len(locals))
+        head = {"name": "time", "valueReference": reference, "causality": "independent", "variability": "continuous"}
+        SubElement(variables, "Float64", head)
+
+    def add(kind: str, reference: int, name: str, doc: str, more: dict[str, str]) -> Element:
+        """Add a variable and return the element with the attributes of its type."""
+        head = {"name": name, "valueReference": str(reference), **({"description": doc} if doc else {}), **more}
+        if fmi == 3:
+            return SubElement(variables, KINDS3[kind], head)
+        return SubElement(SubElement(variables, "ScalarVariable", head), kind)
+
+    for k, port in enumerate(ports):
+        more = {"causality": port.causality, "variability": "continuous" if port.kind == "Real" else "discrete"}
+        if port.causality == "parameter":
+            more |= {"variability": "fixed", "initial": "exact"}
+        elif port.causality == "output":
+            more["initial"] = "calculated"
+        node = add(port.kind, k, port.name, port.doc, more)
+        if port.kind == "Real":
+            set_unit_and_limits(node, port.unit, port.bounds)
+        if port.causality == "output":
+            continue
+        if isinstance(port.start, str):
+            start = port.start
+        else:
+            start = str(port.start).lower() if isinstance(port.start, bool) else repr(float(port.start))
+        if port.kind == "String" and fmi == 3:
+            SubElement(node, "Start", value=start)
+        else:
+            node.set("start", start)
+    rates = [v.name for v in locals if v.role == "derivative"]
+    for k, v in enumerate(locals, len(ports)):
+        if v.role == "indicator" and fmi == 2:
+            continue
+        variability = "discrete" if v.role == "memory" else "continuous"
+        node = add(
+            "Real", k, v.name, v.doc, {"causality": "local", "variability": variability, "initial": "calculated"}
+        )
+        set_unit_and_limits(node, v.unit)
+        if v.role == "derivative":
+            # States come first. FMI 2.0 counts variables from 1.
+            node.set("derivative", str(len(ports) + rates.index(v.name) + (fmi == 2)))
+    return variables
+
+
+def model_structure(
+    about: Description,
+    fmi: int = 2,
+    locals: Sequence[Local] = (),
+    dependencies: Mapping[str, Sequence[str]] | None = None,
+) -> Element:
+    """Return ModelStructure with dependencies, by default those of the description."""
+    variables: list[Port | Local] = [*about.ports, *locals]
+    numbers = {v.name: k + (fmi == 2) for k, v in enumerate(variables)}
+    states, rates, indicators = ([v.name for v in locals if v.role == r] for r in ("state", "derivative", "indicator"))
+    outputs = [p.name for p in about.ports if p.causality == "output"]
+    dependencies, starting = dependencies or about.dependencies, about.initial_dependencies
+    initial = {**{n: starting[n] for n in outputs}, **dict.fromkeys((*states, *rates))}
     structure = Element("ModelStructure")
-    for tag, dependencies in (("Outputs", about.dependencies), ("InitialUnknowns", about.initial_dependencies)):
-        group = SubElement(structure, tag)
-        for port in about.ports:
-            if port.causality == "output":
-                sources = sorted((index[name] for name in dependencies[port.name]), key=int)
-                SubElement(group, "Unknown", index=index[port.name], dependencies=" ".join(sources))
+
+    def add(parent: Element, tag: str, unknowns: Mapping[str, Sequence[str] | None]) -> None:
+        for name, sources in unknowns.items():
+            node = SubElement(parent, tag, {"index" if fmi == 2 else "valueReference": str(numbers[name])})
+            if sources is not None:
+                node.set("dependencies", " ".join(map(str, sorted(numbers[n] for n in sources))))
+
+    if fmi == 2:
+        add(SubElement(structure, "Outputs"), "Unknown", {n: dependencies[n] for n in outputs})
+        if rates:
+            add(SubElement(structure, "Derivatives"), "Unknown", {n: dependencies[n] for n in rates})
+        add(SubElement(structure, "InitialUnknowns"), "Unknown", initial)
+    else:
+        add(structure, "Output", {n: dependencies[n] for n in outputs})
+        add(structure, "ContinuousStateDerivative", {n: dependencies[n] for n in rates})
+        add(structure, "InitialUnknown", initial)
+        add(structure, "EventIndicator", dict.fromkeys(indicators))
     return structure
-
-
-def _child(root: Element, tag: str) -> Element:
-    node = root.find(tag)
-    assert node is not None
-    return node

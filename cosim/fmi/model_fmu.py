@@ -30,7 +30,7 @@ class ModelSlave(Slave):
         for vr, (q, start) in enumerate(zip(model.inputs, model.start_command(), strict=True)):
             if q.name not in values:
                 self.values[vr] = start
-        self._publish()
+        self.follow_inputs()
 
     def advance(self, t: float, h: float) -> None:
         """Integrate over the step; the host keeps the time."""
@@ -46,11 +46,11 @@ class ModelSlave(Slave):
             largest, value = max(((q.name, v) for q, v in quantities), key=lambda pair: abs(pair[1]))
             message = f"the state is not finite any more; largest before the step: {largest} = {value:g}"
             raise ArithmeticError(message) from error
-        self._publish()
+        self.follow_inputs()
 
     def follow_inputs(self) -> None:
         """Write the outputs of the state and new inputs."""
-        self._publish()
+        self.set_outputs(self.stepper.output(self.moment.t, self.moment.state, self.inputs))
 
     def snapshot(self) -> Any:
         """Return time, continuous state and memory."""
@@ -59,6 +59,3 @@ class ModelSlave(Slave):
     def restore(self, snapshot: Any) -> None:
         """Restore a snapshot bit for bit."""
         self.moment = Moment(*tuples(snapshot))
-
-    def _publish(self) -> None:
-        self.set_outputs(self.stepper.output(self.moment.t, self.moment.state, self.inputs))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from cosim.model.model import Model
-from cosim.model.quantities import INFINITY, Parameter, Quantity, parameters_of
+from cosim.model.quantities import INFINITY, Parameter, parameters_of
 
 Value = float | bool | str
 Kind = Literal["Real", "Boolean", "String"]
@@ -41,11 +41,6 @@ def parameter_port(p: Parameter, start: Value, prefix: str = "") -> Port:
     return Port(prefix + p.name, "parameter", start, p.unit, p.doc, p.bounds)
 
 
-def quantity_port(q: Quantity, causality: Causality, start: float | None = None, name: str | None = None) -> Port:
-    """Return the port of a signal or of a start value."""
-    return Port(name or q.name, causality, q.start if start is None else start, q.unit, q.doc)
-
-
 def with_starts(ports: Iterable[Port], values: Mapping[str, Value]) -> tuple[Port, ...]:
     """Return ports with other start values, by name."""
     return tuple(replace(port, start=values.get(port.name, port.start)) for port in ports)
@@ -56,31 +51,19 @@ def model_ports(model: Model) -> tuple[Port, ...]:
 
     Order: inputs, outputs, parameters, effects, start values.
     """
-    return (*_signals(model), *_parameters(model), *_starts(model))
-
-
-def _signals(model: Model) -> Iterator[Port]:
-    for q, start in zip(model.inputs, model.start_command(), strict=True):
-        yield quantity_port(q, "input", start)
-    for q in model.outputs:
-        yield quantity_port(q, "output")
-
-
-def _parameters(model: Model) -> Iterator[Port]:
-    for p in model.parameters:
-        yield parameter_port(p, getattr(model, p.name))
+    commands = dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
+    ports = [Port(q.name, "input", commands[q.name], q.unit, q.doc) for q in model.inputs]
+    ports += [Port(q.name, "output", q.start, q.unit, q.doc) for q in model.outputs]
+    ports += [parameter_port(p, getattr(model, p.name)) for p in model.parameters]
     present: dict[type, Any] = {type(e): e for e in model.effects}
     for kind in model.catalogue:
         effect = present.get(kind) or kind()
-        for p in parameters_of(kind):
-            yield parameter_port(p, getattr(effect, p.name), f"{kind.name}.")
-
-
-def _starts(model: Model) -> Iterator[Port]:
-    starts, command = model.start_state(), dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
-    for q in model.base_states:
-        yield Port(f"{q.name}_start", "parameter", starts.get(q.name, q.start), q.unit, f"start value: {q.doc}")
+        ports += [parameter_port(p, getattr(effect, p.name), f"{kind.name}.") for p in parameters_of(kind)]
+    states = model.start_state()
+    starts = [("", q, states.get(q.name, q.start)) for q in model.base_states]
     for kind in model.catalogue:
-        for q in (*kind.states, *kind.memory):
-            start = command.get(q.name, q.start) if q in kind.memory else q.start
-            yield Port(f"{kind.name}.{q.name}_start", "parameter", start, q.unit, f"start value: {q.doc}")
+        starts += [(f"{kind.name}.", q, q.start) for q in kind.states]
+        starts += [(f"{kind.name}.", q, commands.get(q.name, q.start)) for q in kind.memory]
+    for prefix, q, start in starts:
+        ports.append(Port(f"{prefix}{q.name}_start", "parameter", start, q.unit, f"start value: {q.doc}"))
+    return tuple(ports)

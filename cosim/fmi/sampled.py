@@ -1,44 +1,45 @@
-"""Vendor annotations of sampled cosim FMUs: accepted step, optional inputs."""
+"""Vendor annotations of cosim's own FMUs, as read from them: traits of the model, accepted step, optional inputs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring
+from xml.etree.ElementTree import Element, ParseError, fromstring
 
+from cosim.model.planar import PlanarFrame
+from cosim.model.traits import Traits
 from cosim.storage.archive import BadArchive, description_of
 
 TOOL, AUTHOR = "cosim", "The cosim authors"
-
-
-def sampled_annotation(parameter: str, optional: Iterable[str] = ()) -> Element:
-    """Return `VendorAnnotations` of an FMU with a single accepted step.
-
-    Args:
-        parameter: Parameter with the accepted communication step [s].
-        optional: Inputs that may stay unconnected.
-    """
-    root = Element("VendorAnnotations")
-    node = SubElement(SubElement(root, "Tool", name=TOOL), "Sampled", parameter=parameter)
-    if names := " ".join(optional):
-        node.set("optional", names)
-    return root
+FRAME = ("x", "y", "heading", "forward", "right")
 
 
 def sampled_by(fmu: Path) -> str | None:
     """Return an FMU's parameter of its accepted step, if any."""
-    node = own_annotation(fmu, "Sampled")
+    node = _own_annotation(fmu, "Sampled")
     return None if node is None else node.get("parameter")
 
 
 def optional_inputs(fmu: Path) -> frozenset[str]:
     """Return the inputs of a cosim FMU that may stay unconnected."""
-    node = own_annotation(fmu, "Sampled")
+    node = _own_annotation(fmu, "Sampled")
     return frozenset() if node is None else frozenset(node.get("optional", "").split())
 
 
-def own_annotation(fmu: Path, tag: str) -> Element | None:
-    """Return an element of a cosim FMU's vendor annotations."""
+def traits_of(fmu: Path) -> Traits | None:
+    """Return the traits (rates, limits, planar frame) that cosim has stored in an FMU; None for FMUs of other tools."""
+    node = _own_annotation(fmu, "Traits")
+    if node is None:
+        return None
+    frame = node.find("PlanarFrame")
+    return Traits(
+        {rate.attrib["of"]: rate.attrib["signal"] for rate in node.findall("Rate")},
+        {n.attrib["of"]: (float(n.attrib["low"]), float(n.attrib["high"])) for n in node.findall("Limits")},
+        None if frame is None else PlanarFrame(**{key: frame.attrib[key] for key in FRAME}),
+    )
+
+
+def _own_annotation(fmu: Path, tag: str) -> Element | None:
+    """Return an element of a cosim FMU's vendor annotations; importing tools ignore them."""
     try:
         root = fromstring(description_of(fmu))
     except (OSError, BadArchive, ParseError):

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from pythonfmu import Boolean, Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real, String
+from pythonfmu import Boolean, Fmi2Slave, Real, String
 
 from cosim.fmi.ports import Kind, Port, Value
 from cosim.fmi.state import to_bytes
@@ -32,7 +32,13 @@ def make_loggable(error: Exception) -> Exception:
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     """FMU in Python, its variables stored by value reference.
 
-    Subclasses provide `ports`, `initialize`, `advance`, `snapshot` and `restore`.
+    Subclasses provide `ports` and four methods:
+
+        initialize(values): Initialize from values set by the host, and write the outputs. Called after every change of
+            a value.
+        advance(t, h): Step from `t` to `t + h` [s] with held inputs, and write outputs.
+        snapshot(): Return the state beyond the variables' values as JSON types.
+        restore(snapshot): Restore the state from a snapshot.
     """
 
     ports: ClassVar[tuple[Port, ...]]
@@ -50,29 +56,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.start_time = 0.0
         self.input_count = sum(p.causality == "input" for p in self.ports)
         self.output_slice = slice(self.input_count, self.input_count + sum(p.causality == "output" for p in self.ports))
-        for port in self.ports:
-            self.register_variable(self._variable(port))
-
-    # -- methods of subclasses -----------------------------------------------------------------
-
-    def initialize(self, values: dict[str, Value]) -> None:
-        """Initialize from values set by the host, and write the outputs. Called after every change of a value."""
-        raise NotImplementedError
-
-    def advance(self, t: float, h: float) -> None:
-        """Step from `t` to `t + h` [s] with held inputs, and write outputs."""
-        raise NotImplementedError
+        for port in self.ports:  # The model description is written from the ports.
+            self.register_variable(TYPES[port.kind](port.name), nested=False)
 
     def follow_inputs(self) -> None:
         """Write the outputs that follow new inputs at once, without a step; those of a sampled FMU do not."""
-
-    def snapshot(self) -> Any:
-        """Return state beyond the variables' values as JSON types."""
-        raise NotImplementedError
-
-    def restore(self, snapshot: Any) -> None:
-        """Restore the state from a snapshot."""
-        raise NotImplementedError
 
     @property
     def inputs(self) -> tuple[Any, ...]:
@@ -120,7 +108,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         if self.phase is INITIALIZATION:
             self._refresh()
         elif self.is_stale:
-            self._follow()
+            self.is_stale = False
+            try:
+                self.follow_inputs()
+            except Exception as error:
+                raise make_loggable(error) from error
         if max(vrs, default=0) >= self.output_slice.stop:
             self._check_kind(vrs, "Real")
         values = self.values
@@ -144,7 +136,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         if self.phase is STEP:
             self.is_stale = True
         else:
-            self._mark(vrs)
+            self.host_values.update(vrs)
+            self.current = False
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         self._set_parameters(vrs, values, "Boolean")
@@ -152,13 +145,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def set_string(self, vrs: list[int], values: list[str]) -> None:
         self._set_parameters(vrs, values, "String")
 
-    def _follow(self) -> None:
-        """Write the outputs of new inputs."""
-        self.is_stale = False
-        try:
-            self.follow_inputs()
-        except Exception as error:
-            raise make_loggable(error) from error
+    def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:
+        for vr, value in zip(vrs, values, strict=True):
+            self._check_settable(vr, kind)
+            self.values[vr] = value
+        self.host_values.update(vrs)
+        self.current = False
 
     def _get_fmu_state(self) -> dict[str, Any]:
         return {
@@ -182,7 +174,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.is_stale = bool(state.get("is_stale"))
         if self.phase is STEP:
             self.values = list(state["values"])
-            self.initialize(self._collect_values())
+            self._initialize()
             self.restore(state["own"])
         self.values = list(state["values"])
 
@@ -192,26 +184,16 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     # -- internal -------------------------------------------------------------------------------
 
-    def _collect_values(self) -> dict[str, Value]:
-        return {self.ports[vr].name: self.values[vr] for vr in self.host_values}
+    def _initialize(self) -> None:
+        self.initialize({self.ports[vr].name: self.values[vr] for vr in self.host_values})
 
     def _refresh(self) -> None:
         if not self.current:
             try:
-                self.initialize(self._collect_values())
+                self._initialize()
             except Exception as error:
                 raise make_loggable(error) from error
             self.current = True
-
-    def _mark(self, vrs: list[int]) -> None:
-        self.host_values.update(vrs)
-        self.current = False
-
-    def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:
-        for vr, value in zip(vrs, values, strict=True):
-            self._check_settable(vr, kind)
-            self.values[vr] = value
-        self._mark(vrs)
 
     def _check_kind(self, vrs: list[int], kind: Kind) -> None:
         for vr in vrs:
@@ -225,17 +207,3 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             raise ValueError(f"{port.name} is an output")
         if self.phase is STEP and port.causality == "parameter":
             raise ValueError(f"{port.name} is a fixed parameter; set it before the end of initialization")
-
-    def _variable(self, port: Port) -> Any:
-        vr = len(self.vars)
-        fixed = Fmi2Variability.fixed if port.causality == "parameter" else None
-        discrete = Fmi2Variability.discrete if port.kind != "Real" and fixed is None else None
-        initial = {"output": Fmi2Initial.calculated, "parameter": Fmi2Initial.exact}.get(port.causality)
-        return TYPES[port.kind](
-            port.name,
-            causality=Fmi2Causality[port.causality],
-            variability=fixed or discrete or Fmi2Variability.continuous,
-            initial=initial,
-            description=port.doc,
-            getter=lambda: self.values[vr],
-        )

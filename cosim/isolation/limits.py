@@ -18,7 +18,9 @@ BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "Mi
 LOADING = 60.0  # default limit of loading [s] with other time limits
 
 
-def _quantity(units: str, example: str, read_text: Callable[[str], float]) -> Any:
+def _above_zero(units: str, example: str, read_text: Callable[[str], float]) -> Any:
+    """Return a validator of numbers above 0, or texts of them with a unit."""
+
     def read(value: Any) -> float:
         with suppress(ValueError):
             number = read_text(value) if isinstance(value, str) else value
@@ -34,8 +36,8 @@ def _bytes(text: str) -> float:
     return number * BYTES.get(unit, 0.0)
 
 
-Seconds = Annotated[float, _quantity("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s"))]
-Bytes = Annotated[float, _quantity(", ".join(filter(None, BYTES)), "2 GB", _bytes)]
+Seconds = Annotated[float, _above_zero("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s"))]
+Bytes = Annotated[float, _above_zero(", ".join(filter(None, BYTES)), "2 GB", _bytes)]
 
 
 class Limits(Part):

@@ -22,10 +22,11 @@ def resident(pid: int) -> int:
     try:
         if sys.platform.startswith("linux"):
             return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        command = ["ps", "-o", "rss=", "-p", str(pid)]
         if os.name == "nt":
-            return _windows(pid)
-        ps = subprocess.run(["ps", "-o", "rss=", "-p", str(pid)], capture_output=True, text=True, check=False)
-        return 1024 * int(ps.stdout or 0)
+            command = ["tasklist", "/FI", f"PID eq {pid}", "/FO", "CSV", "/NH"]
+        shown = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+        return 1024 * int(re.sub(r"\D", "", shown.strip().rpartition(',"')[2]) or 0)
     except (OSError, ValueError, IndexError):
         return 0
 
@@ -45,7 +46,16 @@ class ProcessTree:
         """
         if not sys.platform.startswith("linux"):
             return resident(self.pid)
-        processes = self._processes()
+        processes = _descendants({self.pid, *self._orphans})
+        if (now := time.monotonic()) >= self._next_scan:
+            self._next_scan = now + SCAN
+            self._orphans = set()
+            for name in filter(str.isdecimal, os.listdir("/proc")):
+                with suppress(OSError):
+                    session = int(Path(f"/proc/{name}/stat").read_bytes().rpartition(b")")[2].split()[3])
+                    if session in processes:
+                        self._orphans.add(int(name))
+            processes |= _descendants(set(self._orphans))
         files = {file: size for pid in processes for file, size in _files_in_memory(pid)}
         bound = float(sum(map(resident, processes)) + sum(files.values()))
         if bound <= limit:
@@ -58,37 +68,17 @@ class ProcessTree:
                 files[file] = max(0, files[file] - mapped[file])
         return max(resident(self.pid), proportional) + sum(files.values())
 
-    def _processes(self) -> set[int]:
-        """Return the numbers of the processes."""
-        processes = _descendants({self.pid, *self._orphans})
-        if (now := time.monotonic()) >= self._next_scan:
-            self._next_scan = now + SCAN
-            self._orphans = {*_members_of_sessions(processes)}
-            processes |= _descendants(self._orphans)
-        return processes
-
 
 def _descendants(pending: set[int]) -> set[int]:
     """Return processes and all their descendants."""
     found = set[int]()
     while pending:
         found.add(pid := pending.pop())
-        pending |= set(_children(pid)) - found
-    return found
-
-
-def _children(pid: int) -> Iterator[int]:
-    with suppress(OSError):
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            with suppress(OSError):
-                yield from map(int, (task / "children").read_text().split())
-
-
-def _members_of_sessions(leaders: set[int]) -> Iterator[int]:
-    for name in filter(str.isdecimal, os.listdir("/proc")):
         with suppress(OSError):
-            if int(Path(f"/proc/{name}/stat").read_bytes().rpartition(b")")[2].split()[3]) in leaders:
-                yield int(name)
+            for task in Path(f"/proc/{pid}/task").iterdir():
+                with suppress(OSError):
+                    pending |= {*map(int, (task / "children").read_text().split())} - found
+    return found
 
 
 def _files_in_memory(pid: int) -> Iterator[tuple[File, int]]:
@@ -118,23 +108,3 @@ def _mapped_memory(pid: int) -> tuple[int, dict[File, int]]:
             total += (size := 1024 * int(match["size"]))
             files[file] = files.get(file, 0) + size
     return total, files
-
-
-def _windows(pid: int) -> int:
-    import ctypes
-    from ctypes import wintypes
-
-    class Counters(ctypes.Structure):  # PROCESS_MEMORY_COUNTERS
-        _fields_ = (
-            *((name, wintypes.DWORD) for name in ("cb", "PageFaultCount")),
-            *((name, ctypes.c_size_t) for name in ("PeakWorkingSetSize", "WorkingSetSize")),
-            ("quotas_and_page_file", ctypes.c_size_t * 6),
-        )
-
-    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
-    kernel.OpenProcess.restype = ctypes.c_void_p
-    handle = kernel.OpenProcess(0x1000, False, pid)  # PROCESS_QUERY_LIMITED_INFORMATION
-    counters = Counters(ctypes.sizeof(Counters))
-    is_filled = kernel.K32GetProcessMemoryInfo(ctypes.c_void_p(handle), ctypes.byref(counters), counters.cb)
-    kernel.CloseHandle(ctypes.c_void_p(handle))
-    return int(counters.WorkingSetSize) if is_filled else 0

@@ -143,8 +143,11 @@ class Worker:
             content = self._wait(clock)
         except BaseException as stop:
             with delay_stops():
-                if isinstance(stop, (KeyboardInterrupt, Terminated)):
-                    self._wait_for_end(clock.watch.grace)
+                grace = clock.watch.grace if isinstance(stop, (KeyboardInterrupt, Terminated)) else 0.0
+                if grace and self.running and self.progress.made[0]:  # for a last checkpoint
+                    self.progress.ending[0] = self.progress.asked[0] = 1
+                    with suppress(queue.Empty):
+                        self._answers.get(timeout=grace)
                 self.end(kill=True)
             raise
         answer, error = pickle.loads(content)
@@ -159,7 +162,8 @@ class Worker:
 
     def end(self, kill: bool = False, *, replaced: bool = False) -> None:
         """End the process and its children; remove its files, except for a process that is replaced."""
-        process, self._process = self._process, None
+        process: Any = self._process
+        self._process = None
         if process is None:
             return
         if not kill:
@@ -171,11 +175,10 @@ class Worker:
                 kill = True
         _end_group(process, kill)
         self._output.join()
-        _close(process.stdin)  # The readers of the other streams close them; closing here would wait for a read.
+        with suppress(OSError, ValueError):  # Unsent data have no reader.
+            process.stdin.close()  # The readers of the other streams close them; closing here would wait for a read.
         if not replaced:
             self._scratch.remove()
-
-    # -- internal -------------------------------------------------------------------------------
 
     def _ask(self, content: bytes) -> None:
         if self._process is not None:
@@ -218,13 +221,6 @@ class Worker:
                 clock.check_memory(self._process.pid)
             return content
 
-    def _wait_for_end(self, grace: float) -> None:
-        """Wait up to `grace` [s] for a last checkpoint."""
-        if grace and self.running and self.progress.made[0]:
-            self.progress.ending[0] = self.progress.asked[0] = 1
-            with suppress(queue.Empty):
-                self._answers.get(timeout=grace)
-
     def _crash(self, clock: Clock, patience: float) -> SimulationError:
         """Return the crash with cause, call and last message.
 
@@ -242,7 +238,8 @@ class Worker:
         self._output.join()
         if code in (None, STREAMS_LOST):
             return Crashed(*clock.place_of_streams(component, at, call, is_certain=is_certain))
-        words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._output.last_line()
+        texts = (bytes(text).decode("utf-8", "replace") for text in (self.progress.words, self._output.last))
+        words = next((line.strip() for text in texts for line in reversed(text.splitlines()) if line.strip()), "")
         component, at, call = clock.place()
         last = f"; it said last: {words[:MOST_WORDS]}" if words else ""
         return Crashed(component, at, f"{call} {how_ended(code)}{last}")
@@ -300,26 +297,17 @@ class _Output:
         with suppress(OSError, ValueError), stream:
             while part := stream.read1(65536):
                 self.last = (self.last + part)[-LAST_OUTPUT:]
-                if room > 0:
-                    _show(part[:room])
-                    room -= len(part)
-                    if room <= 0:
-                        _show(b"\n(the FMUs print more, which is left out)\n")
+                if room <= 0:
+                    continue
+                shown = part[:room].decode("utf-8", "replace")
+                room -= len(part)
+                with suppress(OSError, ValueError):  # stderr may be closed
+                    sys.stderr.write(shown if room > 0 else f"{shown}\n(the FMUs print more, which is left out)\n")
+                    sys.stderr.flush()
 
     def join(self) -> None:
         """Wait for the rest, but not for children of the process."""
         self._thread.join(1.0)
-
-    def last_line(self) -> str:
-        """Return the last line of the output that is not blank."""
-        lines = [line.strip() for line in self.last.decode("utf-8", "replace").splitlines()]
-        return next((line for line in reversed(lines) if line), "")
-
-
-def _show(text: bytes) -> None:
-    with suppress(OSError, ValueError):  # stderr may be closed
-        sys.stderr.write(text.decode("utf-8", "replace"))
-        sys.stderr.flush()
 
 
 def _from_lasting_thread() -> subprocess.Popen[bytes]:
@@ -342,10 +330,15 @@ def _spawn() -> subprocess.Popen[bytes]:
     """Start Python in its own group, so that Ctrl-C reaches the caller only."""
     path = os.environ.get("PYTHONPATH")
     environment = {**os.environ, **cache_environment(), "PYTHONPATH": str(ROOT) + (os.pathsep + path if path else "")}
-    windows = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
-    apart: dict[str, Any] = windows if os.name == "nt" else {"start_new_session": True}
-    command, pipe = [sys.executable, "-P", "-m", "cosim.isolation"], subprocess.PIPE
-    return subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, **apart)
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "cosim.isolation"],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+        start_new_session=os.name != "nt",
+    )
 
 
 def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:
@@ -360,8 +353,3 @@ def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:
     if kill:
         process.kill()
     process.wait()
-
-
-def _close(stream: Any) -> None:
-    with suppress(OSError, ValueError):  # Unsent data have no reader.
-        stream.close()

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -28,13 +28,6 @@ NOTHING = -1  # no call yet
 WAITING = NOTHING - CALLS  # for the clock, or for the end of a pause; like NOTHING, no call
 BLOCK = 1 << 20  # bytes per write on disks that cannot reserve space
 POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map beforehand
-
-
-class ExactValues(Protocol):
-    """Interface of the list for values that doubles cannot hold, such as text and 64-bit integers."""
-
-    def append(self, row: tuple[Any, ...], /) -> None:
-        """Append the values of a row."""
 
 
 class ExactFile:
@@ -77,7 +70,8 @@ class Rows:
     """Rows of a run during its recording, and the progress of the run.
 
     Attributes:
-        beside: Values without exact double, stored before `made` counts their row.
+        beside: Values without exact double, such as text and 64-bit integers, stored before `made` counts their row: a
+            list of rows, or an `ExactFile`.
         made: [number of complete rows], updated after each row.
         doing: [current call], updated before each call.
         tell_loop: Function called with the kind of loop before its start.
@@ -87,7 +81,7 @@ class Rows:
     """
 
     table: Array
-    beside: ExactValues = field(default_factory=list[tuple[Any, ...]])
+    beside: Any = field(default_factory=list[tuple[Any, ...]])
     made: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
     doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NOTHING]))
     tell_loop: Callable[[str], None] = lambda loop: None

@@ -142,37 +142,26 @@ class Clock:
 
     def look(self, pid: int) -> None:
         """Raise TimedOut or SimulationError for an exceeded limit."""
-        now, rows = time.monotonic(), self.progress.made[0]
-        if self.watch.progress is not None and rows != self.rows:
+        now, rows, doing = time.monotonic(), self.progress.made[0], self.progress.doing[0]
+        watch, limits = self.watch, self.watch.limits
+        if watch.progress is not None and rows != self.rows:
             self.rows = rows
-            self.watch.progress(rows)
-        loading, key = self._is_loading(), self._key()
-        waiting = self.progress.doing[0] in (NOTHING, WAITING)
+            watch.progress(rows)
+        is_other = doing % CALLS == OTHER  # NOTHING counts as OTHER too.
+        is_named = self.progress.named[0] and b"Instantiate" not in self.progress.call
+        loading, waiting, key = not rows and is_other and not is_named, doing in (NOTHING, WAITING), self._key()
         if key != self.key or waiting:
             self.key, self.since = key, now
-        self.watch.spent[0] += 0.0 if loading or (waiting and rows) else now - self.last
+        watch.spent[0] += 0.0 if loading or (waiting and rows) else now - self.last
         self.last = now
-        self._check(loading, now - self.since, pid)
-
-    def _check(self, loading: bool, duration: float, pid: int) -> None:
-        limits = self.watch.limits
         limit, name = (limits.loading, "load") if loading else (limits.step, "step")
         component, at, call = self.place()
-        if limit is not None and duration > limit:
-            raise TimedOut(
-                component,
-                at,
-                f"{call} takes longer than {limit:g} s (limits: {name}); raise this limit if the FMU is only slow",
-            )
-        if limits.total is not None and self.watch.spent[0] > limits.total:
-            raise TimedOut(
-                component,
-                at,
-                (
-                    f"{call} was stopped: the run takes longer than {limits.total:g} s in all (limits: total); raise "
-                    "this limit or shorten the run"
-                ),
-            )
+        if limit is not None and now - self.since > limit:
+            reason = f"{call} takes longer than {limit:g} s (limits: {name}); raise this limit if the FMU is only slow"
+            raise TimedOut(component, at, reason)
+        if limits.total is not None and watch.spent[0] > limits.total:
+            reason = f"{call} was stopped: the run takes longer than {limits.total:g} s in all (limits: total); raise "
+            raise TimedOut(component, at, f"{reason}this limit or shorten the run")
         self.check_memory(pid)
 
     def check_memory(self, pid: int) -> None:
@@ -222,22 +211,11 @@ class Clock:
         watch = self.watch
         fmus = [name for name, calls in zip(watch.components, watch.calls, strict=False) if calls is not PLAIN_CALLS]
         if is_certain or len(fmus) < 2:
-            return (
-                fmus[0] if len(fmus) == 1 else component,
-                at,
-                f"{call} closed, read or wrote descriptors that the FMU did not open: it must leave them alone",
-            )
+            message = f"{call} closed, read or wrote descriptors that the FMU did not open: it must leave them alone"
+            return fmus[0] if len(fmus) == 1 else component, at, message
         names = " or ".join(fmus) if len(fmus) <= MOST_NAMED else f"one of {len(fmus)} FMUs"
-        return (
-            names,
-            at,
-            "closed, read or wrote descriptors that it did not open; give them process: own, which shows the FMU",
-        )
-
-    def _is_loading(self) -> bool:
-        if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING counts as OTHER too.
-            return False
-        return not self.progress.named[0] or b"Instantiate" in self.progress.call
+        message = "closed, read or wrote descriptors that it did not open; give them process: own, which shows the FMU"
+        return names, at, message
 
     def _key(self) -> tuple[Any, ...]:
         """Return a key that is constant during a step or call."""

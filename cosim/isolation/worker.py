@@ -62,13 +62,13 @@ def free_object(number: int, method: str, arguments: Sequence[Any]) -> None:
 
 def share_log(component: Any) -> None:
     """Keep the last message of a component in shared memory, so that the caller sees it even after a crash."""
+
+    def share(text: str) -> None:
+        progress.words = " ".join(text.split()).encode()[:511]
+
     log: Any = getattr(component, "log", None)
     if hasattr(log, "share"):
-        log.share = _share
-
-
-def _share(text: str) -> None:
-    progress.words = " ".join(text.split()).encode()[:511]
+        log.share = share
 
 
 def send(stream: Any, content: bytes) -> None:
@@ -95,9 +95,18 @@ def main() -> None:
     """Import modules, then do jobs in sequence."""
     global progress
     collect_seldom()
-    requests, answers = _take_streams()
+    # The streams to the caller are separated from FMUs, which read nothing from stdin and print to stderr.
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)
     state = _state_of(requests, answers)
-    _end_with_caller()
+    if sys.platform.startswith("linux"):
+        # At the caller's end the kernel sends SIGUSR1, even if an FMU hangs. Its handler is alarm(SIGUSR1) of the C
+        # library, which ends the process after 10 s.
+        libc = ctypes.CDLL(None)
+        libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
+        libc.signal(signal.SIGUSR1, ctypes.cast(libc.alarm, ctypes.c_void_p))
+        libc.prctl(1, signal.SIGUSR1)  # PR_SET_PDEATHSIG
     scratch, sys.path[:], python_path, modules = pickle.loads(receive(requests) or sys.exit())
     os.environ.pop("PYTHONPATH", None)  # that of the caller, and not that by which cosim is found
     if python_path is not None:
@@ -117,16 +126,20 @@ def main() -> None:
             send(answers, answer)
         except OSError:
             os._exit(STREAMS_LOST)
-    _end()
+    # End at once, without unloading modules. The caller ends processes started by FMUs.
+    with suppress(OSError, ValueError):  # An FMU may have closed them.
+        sys.stdout.flush()
+        sys.stderr.flush()
+    if os.name == "posix":
+        ctypes.CDLL(None).fflush(None)  # flushes files written by FMUs
+    os._exit(0)
 
 
 def _state_of(*streams: BinaryIO) -> list[tuple[int, int, bool]]:
     """Return the identities of streams, and whether they wait; raise OSError for a closed one."""
     about = []
     for number in (stream.fileno() for stream in streams):
-        waits = True
-        if sys.platform != "win32":
-            waits = os.get_blocking(number)
+        waits = sys.platform == "win32" or os.get_blocking(number)
         status = os.fstat(number)
         about.append((status.st_dev, status.st_ino, waits))
     return about
@@ -136,30 +149,6 @@ def hold_if_abandoned() -> None:
     """Wait for the end of this process if its caller has ended."""
     while abandoned.is_set():
         time.sleep(1.0)
-
-
-def _end() -> None:
-    """End the process at once, without unloading its modules.
-
-    The caller ends processes started by FMUs.
-    """
-    with suppress(OSError, ValueError):  # An FMU may have closed them.
-        sys.stdout.flush()
-        sys.stderr.flush()
-    if os.name == "posix":
-        ctypes.CDLL(None).fflush(None)  # flushes files written by FMUs
-    os._exit(0)
-
-
-def _take_streams() -> tuple[BinaryIO, BinaryIO]:
-    """Return the streams to the caller, separated from FMUs.
-
-    FMUs read nothing from stdin and print to stderr.
-    """
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)
-    return requests, answers
 
 
 def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> None:
@@ -182,29 +171,13 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
     os._exit(1)
 
 
-def _end_with_caller() -> None:
-    """Let Linux end this process after its caller, even in a hung FMU."""
-    if not sys.platform.startswith("linux"):
-        return
-    # At the caller's end the kernel sends SIGUSR1. Its handler is alarm(SIGUSR1) of the C library, which ends the
-    # process after 10 s.
-    libc = ctypes.CDLL(None)
-    libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
-    libc.signal(signal.SIGUSR1, ctypes.cast(libc.alarm, ctypes.c_void_p))
-    libc.prctl(1, signal.SIGUSR1)  # PR_SET_PDEATHSIG
-
-
 def _name_calls() -> None:
     """Make FMPy announce each FMI call."""
     try:
         from fmpy.fmi1 import _FMU
     except ImportError:
         return
-    call = getattr(_FMU, "_call", None)
-    if call is None:
-        return
-
-    here, named = progress, progress.named
+    call, here, named = _FMU._call, progress, progress.named
 
     def announce_and_call(self: Any, name: str, *arguments: Any) -> Any:
         here.call, named[0] = name.encode()[:127], 1

@@ -10,8 +10,7 @@ from cosim.base.drafts import draft_of
 from cosim.base.registry import entry_of, is_model, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import ModelName, Names
-from cosim.loading.file import designed_starts, meant_model
-from cosim.loading.substep import with_substep
+from cosim.loading.build_native import build_native, designed_model
 from cosim.storage.files import FilePath, check_folder, named_path
 
 PLANT = "plant.fmu"
@@ -53,13 +52,10 @@ def build(
     folder = named_path(folder)
     check_folder(folder)
     if native:
-        from cosim.loading.build_native import build_native
-
         natives = build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms, design=design, tell=tell)
         return [fmu.path for fmu in natives]
 
-    loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    starts = designed_starts(design, loaded.model, tell)
+    loaded, starts = designed_model(model, nearest, design, tell)
     entry = entry_of(type(loaded.model))
     if entry is not None and entry.built and model in (None, entry.name):
         recipes, places = {}, dict(entry.built)

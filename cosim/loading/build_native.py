@@ -3,41 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.registry import is_model, model_entry, resolve
+from cosim.base.registry import BASE, entry_of, is_model, model_entry, models, resolve
 from cosim.base.scratch import temporary_folder
+from cosim.fmi.native.compiler import PLATFORMS, CompilerFailed, NoCompiler, commands
 from cosim.fmi.ports import Value
-from cosim.loading.file import LoadedModel, designed_starts, meant_model
+from cosim.loading.file import LoadedModel, load_model
+from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.yaml_file import did_you_mean
+from cosim.storage.yaml_file import YamlFile, did_you_mean
 
 if TYPE_CHECKING:
-    from cosim.fmi.native.package import Built, Native
+    from cosim.fmi.native.native_description import Native
+    from cosim.fmi.native.package import NativeFmu
 
 SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
-
-
-@dataclass(frozen=True)
-class NativeFmu:
-    """A built native FMU, with the oldest glibc of each platform; "" if a platform has none."""
-
-    path: Path
-    floors: Mapping[str, str]
-
-    @property
-    def sentence(self) -> str:
-        """Return a sentence on the archive and its platforms."""
-        places = (f"{name} (glibc {floor} or later)" if floor else name for name, floor in self.floors.items())
-        return f"built {self.path} for {', '.join(places)}"
 
 
 def build_native(
@@ -61,8 +50,6 @@ def build_native(
     Raises:
         InputError: The build is impossible; nothing is written.
     """
-    from cosim.fmi.native.platforms import PLATFORMS
-
     folder = named_path(folder)
     check_folder(folder)
     known = f"(known: {', '.join(PLATFORMS)})"
@@ -72,8 +59,7 @@ def build_native(
     if fmi not in SUFFIX:
         raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
     _check_compiler(platforms)
-    loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    starts = designed_starts(design, loaded.model, tell)
+    loaded, starts = designed_model(model, nearest, design, tell)
     native_names = model_entry(loaded.source).native if is_model(loaded.source) else {}
     if starts and not any(f"{name}.fmu" in starts for name in native_names):
         raise InputError.at(Path("--design"), "names no controller that has a native FMU; build it without --native")
@@ -83,7 +69,7 @@ def build_native(
         for file, one in built.items():
             with draft_of(folder / file) as draft:
                 draft.write_bytes(one.path.read_bytes())
-    return [NativeFmu(folder / file, one.floors) for file, one in built.items()]
+    return [replace(one, path=folder / file) for file, one in built.items()]
 
 
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:
@@ -99,7 +85,7 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     key = loaded.source, model.chosen_substep, model.chosen_integrator
     if key not in natives:
         bare = type(model)().with_substep(model.chosen_substep, model.chosen_integrator)
-        _, natives[key] = next(_natives(LoadedModel(bare, loaded.source)))
+        _, natives[key] = next(_natives(LoadedModel(bare, loaded.source), {}))
     return _compile(natives[key], path).path
 
 
@@ -107,44 +93,37 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
 _of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
 
 
-def _natives(
-    loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]] | None = None
-) -> Iterator[tuple[str, Native]]:
-    """Yield the plant and further native FMUs of a registered model, with designed start values by file."""
+def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> Iterator[tuple[str, Native]]:
+    """Yield the plant and further native FMUs of a registered model, with designed start values by file.
+
+    A part of the model that cannot be expressed in C is a fault at its line.
+    """
     from cosim.fmi.native.package import native_model
     from cosim.fmi.native.printing import UnprintableModel
 
-    kind = type(loaded.model).__name__
     try:
-        yield "plant", native_model(loaded.model, loaded.recipe(), f"{kind}Plant")
-    except RecursionError as error:  # sympy 1.14, for some nested minima and maxima
-        endless = UnprintableModel("sympy finds no end in differentiating its equations")
-        raise InputError([_unprintable(loaded, endless)]) from error
-    except (UnprintableModel, TypeError, AttributeError) as error:
-        raise InputError([_unprintable(loaded, error)]) from error
+        yield "plant", native_model(loaded.model, loaded.recipe(), f"{type(loaded.model).__name__}Plant")
+    except (UnprintableModel, TypeError, AttributeError, RecursionError) as raised:
+        error: Exception = raised
+        if isinstance(raised, RecursionError):  # sympy 1.14, for some nested minima and maxima
+            error = UnprintableModel("sympy finds no end in differentiating its equations")
+        cure = "let its equations take functions and branches from m, or build it without --native"
+        file = loaded.source.rpartition(":")[0]
+        if not file:
+            fault = Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
+        elif isinstance(error, UnprintableModel):
+            owner, hook = error.owner or type(loaded.model), error.hook if error.owner else "equations"
+            message = f"cannot be printed as C: {error}; {error.cure or cure}"
+            fault = ModelText(Path(file)).fault(owner, hook, message)
+        else:
+            fault = ModelText(Path(file)).convert_error(error, "cannot be printed as C")
+        raise InputError([fault]) from raised
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
-        yield name, resolve(recipe)((starts or {}).get(f"{name}.fmu"))
+        yield name, resolve(recipe)(starts.get(f"{name}.fmu"))
 
 
-def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
-    """Return a fault at the line of the model that cannot be expressed in C."""
-    from cosim.fmi.native.printing import UnprintableModel
-
-    file = loaded.source.rpartition(":")[0]
-    cure = "let its equations take functions and branches from m, or build it without --native"
-    if not file:
-        return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
-    source = ModelText(Path(file))
-    if isinstance(error, UnprintableModel):
-        owner = error.owner or type(loaded.model)
-        hook = error.hook if error.owner else "equations"
-        return source.fault(owner, hook, f"cannot be printed as C: {error}; {error.cure or cure}")
-    return source.convert_error(error, "cannot be printed as C")
-
-
-def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Built:
+def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> NativeFmu:
     """Return a built FMU; raise InputError with the compiler's reason against it."""
-    from cosim.fmi.native.compiler import CompilerFailed
     from cosim.fmi.native.package import build_native as build_fmu
 
     try:
@@ -156,9 +135,40 @@ def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] 
 
 def _check_compiler(platforms: Sequence[str]) -> None:
     """Raise InputError without a compiler, before generating code."""
-    from cosim.fmi.native.compiler import NoCompiler, commands
-
     try:
         commands(tuple(platforms))
     except NoCompiler as error:
         raise InputError.at(Path("--native"), str(error)) from None
+
+
+def designed_model(
+    text: str | None, nearest: bool, design: FilePath | None, tell: Callable[[str], None]
+) -> tuple[LoadedModel, Mapping[str, Mapping[str, Value]]]:
+    """Return the named model, and the start values that a design file gives to controllers, by file of an FMU.
+
+    A refine folder means its refined model, or with `nearest` its nearest model.
+
+    Raises:
+        InputError: Every fault of the model or file, or a model without a controller to design.
+    """
+    if text is None and nearest:
+        reason = "has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"
+        raise InputError.at(Path("--nearest"), reason)
+    file: str | Path = BASE if text is None else text
+    if text is not None and (nearest or names_refine(Path(text))):
+        try:
+            file = refined_file(Path(text), nearest=nearest)
+        except NoNearest as error:
+            raise InputError.at(Path(text), str(error)) from None
+    loaded, _ = with_substep(load_model(str(file), Path()))
+    if design is None:
+        return loaded, {}
+    entry = entry_of(type(loaded.model))
+    if entry is None or not entry.design:
+        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
+        reason = f"{loaded.model.title} has no controller to design. Models with a controller: {names}"
+        raise InputError.at(Path("--design"), reason)
+    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), loaded.model)
+    for warning in warnings:
+        tell(warning)
+    return loaded, dict(starts)

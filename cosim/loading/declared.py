@@ -22,7 +22,7 @@ from cosim.model.delay import Delay, Gain
 from cosim.model.model import INTEGRATORS, Effect, Model, Validity, overrides
 from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import Quantity, parameters_of
-from cosim.model.sensors import Drift, LeverArm, SensorError
+from cosim.model.sensors import LeverArm, SensorError
 from cosim.storage.yaml_file import did_you_mean
 
 Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
@@ -50,7 +50,7 @@ MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and 
 def make_model(kind: type[Model], source: ModelText) -> Model:
     """Return a model with default parameters; raise InputError with all faults of its class."""
     refuse(source.fault(*fault) for fault in _form_faults(kind))
-    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind), *_static_faults(kind)]
+    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind)]
     values = [*_parameter_faults(kind)]
     faults = [source.fault(*f) for f in (*declared, *_name_faults(kind), *_number_faults(kind), *values)]
     if not values:
@@ -84,13 +84,20 @@ def _form_faults(kind: type[Model]) -> Faults:
     for name, item, reason in TUPLES:
         value = getattr(kind, name)
         base = {"catalogue": Effect, "sensors": SensorError}.get(name, object)
-        is_right = _is_tuple_of(value, item) and all(item is not type or issubclass(one, base) for one in value)
-        if not is_right:
-            yield kind, name, reason
-        elif item is type:
-            yield from _label_faults(value)
         if item is type and isinstance(value, (tuple, list)):
             owners += [one for one in value if isinstance(one, type)]
+        if not (_is_tuple_of(value, item) and all(item is not type or issubclass(one, base) for one in value)):
+            yield kind, name, reason
+            continue
+        for owner in value if item is type else ():  # an effect or sensor error
+            for label in ("name", "equation"):
+                if not isinstance(getattr(owner, label, None), str):
+                    yield owner, label, f'{owner.__name__} has no {label}; add {label} = "…"'
+            if "." in (label := str(getattr(owner, "name", ""))):
+                yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
+            for group in ("states", "memory"):
+                if not _is_tuple_of(getattr(owner, group), Quantity):
+                    yield owner, group, f"{group} is a tuple of quantities, {COMMA}"
     for name, key, item, form in MAPPINGS:
         value = getattr(kind, name)
         if not isinstance(value, Mapping) or not (
@@ -105,19 +112,6 @@ def _form_faults(kind: type[Model]) -> Faults:
 
 def _is_tuple_of(value: Any, kind: Any) -> bool:
     return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
-
-
-def _label_faults(owners: Iterable[type]) -> Faults:
-    """Yield faults in the names, equations, states and memory of effects and sensor errors."""
-    for owner in owners:
-        for name in ("name", "equation"):
-            if not isinstance(getattr(owner, name, None), str):
-                yield owner, name, f'{owner.__name__} has no {name}; add {name} = "…"'
-        if "." in (label := str(getattr(owner, "name", ""))):
-            yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
-        for name in ("states", "memory"):
-            if not _is_tuple_of(getattr(owner, name), Quantity):
-                yield owner, name, f"{name} is a tuple of quantities, {COMMA}"
 
 
 def _parameter_faults(kind: type[Model]) -> Faults:
@@ -300,19 +294,3 @@ def _delay_faults(kind: type[Model]) -> Faults:
             yield owner, "memory", f"{owner.name} delays {counts}; give it one for each input, in their order"
         if owner is not delays[0]:
             yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; let one of them do it"
-
-
-def _static_faults(kind: type[Model]) -> Faults:
-    """Yield faults of time-dependent effects without states."""
-    if kind.base_states:
-        return
-    table = f"{kind.__name__} has no states, so each row of its tables is independent of the others"
-    for owner in kind.catalogue:
-        if owner.states or owner.memory or owner.delay:
-            yield owner, "", f"{table}; {owner.name} keeps what was before: leave it out, or give the model a state"
-        elif owner.shape is not Effect.shape:
-            reason = "shapes what acts on states: let it act in the output, by a hook of your own"
-            yield owner, "", f"{kind.__name__} has no states, and {owner.name} {reason}"
-    for sensor in kind.sensors:
-        if sensor.depends_on_past() or issubclass(sensor, Drift):
-            yield sensor, "", f"{table}; {sensor.name} depends on time: leave it out, or give the model a state"

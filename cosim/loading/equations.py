@@ -17,111 +17,84 @@ from cosim.model.sensors import LeverArm, SensorError
 from cosim.model.symbolic.symbols import symbolic
 from cosim.storage.yaml_file import did_you_mean
 
+FAILED = object()  # in place of the result of a call that raised an exception
+
+
+class _Trial:
+    """Calls of a user's functions, and the faults found."""
+
+    def __init__(self, source: ModelText) -> None:
+        self.source = source
+        self.faults: list[Fault] = []
+
+    def note(self, owner: type, attribute: str, message: str) -> None:
+        self.faults.append(self.source.fault(owner, attribute, message))
+
+    def attempt(self, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Return a call's result, or FAILED with its exception noted as fault."""
+        try:
+            return call(*arguments)
+        except Exception as error:  # A user's file may raise any error.
+            self.faults.append(self.source.convert_error(error, doing))
+            return FAILED
+
 
 def equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
     """Return the faults of `equations` and start values, evaluated on floats and on symbols.
 
-    No effect is active on floats, all effects are active on symbols.
+    No effect is active on floats. All effects are active on symbols, for both values of Boolean parameters.
     """
-    model = _try(source, "cannot be made", kind)
-    if isinstance(model, Fault):
-        return [model]
-    faults = _start_faults(model, source)
-    if not faults:
-        arguments = 0.0, model.start(), model.start_command()
-        faults = _body_faults(model, source, SCALAR, arguments, _number_objection)
-    return [*faults, *_symbol_faults(model, source)]
-
-
-def effect_faults(kind: type[Model], source: ModelText) -> list[Fault]:
-    """Return the faults of effects and sensor errors.
-
-    A substep is computed with each effect alone, and commands are shaped as symbols.
-    """
-    model = kind()
-    faults = [fault for owner in kind.catalogue for fault in _step_faults(model, owner, source)]
-    return [*faults, *_shaping_faults(model, source), *_sensor_faults(model, source)]
-
-
-def _try(source: ModelText, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
-    """Return a call's result, or its exception as fault."""
-    try:
-        return call(*arguments)
-    except Exception as error:  # A user's file may raise any error.
-        return source.convert_error(error, doing)
-
-
-def _start_faults(model: Model, source: ModelText) -> list[Fault]:
-    """Return faults of unknown start values."""
-    faults = []
+    trial = _Trial(source)
+    model = trial.attempt("cannot be made", kind)
+    if model is FAILED:
+        return trial.faults
     for hook, quantities in (("start_state", model.base_states), ("start_input", model.inputs)):
-        values = _try(source, f"`{hook}` raises", getattr(model, hook))
+        values = trial.attempt(f"`{hook}` raises", getattr(model, hook))
         names = [q.name for q in quantities]
-        if isinstance(values, Fault):
-            faults.append(values)
-        elif not isinstance(values, dict):
-            reason = f"`{hook}` gives {values!r}; return a dictionary of values by name"
-            faults.append(source.fault(type(model), hook, reason))
-        else:
-            for name in values.keys() - set(names):
-                reason = f'`{hook}` gives a value for "{name}"{did_you_mean(str(name), names)}'
-                faults.append(source.fault(type(model), hook, f"{reason} (allowed: {', '.join(names)})"))
-    return faults
-
-
-def _symbol_faults(model: Model, source: ModelText) -> list[Fault]:
-    """Return faults of the equations on symbols with all effects active, for both values of Boolean parameters."""
-    import sympy
-
+        if not isinstance(values, dict) and values is not FAILED:
+            trial.note(kind, hook, f"`{hook}` gives {values!r}; return a dictionary of values by name")
+        for name in values.keys() - set(names) if isinstance(values, dict) else ():
+            reason = f'`{hook}` gives a value for "{name}"{did_you_mean(str(name), names)}'
+            trial.note(kind, hook, f"{reason} (allowed: {', '.join(names)})")
+    if not trial.faults:
+        arguments = 0.0, model.start(), model.start_command()
+        _try_equations(trial, model, SCALAR, arguments, _number_objection)
     flags = any(isinstance(p.default, bool) for p in model.parameters)
-    faults: list[Fault] = []
     for flag in (True, False) if flags else (None,):
-        s = _try(source, "cannot be made of symbols", symbolic, model, flag)
-        if isinstance(s, Fault):
-            return [s]
-        m, arguments = SymbolNamespace(), (s.time, s.state, s.command)
-        start = _try(source, "`start_state` raises", s.model.start_state, m)
-        faults += [start] if isinstance(start, Fault) else []
-        if body := _body_faults(s.model, source, m, arguments, _symbol_objection):
-            faults += body
-        elif not s.model.base_states and any(
-            s.time in sympy.sympify(value).free_symbols for value in s.model.equations(m).output(*arguments)
-        ):
-            table = f"{type(model).__name__} has no states, so each row of its tables is independent of the others"
-            faults.append(source.fault(type(model), "equations", f"{table}; let no output depend on time"))
-    return faults
+        s = trial.attempt("cannot be made of symbols", symbolic, model, flag)
+        if s is FAILED:
+            break
+        m = SymbolNamespace()
+        trial.attempt("`start_state` raises", s.model.start_state, m)
+        _try_equations(trial, s.model, m, (s.time, s.state, s.command), _symbol_objection)
+    return trial.faults
 
 
 Objection = Callable[[Any], str]  # why a value is unsuitable, "" if it is suitable
 
 
-def _body_faults(
-    model: Model, source: ModelText, m: Namespace, arguments: tuple[Any, ...], objection: Objection
-) -> list[Fault]:
-    """Return faults of derivative and output: exceptions, number and values."""
-    body = _try(source, "`equations` raises", model.equations, m)
-    if isinstance(body, Fault):
-        return [body]
+def _try_equations(trial: _Trial, model: Model, m: Namespace, arguments: tuple[Any, ...], objection: Objection) -> None:
+    """Note faults of derivative and output: exceptions, number and values."""
+    body, kind = trial.attempt("`equations` raises", model.equations, m), type(model)
     if not isinstance(body, Equations):
-        reason = f"`equations` gives {type(body).__name__}; return Equations(derivative, output)"
-        return [source.fault(type(model), "equations", reason)]
-    faults: list[Fault] = []
+        if body is not FAILED:
+            reason = f"`equations` gives {type(body).__name__}; return Equations(derivative, output)"
+            trial.note(kind, "equations", reason)
+        return
     for function, quantities in (("derivative", model.states), ("output", model.outputs)):
-        values = _try(source, f"`{function}` raises", getattr(body, function), *arguments)
+        values = trial.attempt(f"`{function}` raises", getattr(body, function), *arguments)
         names = [q.name for q in quantities]
-        if isinstance(values, Fault):
-            faults.append(values)
-            continue
-        if not isinstance(values, (tuple, list)):
-            kind = type(values).__name__
-            texts = [f"`{function}` gives one {kind}; return a tuple of {len(names)}: {', '.join(names)}"]
-        elif len(values) != len(names):
+        texts = []
+        if isinstance(values, (tuple, list)) and len(values) == len(names):
+            objections = zip(names, map(objection, values), strict=True)
+            texts = [f"`{function}` gives {text} for {name}" for name, text in objections if text]
+        elif isinstance(values, (tuple, list)):
             texts = [f"`{function}` gives {len(values)} values; return {len(names)}: {', '.join(names)}"]
-        else:
-            pairs = zip(names, map(objection, values), strict=True)
-            texts = [f"`{function}` gives {text} for {name}" for name, text in pairs if text]
-        faults += [source.fault(type(model), "equations", text) for text in texts]
-    return faults
+        elif values is not FAILED:
+            wrong = type(values).__name__
+            texts = [f"`{function}` gives one {wrong}; return a tuple of {len(names)}: {', '.join(names)}"]
+        for text in texts:
+            trial.note(kind, "equations", text)
 
 
 def _number_objection(value: Any) -> str:
@@ -141,69 +114,50 @@ def _symbol_objection(value: Any) -> str:
     return "" if is_expression else f"{type(value).__name__}, no number,"
 
 
-def _step_faults(model: Model, owner: type[Effect], source: ModelText) -> list[Fault]:
-    """Return the fault of a substep with one effect at typical size."""
-    typical = {
-        p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
-        for p in parameters_of(owner)
-        if p.neutral is not None and p.typical is not None
-    }
-    if not typical:
-        return []
+def effect_faults(kind: type[Model], source: ModelText) -> list[Fault]:
+    """Return the faults of effects and sensor errors.
 
-    def step() -> None:
-        stepper = Stepper(model.with_effect(replace(owner(), **typical)))
-        stepper.step(stepper.start(), model.start_command(), model.substep)
-
-    fault = _try(source, f"a step with {owner.name} raises", step)
-    return [fault] if isinstance(fault, Fault) else []
-
-
-def _shaping_faults(model: Model, source: ModelText) -> list[Fault]:
-    """Return faults of command shaping on symbols; delays need no check, since the log supplies delayed commands."""
+    A substep is computed with each effect alone at its typical size. Commands are shaped and readings taken as symbols.
+    """
     import sympy
 
-    s = symbolic(model)
-    faults = []
+    model, trial, m = kind(), _Trial(source), SymbolNamespace()
+    for owner in kind.catalogue:
+        typical = {
+            p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
+            for p in parameters_of(owner)
+            if p.neutral is not None and p.typical is not None
+        }
+
+        def step(owner: type[Effect] = owner, typical: dict[str, float] = typical) -> None:
+            stepper = Stepper(model.with_effect(replace(owner(), **typical)))
+            stepper.step(stepper.start(), model.start_command(), model.substep)
+
+        if typical:
+            trial.attempt(f"a step with {owner.name} raises", step)
+    s, h = symbolic(model), sympy.Symbol("h", positive=True)
     for effect in overrides(s.model.awake, "shape", Effect):
-        if effect.delay:
+        if effect.delay:  # It needs no check, since the log supplies delayed commands.
             continue
         memory = tuple(sympy.Symbol(f"memory:{q.name}", real=True) for q in effect.memory)
-        h = sympy.Symbol("h", positive=True)
-        doing = f"`shape` of {effect.name} raises"
-        result = _try(source, doing, effect.shape, SymbolNamespace(), s.time, h, s.command, memory)
+        shaped = trial.attempt(f"`shape` of {effect.name} raises", effect.shape, m, s.time, h, s.command, memory)
         counts = (len(s.command), len(memory))
-        if isinstance(result, Fault):
-            faults.append(result)
-        elif (
-            not isinstance(result, tuple)
-            or not all(isinstance(part, (tuple, list)) for part in result)
-            or tuple(map(len, result)) != counts
-        ):
+        is_pair = isinstance(shaped, tuple) and all(isinstance(part, (tuple, list)) for part in shaped)
+        if shaped is not FAILED and not (is_pair and tuple(map(len, shaped)) == counts):
             message = f"`shape` of {effect.name} returns two tuples: {counts[0]} commands and {counts[1]} of memory"
-            faults.append(source.fault(type(effect), "shape", message))
-    return faults
-
-
-def _sensor_faults(model: Model, source: ModelText) -> list[Fault]:
-    """Return faults of symbolic readings of sensor errors."""
-    import sympy
-
+            trial.note(type(effect), "shape", message)
     value, t = (sympy.Symbol(name, real=True) for name in ("value", "time"))
     outputs = {q.name: sympy.Symbol(f"output:{q.name}", real=True) for q in model.outputs}
-    faults = []
-    for kind in model.sensors:
-        hook = next((h for h in ("readings", "read") if getattr(kind, h) is not getattr(SensorError, h)), "measure")
-        hook = "carried" if issubclass(kind, LeverArm) and kind.readings is LeverArm.readings else hook
-        doing = f"`{hook}` of {kind.name} raises"
-        readings = _try(source, doing, kind(value=value).readings, SymbolNamespace(), t, outputs)
-        if isinstance(readings, Fault):
-            faults.append(readings)
-        elif list(readings) != list(kind.affected()):
+    for sensor in model.sensors:
+        hook = next((h for h in ("readings", "read") if getattr(sensor, h) is not getattr(SensorError, h)), "measure")
+        hook = "carried" if issubclass(sensor, LeverArm) and sensor.readings is LeverArm.readings else hook
+        doing = f"`{hook}` of {sensor.name}"
+        readings = trial.attempt(f"{doing} raises", sensor(value=value).readings, m, t, outputs)
+        if readings is FAILED:
+            continue
+        if list(readings) != list(sensor.affected()):
             names = ", ".join(map(str, readings)) or "nothing"
-            message = f"`{hook}` of {kind.name} reads {names}; it is of {', '.join(kind.affected())}"
-            faults.append(source.fault(kind, hook, message))
+            trial.note(sensor, hook, f"{doing} reads {names}; it is of {', '.join(sensor.affected())}")
         elif text := next(filter(None, map(_symbol_objection, readings.values())), ""):
-            message = f"`{hook}` of {kind.name} gives {text} for a reading; return a number"
-            faults.append(source.fault(kind, hook, message))
-    return faults
+            trial.note(sensor, hook, f"{doing} gives {text} for a reading; return a number")
+    return trial.faults

@@ -6,7 +6,7 @@ import linecache
 import os.path
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -17,28 +17,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.registry import BASE, entry_of, is_model, model_entry, models, resolve
+from cosim.base.registry import BASE, is_model, model_entry, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
 from cosim.loading.declared import make_model
-from cosim.loading.refined import NoNearest, names_refine, refined_file
+from cosim.loading.refined import names_refine, refined_file
 from cosim.loading.source import ModelText
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
-from cosim.storage.files import FilePath, named_path, write_text
+from cosim.storage.files import write_text
 from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 from cosim.terms.language import Term
 
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
-    from cosim.fmi.ports import Value as StartValue
 
 SUBCLASS = "a model is a subclass of cosim.model.Model"
 ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
-
-
-NUMBER_OR_SWITCH = "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
 
 
 def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
@@ -46,7 +42,8 @@ def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
     try:
         return inner(value)
     except ValidationError:
-        raise ValueError(NUMBER_OR_SWITCH) from None
+        cure = "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
+        raise ValueError(cure) from None
 
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -135,22 +132,27 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     Raises:
         InputError: Every fault of the model.
     """
+
+    def refusal(file: Path, *messages: str) -> InputError:
+        at = named_in
+        return InputError([at.fault(("model",), m) if at else Fault(file, 0, 0, m) for m in messages])
+
     if text == BASE or is_model(text):
         try:
             return LoadedModel(named_model(text), model_entry(text).name)
         except InputError as error:
-            faults = [named_in.fault(("model",), f.message) for f in error.faults] if named_in else error.faults
-            raise InputError(faults) from None
+            if named_in is None:
+                raise
+            raise refusal(folder, *(f.message for f in error.faults)) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
     path = folder / file
     if named_in and not path.is_file():
-        raise InputError([named_in.fault(("model",), f"no such model: {text}; {ALLOWED}")])
+        raise refusal(path, f"no such model: {text}; {ALLOWED}")
     if own:
         return LoadedModel(own_model(text, folder), _absolute(text, folder))
     if path.suffix == ".py":
         kind = (ModelText(path).classes or ["Class"])[-1]
-        message = f"names no class: write {text}:{kind}; {ALLOWED}"
-        raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
+        raise refusal(path, f"names no class: write {text}:{kind}; {ALLOWED}")
     if not path.exists():
         raise InputError.at(path, f"no such file; {ALLOWED}")
     return read_model(path)
@@ -225,34 +227,20 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     """Return a model.yaml's model with default parameters."""
     if is_model(content.model):
         return named_model(content.model)
-    registered = registered_names(MODEL_GROUP)
+    registered, file = registered_names(MODEL_GROUP), yaml.path.parent / content.model.rpartition(":")[0]
     names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
-    allowed = f"a model is {', '.join(names)}"
+    message = f"no such file: {file}"
     if not re.fullmatch(r".+\.py:\w+", content.model):
-        cure = did_you_mean(content.model, registered)
-        message = f'no model "{content.model}"{cure}; {allowed}'
-        raise InputError([yaml.fault(("model",), message)])
-    file = yaml.path.parent / content.model.rpartition(":")[0]
-    if not file.is_file():
-        raise InputError([yaml.fault(("model",), f"no such file: {file}; {allowed}")])
-    return own_model(content.model, yaml.path.parent)
+        message = f'no model "{content.model}"{did_you_mean(content.model, registered)}'
+    elif file.is_file():
+        return own_model(content.model, yaml.path.parent)
+    raise InputError([yaml.fault(("model",), f"{message}; a model is {', '.join(names)}")])
 
 
 def _absolute(text: str, folder: Path) -> str:
     """Return `file.py:Class` with an absolute path, for model files in other folders."""
     file, _, name = text.rpartition(":")
     return f"{(folder / file).resolve()}:{name}"
-
-
-def _relative(source: str, folder: Path) -> str:
-    """Return a model's source with its path relative to a folder, so that both can be moved together.
-
-    The path stays absolute unless the folder is at or below the folder of the source.
-    """
-    file, _, name = source.rpartition(":")
-    if not file or not folder.is_relative_to(Path(file).parent):
-        return source
-    return f"{Path(os.path.relpath(file, folder)).as_posix()}:{name}"
 
 
 def own_model(text: str, folder: Path) -> Model:
@@ -362,7 +350,11 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
     Args:
         folder: Final folder, if the file will be moved.
     """
-    lines = ["schema_version: 1", f"model: {_relative(loaded.source, (folder or path.parent).resolve())}"]
+    source, within = loaded.source, (folder or path.parent).resolve()
+    file, _, name = source.rpartition(":")
+    if file and within.is_relative_to(Path(file).parent):  # so that both can be moved together
+        source = f"{Path(os.path.relpath(file, within)).as_posix()}:{name}"
+    lines = ["schema_version: 1", f"model: {source}"]
     if loaded.model.chosen_substep is not None:
         lines.append(f"substep: {loaded.model.chosen_substep!r}")
     if loaded.model.chosen_integrator is not None:
@@ -373,43 +365,3 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
             f"  {name}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for name, v in values.items()
         ]
     write_text(path, "\n".join(lines) + "\n")
-
-
-def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
-    """Return the model named by the user.
-
-    A refine folder means its refined model, or with `nearest` its nearest model.
-    """
-    if model is None and nearest:
-        raise InputError.at(
-            Path("--nearest"),
-            ("has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"),
-        )
-    if model is None:
-        return load_model(BASE, Path())
-    try:
-        file = refined_file(Path(model), nearest=nearest) if nearest or names_refine(Path(model)) else model
-    except NoNearest as error:
-        raise InputError.at(Path(model), str(error)) from None
-    return load_model(str(file), Path())
-
-
-def designed_starts(
-    design: FilePath | None, model: Model, tell: Callable[[str], None]
-) -> Mapping[str, Mapping[str, StartValue]]:
-    """Return the start values that a design file gives to controllers, by file of an FMU; none without a file.
-
-    Raises:
-        InputError: Every fault of the file, or a model without a controller to design.
-    """
-    if design is None:
-        return {}
-    entry = entry_of(type(model))
-    if entry is None or not entry.design:
-        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
-        reason = f"{model.title} has no controller to design. Models with a controller: {names}"
-        raise InputError.at(Path("--design"), reason)
-    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), model)
-    for warning in warnings:
-        tell(warning)
-    return dict(starts)

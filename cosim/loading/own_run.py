@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -18,28 +17,7 @@ from cosim.model.namespaces import SCALAR
 MAX_GAP = 10.0  # rows; integration over longer gaps is limited to this length
 
 
-class RunLog(Protocol):
-    """Interface of the part of a log that is needed to run a model; see `cosim.logs.log.Log`."""
-
-    @property
-    def path(self) -> Path:
-        """Return the file of the log."""
-
-    @property
-    def time(self) -> Array:
-        """Return the times of the rows [s]."""
-
-    @property
-    def step(self) -> float:
-        """Return the usual time between rows [s]."""
-
-    @property
-    def inputs(self) -> Mapping[str, Array]:
-        """Return the commands by input."""
-
-    @property
-    def outputs(self) -> Mapping[str, Array]:
-        """Return the readings by output, NaN if missing."""
+RunLog = Any  # a `cosim.logs.log.Log`, of a room above: path, time, step, inputs, outputs
 
 
 def shown_states(model: Model) -> set[str]:
@@ -72,7 +50,11 @@ def moments(
     ahead = stepper.start(time[0])
     for k, t in enumerate(time):
         ahead = replace(ahead, t=t)
-        moment = replace(ahead, state=_as_read(ahead.state, readings, k))
+        state = list(ahead.state)
+        for place, column in readings.items():
+            if math.isfinite(column[k]):
+                state[place] = column[k]
+        moment = replace(ahead, state=tuple(state))
         yield k, ahead, moment
         if k + 1 < len(time):
             try:
@@ -103,14 +85,3 @@ def predicted_outputs(model: Model, log: RunLog, ignored: Mapping[str, Rows]) ->
         except (ArithmeticError, ValueError):
             break
     return dict(zip((q.name for q in model.outputs), table.T, strict=True))
-
-
-def _as_read(state: Values, readings: Mapping[int, list[float]], k: int) -> Values:
-    """Return the state with measured states from row k."""
-    if not readings:
-        return state
-    values = list(state)
-    for place, column in readings.items():
-        if math.isfinite(column[k]):
-            values[place] = column[k]
-    return tuple(values)

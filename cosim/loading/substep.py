@@ -72,48 +72,39 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
     Raises:
         InputError: The stated substep is unstable, or a mode too fast for RK4 does not decay within a row.
     """
-    model = loaded.model
-    if not model.base_states or is_model(loaded.source):
+    model, kinds = loaded.model, type(loaded.model).__mro__
+    # whether class or model file states a substep
+    is_stated = model.chosen_substep is not None or any("substep" in vars(k) for k in kinds[: kinds.index(Model)])
+    if not model.base_states or is_model(loaded.source) or (model.integrator == STIFF and is_stated):
         return loaded, []
-    if model.integrator == STIFF and _is_stated(model):
-        return loaded, []
+    text = ModelText(Path(loaded.source.rpartition(":")[0]))
     fastest = _Fastest(model, min([model.rate, *(log.step for log in logs)]))
     rows = [(fastest.at_start(), model.rate), *((fastest.along(log), log.step) for log in logs)]
     modes = [(mode, step / substeps(step, model.substep)) for mode, step in rows]
-    if _is_stated(model):
+    if is_stated:
         for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
             z = mode.eigenvalue * h
             growth = abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
             if z.real < 0.0 and growth > 1.0 + GROWTH:
                 reason = f"substep is {_ms(model.substep)}, unstable for this model: {mode}"
                 cure = f"state at most {_ms(MAX_DEFAULT / mode.speed)}, or leave substep out: then it follows the model"
-                raise _error(loaded, "substep", f"{reason}, and RK4 in steps of {_ms(h)} lets it grow; {cure}")
+                message = f"{reason}, and RK4 in steps of {_ms(h)} lets it grow; {cure}"
+                raise InputError([text.fault(type(model), "substep", message)])
         return loaded, []
     if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
         return loaded, []
-    return _choose(loaded, fastest, max((mode for mode, _ in modes), key=lambda m: m.speed))
-
-
-def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[str]]:
-    """Return the model with integrator and substep for its fastest mode."""
-    model = loaded.model
+    mode = max((mode for mode, _ in modes), key=lambda m: m.speed)
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
-    too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
+    too_fast, integrator = model.integrator == AUTO and count > MOST_SUBSTEPS, model.chosen_integrator
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
-        substep = fastest.stiff_substep()
+        substep, integrator = fastest.stiff_substep(), STIFF
         note = Note(f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}")
-        return replace(loaded, model=model.with_substep(substep, STIFF)), [note]
-    if count > MOST_SUBSTEPS:
-        raise _error(loaded, "", _stiff(model, mode))
-    substep = model.rate / count
-    note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
-    return replace(loaded, model=model.with_substep(substep, model.chosen_integrator)), [note]
-
-
-def _is_stated(model: Model) -> bool:
-    """Return whether class or model file states a substep."""
-    kinds = type(model).__mro__
-    return model.chosen_substep is not None or any("substep" in vars(k) for k in kinds[: kinds.index(Model)])
+    elif count > MOST_SUBSTEPS:
+        raise InputError([text.fault(type(model), "", _stiff(model, mode))])
+    else:
+        substep = model.rate / count
+        note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
+    return replace(loaded, model=model.with_substep(substep, integrator)), [note]
 
 
 class _Fastest:
@@ -199,10 +190,6 @@ def _stiff(model: Model, mode: StateMode) -> str:
 def _ms(seconds: float) -> str:
     """Return a duration as text with a suitable unit."""
     return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
-
-
-def _error(loaded: LoadedModel, attribute: str, message: str) -> InputError:
-    return InputError([ModelText(Path(loaded.source.rpartition(":")[0])).fault(type(loaded.model), attribute, message)])
 
 
 def check_model_file(path: Path, checking: Checking) -> list[str]:

@@ -21,7 +21,7 @@ from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock, read_description
 from cosim.blocks.restartable import RestartableFmu
-from cosim.fmi.annotation import traits_of
+from cosim.fmi.sampled import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
 from cosim.logs.log import Log, read_log

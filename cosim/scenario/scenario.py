@@ -262,11 +262,6 @@ class StepControl(Part):
     bonds: list[Bond] = Field(default_factory=list)
 
 
-def _kind_of_step(step: Any) -> str:
-    """Return the tag of a communication step."""
-    return "«controlled»" if isinstance(step, dict | StepControl) else "«equal»"
-
-
 class Recording(Part):
     """Recorded part of a run.
 
@@ -287,11 +282,6 @@ def _check_record(record: Any) -> Any:
             "[plant.*], or a mapping that limits the record, {signals: [plant.x], every: 0.1 s}"
         )
     return record
-
-
-def _kind_of_record(record: Any) -> str:
-    """Return the tag of what is recorded."""
-    return "«part»" if isinstance(record, dict | Recording) else "«more»"
 
 
 class LoopSettings(Part):
@@ -380,7 +370,7 @@ class Scenario(Part):
     duration: PositiveSeconds
     stepping: Annotated[
         Annotated[PositiveSeconds, Tag("«equal»")] | Annotated[StepControl, Tag("«controlled»")],
-        Discriminator(_kind_of_step),
+        Discriminator(lambda step: "«controlled»" if isinstance(step, dict | StepControl) else "«equal»"),
     ] = Field(alias="step")
     start_time: Seconds = 0.0
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
@@ -393,7 +383,7 @@ class Scenario(Part):
     tolerance: Positive | None = None
     record: Annotated[
         Annotated[list[str], Tag("«more»")] | Annotated[Recording, Tag("«part»")],
-        Discriminator(_kind_of_record),
+        Discriminator(lambda record: "«part»" if isinstance(record, dict | Recording) else "«more»"),
         BeforeValidator(_check_record),
     ] = Field(default_factory=list)
     components: dict[Name, Component] = Field(min_length=1)

@@ -28,6 +28,8 @@ ROUNDING = 1e-9  # relative tolerance for a whole number of steps
 SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
 LONGEST = 2000  # of a message [characters]
 Place = tuple[str | int, ...]  # keys of a part of the scenario
+LISTS = ("connections", "faults", "events")  # lists from which faulty entries are removed singly
+STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 TICKS = 1000  # spacings of floating-point times in the shortest controlled step
 
 
@@ -73,25 +75,61 @@ class ScenarioFile:
             )
         self.warnings += other_version(path, self.manifest or {})
         convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
-        rest = Salvage(data)
-        self.scenario = self._validate(rest)
-        self.broken, self.places, self.stands_in = rest.broken, rest.places, rest.stands_in
+        self.broken: set[str] = set()
+        lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
+        self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
+        self.stands_in = False  # whether name, duration or step are replaced
+        self.scenario = self._validate(data)
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
         self.faults += [self.fault(where, message) for where, message in self._time_faults()]
 
-    def _validate(self, rest: Salvage) -> Scenario:
+    def _validate(self, data: dict[str, Any]) -> Scenario:
         """Return the scenario, without faulty parts if necessary."""
         try:
-            return self.yaml.validate(Scenario, rest.data)
+            return self.yaml.validate(Scenario, data)
         except InputError as error:
             self.faults += error.faults
         for _ in range(3):  # The remainder may lack a required key.
             try:
-                return Scenario.model_validate(rest.data)
+                return Scenario.model_validate(data)
             except ValidationError as error:
-                rest.drop([location_in(rest.data, e["loc"], e["type"]) for e in error.errors(include_url=False)])
+                found = error.errors(include_url=False)
+                self._drop(data, [location_in(data, e["loc"], e["type"]) for e in found])
         raise InputError(self.faults)
+
+    def _drop(self, data: dict[str, Any], locations: Sequence[tuple[int | str, ...]]) -> None:
+        """Remove the smallest part around each location, so that the rest can be checked."""
+        entries: dict[str, set[int]] = {}
+        for first, *rest in filter(None, locations):
+            if first in LISTS and rest and isinstance(rest[0], int):
+                entries.setdefault(str(first), set()).add(rest[0])
+            elif first == "components" and rest:
+                self._drop_from_component(data["components"], str(rest[0]), rest[1:])
+            elif first == "criteria" and rest:
+                data["criteria"].pop(rest[0], None)
+            elif first in STAND_INS:
+                data |= STAND_INS
+                self.stands_in = True
+            else:
+                data.pop(str(first), None)
+        for key, faulty in entries.items():
+            parts: tuple[dict[str, Any], ...] = (data, self.places)
+            for part in parts:
+                part[key] = [entry for k, entry in enumerate(part[key]) if k not in faulty]
+
+    def _drop_from_component(self, components: dict[str, Any], name: str, rest: list[int | str]) -> None:
+        component = components.get(name)
+        start = component.get("start") if isinstance(component, dict) else None
+        if isinstance(component, dict) and len(rest) == 1 and rest[0] in component and rest[0] not in {"fmu", "block"}:
+            del component[rest[0]]
+        elif isinstance(start, dict) and len(rest) == 2 and rest[0] == "start":
+            start.pop(rest[1], None)
+        else:
+            components.pop(name, None)
+            self.broken.add(name)
+            if not components:
+                components["_"] = {"block": "reference", "signals": {"_": {}}}
 
     def resolve(self, name: str) -> Path:
         """Return a file's path relative to the scenario's folder."""
@@ -118,7 +156,13 @@ class ScenarioFile:
         if not self.stands_in:  # Otherwise duration or step is faulty itself.
             control = [] if s.control is None else [*self._control_faults(s.control)]
             yield from control or self._step_faults()
-            yield from self._record_faults()
+            if isinstance(s.record, Recording) and (every := s.record.every) is not None:
+                steps, at = every / s.step, ("record", "every")
+                if every > s.duration * (1.0 + ROUNDING):
+                    yield at, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
+                elif not _is_whole(steps):
+                    near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
+                    yield at, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}"
         for kind, k, criterion in s.goals:
             where: Location = ("criteria", kind, *(() if k is None else (k,)))
             if kind == "settling_time" and criterion.band is None:
@@ -147,19 +191,6 @@ class ScenarioFile:
             divisor = s.duration / max(1, math.ceil(count))
             cure = f"use a whole divisor of duration {s.duration:g} s, {divisor:.6g} s for one"
             yield where, f"step is {s.step:g} s; {cure}"
-
-    def _record_faults(self) -> Iterator[tuple[Location, str]]:
-        """Yield the fault of a rate of recording that is no whole number of steps, or longer than the run."""
-        s = self.scenario
-        if not isinstance(s.record, Recording) or s.record.every is None:
-            return
-        every, steps = s.record.every, s.record.every / s.step
-        if every > s.duration * (1.0 + ROUNDING):
-            yield ("record", "every"), f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
-        elif not _is_whole(steps):
-            near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
-            cure = f"use for example {near}"
-            yield ("record", "every"), f"{every:g} s is no whole number of steps of {s.step:g} s; {cure}"
 
     def _control_faults(self, control: StepControl) -> Iterator[tuple[Location, str]]:
         """Yield the faults of contradicting keys of `step`."""
@@ -204,54 +235,6 @@ def _is_whole(count: float) -> bool:
     return abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1
 
 
-LISTS = ("connections", "faults", "events")  # lists from which faulty entries are removed singly
-STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
-
-
-class Salvage:
-    """Data of a faulty scenario without its faulty parts, so that the rest can be checked."""
-
-    def __init__(self, data: dict[str, Any]) -> None:
-        self.data = data
-        self.broken: set[str] = set()
-        lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
-        self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
-        self.stands_in = False
-
-    def drop(self, locations: Sequence[tuple[int | str, ...]]) -> None:
-        """Remove the smallest part around each location."""
-        entries: dict[str, set[int]] = {}
-        for first, *rest in filter(None, locations):
-            if first in LISTS and rest and isinstance(rest[0], int):
-                entries.setdefault(str(first), set()).add(rest[0])
-            elif first == "components" and rest:
-                self._drop_from_component(str(rest[0]), rest[1:])
-            elif first == "criteria" and rest:
-                self.data["criteria"].pop(rest[0], None)
-            elif first in STAND_INS:
-                self.data |= STAND_INS
-                self.stands_in = True
-            else:
-                self.data.pop(str(first), None)
-        for key, faulty in entries.items():
-            parts: tuple[dict[str, Any], ...] = (self.data, self.places)
-            for part in parts:
-                part[key] = [entry for k, entry in enumerate(part[key]) if k not in faulty]
-
-    def _drop_from_component(self, name: str, rest: list[int | str]) -> None:
-        component = self.data["components"].get(name)
-        start = component.get("start") if isinstance(component, dict) else None
-        if isinstance(component, dict) and len(rest) == 1 and rest[0] in component and rest[0] not in {"fmu", "block"}:
-            del component[rest[0]]
-        elif isinstance(start, dict) and len(rest) == 2 and rest[0] == "start":
-            start.pop(rest[1], None)
-        else:
-            self.data["components"].pop(name, None)
-            self.broken.add(name)
-            if not self.data["components"]:
-                self.data["components"] = {"_": {"block": "reference", "signals": {"_": {}}}}
-
-
 def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Location:
     """Apply a `path=value` override; return its place.
 
@@ -261,35 +244,30 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
         subject: The override in messages; "" for its path.
     """
     target, sign, value = text.partition("=")
-
-    def refusal(reason: str) -> InputError:
-        return InputError.at(path, f"{subject or short(target)} {reason}")
-
-    if not sign or not target.strip():
-        raise refusal("is not path=value; for example --set noise=off")
-    node: Any = data
-    keys = keys_of(target.strip())
-    at: list[str | int] = []
-    for depth, key in enumerate(keys):
-        index: str | int = key
-        if isinstance(node, list) and key.isascii() and key.isdigit() and int(key) < len(node):
-            index = int(key)
-        elif not isinstance(node, dict) or (key not in node and depth == 1 and keys[0] == "components"):
-            break
-        at.append(index)
-        if len(at) == len(keys):
-            try:
-                node[index] = _from_here(keys, Document(value).data)
-            except NotYaml:
-                node[index] = _from_here(keys, value)
-            return tuple(at)
-        node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
-    if keys[0] == "components" and isinstance(components := data.get("components"), dict):
-        some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
-        raise refusal(
-            f'is for component "{short(keys[1])}", which is not in the scenario{hint} (its components: {some})'
-        )
-    raise refusal(f"leads nowhere: there is no {short(target)} in the scenario")
+    reason = "is not path=value; for example --set noise=off"
+    if sign and target.strip():
+        node: Any = data
+        keys = keys_of(target.strip())
+        at: list[str | int] = []
+        for depth, key in enumerate(keys):
+            index: str | int = key
+            if isinstance(node, list) and key.isascii() and key.isdigit() and int(key) < len(node):
+                index = int(key)
+            elif not isinstance(node, dict) or (key not in node and depth == 1 and keys[0] == "components"):
+                break
+            at.append(index)
+            if len(at) == len(keys):
+                try:
+                    node[index] = _from_here(keys, Document(value).data)
+                except NotYaml:
+                    node[index] = _from_here(keys, value)
+                return tuple(at)
+            node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
+        reason = f"leads nowhere: there is no {short(target)} in the scenario"
+        if keys[0] == "components" and isinstance(components := data.get("components"), dict):
+            some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
+            reason = f'is for component "{short(keys[1])}", which is not in the scenario{hint} (its components: {some})'
+    raise InputError.at(path, f"{subject or short(target)} {reason}")
 
 
 def keys_of(target: str) -> list[str]:

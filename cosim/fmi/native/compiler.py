@@ -1,4 +1,4 @@
-"""C compilers of this machine or from pip, and their libraries."""
+"""C compilers of this machine or from pip, their platforms, and their libraries."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import hashlib
 import importlib.util
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cosim.base.drafts import draft_of
 from cosim.base.extras import install_command
 from cosim.base.scratch import temporary_folder
-from cosim.fmi.native.platforms import PLATFORMS, Platform, this_platform
 from cosim.storage.cache import cache_environment, cache_path
 
 # The errno of sin and pow is never read.
@@ -29,8 +29,60 @@ ZIG = "ziglang"  # C compiler for every platform, on PyPI
 PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 
+@dataclass(frozen=True)
+class Platform:
+    """Folders of FMI 2.0 and 3.0 below `binaries`, library suffix, and zig's target name."""
+
+    name: str
+    fmi3: str
+    suffix: str
+    target: str
+
+    @property
+    def position(self) -> list[str]:
+        """Return the option for position-independent code, not needed on Windows."""
+        return [] if self.suffix == ".dll" else ["-fPIC"]
+
+    def folder(self, fmi: int) -> str:
+        """Return the folder below `binaries`. Platforms without a name in FMI 2.0 have that of 3.0, as in 2.0.4."""
+        return self.name if fmi == 2 else self.fmi3
+
+
+PLATFORMS = {
+    p.name: p
+    for p in (
+        Platform("linux64", "x86_64-linux", ".so", "x86_64-linux-gnu.2.17"),
+        Platform("win64", "x86_64-windows", ".dll", "x86_64-windows-gnu"),
+        Platform("darwin64", "x86_64-darwin", ".dylib", "x86_64-macos"),
+        Platform("aarch64-linux", "aarch64-linux", ".so", "aarch64-linux-gnu.2.17"),
+        Platform("aarch64-darwin", "aarch64-darwin", ".dylib", "aarch64-macos"),
+    )
+}
+
+
+def this_platform() -> Platform | None:
+    """Return this machine's platform, None if not listed."""
+    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}.get(sys.platform, sys.platform)
+    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
+    return next((p for p in PLATFORMS.values() if p.fmi3 == f"{machine}-{system}"), None)
+
+
+def glibc_floor(library: bytes) -> str:
+    """Return the oldest version of glibc with which a Linux library runs, from the versions of its symbols."""
+    versions = {tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_(\d+(?:\.\d+)+)", library)}
+    return ".".join(map(str, max(versions, default=())))
+
+
 class NoCompiler(LookupError):
     """Error: no compiler for a platform exists; the message names the remedy."""
+
+
+class CompilerFailed(RuntimeError):
+    """Failure of a compiler: its message in a line, all of it in `output`."""
+
+    def __init__(self, reason: str, output: str = "") -> None:
+        super().__init__(reason)
+        self.output = output
 
 
 def compiler() -> list[str] | None:
@@ -43,11 +95,17 @@ def compilers() -> list[list[str]]:
 
     `CC` in the environment names a compiler; by default cc, gcc or clang is used. The extra `refine` installs another.
     """
-    choice = os.environ.get("CC")
-    commands = (_words(c) for c in (("cc", "gcc", "clang") if choice is None else (choice,)))
-    installed = next(([words] for words in commands if words and shutil.which(words[0])), [])
+    choice, found = os.environ.get("CC"), []
+    for name in ("cc", "gcc", "clang") if choice is None else (choice,):
+        try:
+            words = shlex.split(name)
+        except ValueError:  # an open quote
+            continue
+        if words and shutil.which(words[0]):
+            found = [words]
+            break
     machine = this_platform()
-    return [*installed, *([cross_command(machine)] if machine and can_cross() else [])]
+    return [*found, *([cross_command(machine)] if machine and can_cross() else [])]
 
 
 def can_cross() -> bool:
@@ -63,6 +121,9 @@ def cross_command(target: Platform) -> list[str]:
 def commands(names: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
     """Return platform → compiler command, by default for this machine.
 
+    The cross compiler, which also targets old versions of glibc, is taken for a platform named by the user, or without
+    a local compiler.
+
     Raises:
         KeyError: A platform is unknown.
         NoCompiler: A compiler is missing.
@@ -72,9 +133,16 @@ def commands(names: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
         platforms = ", ".join(PLATFORMS)
         fault = f"this machine, {platform.machine()} {sys.platform}, is none of {platforms}; name one of these"
         raise NoCompiler(fault)
-    targets = [PLATFORMS[name] for name in names] or [p for p in PLATFORMS.values() if p == machine]
-    common = [*OPTIONS, "-fvisibility=hidden"]
-    return {p: [*_command_for(p, p == machine, bool(names)), *common, *p.position] for p in targets}
+    found = {}
+    for target in [PLATFORMS[name] for name in names] or [p for p in PLATFORMS.values() if p == machine]:
+        local = compiler() if target == machine else None
+        if can_cross() and (names or local is None):
+            local = cross_command(target)
+        if local is None and target != machine:
+            install = f"{install_command('native')}, which brings a compiler that crosses"
+            raise NoCompiler(f"no compiler for {target.name} is found; {install}")
+        found[target] = [*(local or _required()), *OPTIONS, "-fvisibility=hidden", *target.position]
+    return found
 
 
 def fmi_headers() -> Path:
@@ -86,10 +154,7 @@ def fmi_headers() -> Path:
 
 def library_command() -> list[str]:
     """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
-    command = compiler()
-    if command is None:
-        raise NoCompiler(f"no C compiler is found in CC or on PATH; {cure('native')}")
-    return [*command, "-shared", *_position()]
+    return [*_required(), "-shared", *_position()]
 
 
 def cure(extra: str) -> str:
@@ -97,43 +162,16 @@ def cure(extra: str) -> str:
     return f"install gcc or clang, say which in CC, or {install_command(extra)}"
 
 
-def _command_for(target: Platform, is_local: bool, by_name: bool) -> list[str]:
-    """Return the command of the compiler for a platform.
-
-    The cross compiler, which also targets old versions of glibc, is taken for a platform named by the user, or without
-    a local compiler.
-    """
-    local = compiler() if is_local else None
-    if can_cross() and (by_name or local is None):
-        return cross_command(target)
-    if local is not None:
-        return local
-    if is_local:
+def _required() -> list[str]:
+    """Return the C compiler's command; raise NoCompiler if there is none."""
+    if (command := compiler()) is None:
         raise NoCompiler(f"no C compiler is found in CC or on PATH; {cure('native')}")
-    raise NoCompiler(
-        f"no compiler for {target.name} is found; {install_command('native')}, which brings a compiler that crosses"
-    )
+    return command
 
 
 def _position() -> list[str]:
     machine = this_platform()
     return ["-fPIC"] if machine is None else machine.position
-
-
-def _words(command: str) -> list[str]:
-    """Return a command split as by a shell; none for an open quote."""
-    try:
-        return shlex.split(command)
-    except ValueError:
-        return []
-
-
-class CompilerFailed(RuntimeError):
-    """Failure of a compiler: its message in a line, all of it in `output`."""
-
-    def __init__(self, reason: str, output: str = "") -> None:
-        super().__init__(reason)
-        self.output = output
 
 
 def library_of(
@@ -161,44 +199,58 @@ def library_of(
     """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cache_path(content, "")
+
+    def path_of(data: bytes) -> Path:
+        return stem.with_name(f"{stem.name}-{hashlib.sha256(data).hexdigest()[:32]}.so")
+
     for library in stem.parent.glob(f"{stem.name}-*.so"):
-        if library == _cache_path(stem, library) and not _missing_exports(library.read_bytes(), exports):
+        data = library.read_bytes()
+        if library == path_of(data) and not _missing_exports(data, exports):
             return library
         library.unlink(missing_ok=True)
     with temporary_folder("compile") as folder:
         for file, data in files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(data)
-        library = _compile([*command, "-o", "library", main, *libraries], folder, limit)
-        if missing := _missing_exports(library.read_bytes(), exports):
-            raise CompilerFailed(
-                f"{shlex.join(command[:1])} failed: it ended without an error, but what it made is no library "
-                f"that has {missing[0]}"
-            )
-        return _keep(library, stem)
+        data = _compile([*command, "-o", "library", main, *libraries], folder, limit)
+    if missing := _missing_exports(data, exports):
+        raise CompilerFailed(
+            f"{shlex.join(command[:1])} failed: it ended without an error, but what it made is no library "
+            f"that has {missing[0]}"
+        )
+    with draft_of(path_of(data)) as draft:
+        draft.write_bytes(data)
+    return path_of(data)
 
 
-def _compile(command: Sequence[str], folder: Path, limit: float) -> Path:
+def _compile(command: Sequence[str], folder: Path, limit: float) -> bytes:
     """Compile a library in a folder, so that it contains no local path."""
-    options: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace", "timeout": limit}
-    options["env"] = {**os.environ, **cache_environment()}
     try:
-        run = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, **options)
+        run = subprocess.run(
+            command,
+            cwd=folder,
+            env={**os.environ, **cache_environment()},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=limit,
+            check=False,
+        )
     except subprocess.TimeoutExpired:
         raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
     except OSError as error:
         raise CompilerFailed(f"{command[0]}: {error!s}") from error
     library = folder / "library"
-    if run.returncode or not library.is_file():
-        output, name = (run.stderr or run.stdout).strip(), shlex.join(command[:1])
-        lines = output.splitlines()
-        line = next((line for line in lines if "error" in line.lower()), lines[-1] if lines else "")
-        if run.returncode:
-            raise CompilerFailed(f"{name} failed: {line or 'it says nothing'}", output)
-        raise CompilerFailed(
-            f"{name} failed: it ended without an error and made no library{line and f'; it said {line}'}", output
-        )
-    return library
+    if run.returncode == 0 and library.is_file():
+        return library.read_bytes()
+    output, name = (run.stderr or run.stdout).strip(), shlex.join(command[:1])
+    lines = output.splitlines()
+    line = next((line for line in lines if "error" in line.lower()), lines[-1] if lines else "")
+    if run.returncode:
+        raise CompilerFailed(f"{name} failed: {line or 'it says nothing'}", output)
+    said = line and f"; it said {line}"
+    raise CompilerFailed(f"{name} failed: it ended without an error and made no library{said}", output)
 
 
 def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
@@ -233,16 +285,3 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     if reason is None:
         raise NoCompiler("no C compiler is found in CC or on PATH")
     raise CompilerFailed(str(reason)) from reason
-
-
-def _keep(library: Path, stem: Path) -> Path:
-    """Copy a library into the cache, completely or not at all."""
-    path = _cache_path(stem, library)
-    with draft_of(path) as draft:
-        shutil.copyfile(library, draft)
-    return path
-
-
-def _cache_path(stem: Path, library: Path) -> Path:
-    """Return the cache path for a library's content."""
-    return stem.with_name(f"{stem.name}-{hashlib.sha256(library.read_bytes()).hexdigest()[:32]}.so")

@@ -6,23 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from cosim.base.drafts import draft_of
-from cosim.base.scratch import temporary_folder
 from cosim.base.version import __version__
-from cosim.fmi.documentation import GUID_PLACEHOLDER, write_documentation
-from cosim.fmi.fmu_build import ASSETS, Recipe, digest, write_zip
+from cosim.fmi.documentation import ASSETS, documentation
+from cosim.fmi.fmu_build import Recipe, digest, write_zip
+from cosim.fmi.model_description import Local
 from cosim.fmi.native.check import Check
-from cosim.fmi.native.compiler import commands, fmi_headers, library_of
-from cosim.fmi.native.layout import VariableLayout, model_layout
-from cosim.fmi.native.native_description import description2, description3
-from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor
-from cosim.fmi.native.printing import GeneratedSources, ModelPrinter
+from cosim.fmi.native.compiler import PLATFORMS, commands, fmi_headers, glibc_floor, library_of
+from cosim.fmi.native.native_description import Native, describe_native
+from cosim.fmi.native.printing import ModelPrinter
+from cosim.fmi.ports import model_ports
 from cosim.model.model import Model
 
 FOLDER = Path(__file__).resolve().parent
 COMMON = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
-WAYS = {2: "FMI 2.0", 3: "FMI 3.0"}
 EXPORTS = {
     2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
     3: ("fmi3InstantiateCoSimulation", "fmi3DoStep", "fmi3GetFloat64"),
@@ -40,35 +39,60 @@ BUILD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 @dataclass(frozen=True)
-class Native:
-    """Everything needed for a native FMU: layout, generated code and further C.
-
-    Attributes:
-        parts: C files to follow the generated `model.c`.
-    """
-
-    name: str
-    layout: VariableLayout
-    printed: GeneratedSources
-    parts: Mapping[str, bytes]
-    text: str
-
-
-@dataclass(frozen=True)
-class Built:
-    """A written FMU, and the oldest glibc of each Linux library in it, "" for further platforms."""
+class NativeFmu:
+    """A built native FMU, and the oldest glibc of each Linux library in it, "" for further platforms."""
 
     path: Path
     floors: Mapping[str, str]
 
+    @property
+    def sentence(self) -> str:
+        """Return a sentence on the archive and its platforms."""
+        places = (f"{name} (glibc {floor} or later)" if floor else name for name, floor in self.floors.items())
+        return f"built {self.path} for {', '.join(places)}"
+
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
     """Return a model for a native FMU, checked against its Python; raise UnprintableModel on failure."""
+    if list(recipe.about.ports) != list(model_ports(model)):
+        raise ValueError("the description is of another model")
     printer = ModelPrinter(model, recipe.about.ports)
-    printed = printer.sources()
+    body, sizes = printer.sources()
     Check(model, printer).run()
-    layout = model_layout(printer, recipe.about, int(str(printed.sizes["KINKS"])))
-    return Native(name, layout, printed, {"equations.c": part("equations.c")}, recipe.text)
+    variables = [Local(f"{q.name}_state", "state", q.unit, f"state: {q.doc}") for q in printer.states]
+    for q in printer.states:
+        per_second = f"{q.unit}2" if q.unit.endswith("/s") else "1/s" if q.unit in ("", "1") else f"{q.unit}/s"
+        variables.append(Local(f"der({q.name}_state)", "derivative", per_second, f"derivative: {q.doc}"))
+    for effect, q in printer.remembering:
+        variables.append(Local(f"{effect.name}.{q.name}_memory", "memory", q.unit, f"remembered: {q.doc}"))
+    for k in range(int(str(sizes["KINKS"]))):
+        variables.append(Local(f"event_indicator_{k + 1}", "indicator", "", "passes through zero at a kink"))
+    parts = {"equations.c": part("equations.c")}
+    return Native(name, recipe.about, body, sizes, parts, recipe.text, tuple(variables), _dependencies(printer))
+
+
+def _dependencies(printer: ModelPrinter) -> dict[str, list[str]]:
+    """Return output or derivative → inputs and states on which it depends, for any active effects and switches."""
+    sources: dict[str, set[str]] = {}
+    inputs, states = [q.name for q in printer.model.inputs], [f"{q.name}_state" for q in printer.states]
+    for trace in printer.variants:
+        symbols = (*trace.s.state, *trace.s.command)
+        reach: dict[Any, set[str]] = {s: {name} for s, name in zip(symbols, (*states, *inputs), strict=True)}
+
+        def sources_of(expression: Any, reach: Mapping[Any, set[str]] = reach) -> set[str]:
+            return set().union(*(reach.get(s, set()) for s in expression.free_symbols))
+
+        for block in (*trace.shaping, *trace.blocks):
+            for symbol, e in (*block.values.items(), *block.dormant.items()):
+                reach.setdefault(symbol, set()).update(sources_of(e))
+        for q, e in zip(printer.model.outputs, trace.outputs, strict=True):
+            sources.setdefault(q.name, set()).update(sources_of(e))
+        acting = dict(zip(inputs, trace.shaped, strict=True))
+        for name, e in zip(states, trace.derivative, strict=True):
+            direct = sources_of(e)  # The acting command is shaped.
+            shaped = (sources_of(acting[n]) for n in direct & acting.keys())
+            sources.setdefault(f"der({name})", set()).update(direct, *shaped)
+    return {name: sorted(direct) for name, direct in sources.items()}
 
 
 def part(name: str) -> bytes:
@@ -76,7 +100,7 @@ def part(name: str) -> bytes:
     return (FOLDER / name).read_bytes()
 
 
-def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Built:
+def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> NativeFmu:
     """Write a native FMU completely or not at all.
 
     Args:
@@ -86,68 +110,44 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         NoCompiler: A compiler is missing.
         CompilerFailed: Compilation failed.
     """
-    identifier = f"{native.name}Native"
+    identifier, layer = f"{native.name}Native", f"fmi{fmi}.c"
     targets = commands(tuple(platforms))
-    sources = _sources(native, fmi)
-    describe = description2 if fmi == 2 else description3
+    order = ["model.c", "instance.c", *native.parts, layer]
+    head = "/* One translation unit: nothing but FMI's own functions is seen from outside. */\n"
+    headers = sorted(fmi_headers().glob(f"fmi{fmi}*.h"))
 
-    def description(guid: str) -> bytes:
-        return describe(native.layout, native.name, identifier, __version__, guid)
+    def config(guid: str) -> bytes:
+        sizes = {**native.sizes, "MODEL_GUID": f'"{guid}"'}
+        lines = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+        return f"/* How large this model is, and which it is. */\n{lines}".encode()
 
-    guid = f"{{{digest(sources, description(''))[:32]}}}"
-    sources["config.h"] = _config(native, guid)
+    sources = {
+        "all.c": (head + "".join(f'#include "{name}"\n' for name in order)).encode(),
+        "model.c": f'#include "model.h"\n\n{native.body}'.encode(),
+        **native.parts,
+        **{name: part(name) for name in (*COMMON, layer)},
+        **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
+        "config.h": config(""),
+    }
+    guid = f"{{{digest(sources, describe_native(native, fmi, identifier, __version__, ''))[:32]}}}"
+    sources["config.h"] = config(guid)
     members = {f"sources/{name}": data for name, data in sources.items()}
     if fmi == 3:
         members["sources/buildDescription.xml"] = BUILD_DESCRIPTION.format(identifier=identifier).encode()
-    members |= _documentation(native, fmi, guid, [*targets])
-    if (icon := ASSETS / "model.png").exists():
-        members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon.read_bytes()
+    others = ", ".join(p.name for p in PLATFORMS.values() if p not in targets)
+    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(', '.join(p.name for p in targets))}"
+    if others:
+        text += f"; none for {escape(others)}, for which the C in <code>sources/</code> is to be compiled"
+    way = f"FMI {fmi}.0 {'co-simulation and model exchange' if native.named('state') else 'co-simulation'}"
+    pages = documentation(native.about, f"{text}.</p>{native.text}", __version__, guid, way)
+    members |= {f"documentation/{name}": data for name, data in pages.items()}
+    members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = (ASSETS / "model.png").read_bytes()
     floors = {}
     for platform, command in targets.items():
         library = library_of(sources, "all.c", command, EXPORTS[fmi]).read_bytes()
         members[f"binaries/{platform.folder(fmi)}/{identifier}{platform.suffix}"] = library
         floors[platform.name] = glibc_floor(library)
-    members["modelDescription.xml"] = description(guid)
+    members["modelDescription.xml"] = describe_native(native, fmi, identifier, __version__, guid)
     with draft_of(path) as target:
         write_zip(target, members)
-    return Built(path, floors)
-
-
-def _sources(native: Native, fmi: int) -> dict[str, bytes]:
-    """Return all C sources, without the GUID."""
-    layer = f"fmi{fmi}.c"
-    headers = sorted(fmi_headers().glob(f"fmi{fmi}*.h"))
-    order = ["model.c", "instance.c", *native.parts, layer]
-    head = "/* One translation unit: nothing but FMI's own functions is seen from outside. */\n"
-    every = head + "".join(f'#include "{name}"\n' for name in order)
-    return {
-        "all.c": every.encode(),
-        "model.c": f'#include "model.h"\n\n{native.printed.body}'.encode(),
-        **native.parts,
-        **{name: part(name) for name in (*COMMON, layer)},
-        **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
-        "config.h": _config(native, ""),
-    }
-
-
-def _config(native: Native, guid: str) -> bytes:
-    sizes = {**native.printed.sizes, "MODEL_GUID": f'"{guid}"'}
-    lines = [f"#define {name} {value}" for name, value in sizes.items()]
-    return ("/* How large this model is, and which it is. */\n" + "\n".join(lines) + "\n").encode()
-
-
-def _documentation(native: Native, fmi: int, guid: str, built: Sequence[Platform]) -> dict[str, bytes]:
-    platforms = ", ".join(p.name for p in built)
-    others = ", ".join(p.name for p in PLATFORMS.values() if p not in built)
-    ways = "co-simulation and model exchange" if native.layout.of("state") else "co-simulation"
-    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(platforms)}"
-    if others:
-        text += f"; none for {escape(others)}, for which the C in <code>sources/</code> is to be compiled"
-    text += f".</p>{native.text}"
-    with temporary_folder("build") as folder:
-        licence = ASSETS / "license.txt"
-        write_documentation(folder, native.layout.about, text, __version__, licence, f"{WAYS[fmi]} {ways}")
-        pages = {f"documentation/{file.name}": file.read_bytes() for file in sorted(folder.iterdir())}
-    index = "documentation/index.html"
-    pages[index] = pages[index].replace(GUID_PLACEHOLDER.encode(), guid.encode())
-    return pages
+    return NativeFmu(path, floors)

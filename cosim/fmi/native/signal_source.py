@@ -10,9 +10,9 @@ from pathlib import Path
 from cosim.base.units import parse
 from cosim.fmi.model_description import Description
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
-from cosim.fmi.native.layout import VariableLayout
-from cosim.fmi.native.package import Native, build_native, part
-from cosim.fmi.native.printing import GeneratedSources, variable_tables
+from cosim.fmi.native.native_description import Native
+from cosim.fmi.native.package import build_native, part
+from cosim.fmi.native.printing import variable_tables
 from cosim.fmi.ports import Port
 
 ALWAYS = -1e300  # before any time [s]
@@ -38,11 +38,6 @@ class TimeSignal:
     begin: float
     changes: Sequence[SignalChange]
 
-    @property
-    def pieces(self) -> tuple[SignalChange, ...]:
-        """Return the first value and the changes."""
-        return (SignalChange(ALWAYS, self.begin, self.begin), *self.changes)
-
 
 def build_source(
     name: str, signals: Mapping[str, TimeSignal], path: Path, step: float = 0.01, stop: float = 10.0
@@ -57,11 +52,6 @@ def build_source(
         NoCompiler: No compiler exists.
         CompilerFailed: Compilation failed.
     """
-    return build_native(native_source(name, signals, step, stop), path).path
-
-
-def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, stop: float) -> Native:
-    """Return the parts of the signals' native FMU."""
     units = {output: signal.unit if parse(signal.unit) else "" for output, signal in signals.items()}
     ports = tuple(Port(output, "output", 0.0, unit, "a function of time") for output, unit in units.items())
     none: dict[str, Sequence[str]] = {port.name: () for port in ports}
@@ -69,30 +59,21 @@ def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, sto
     variables, texts = variable_tables(ports)
     sizes = {"VARIABLES": len(ports), "OUTPUTS": len(ports), "TEXTS": texts}
     sizes |= dict.fromkeys(("INPUTS", "STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE"), 0)
-    identifier = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
-    parts = {file: part(file) for file in ("source.c", "steps_only.c")}
-    return Native(
-        identifier,
-        VariableLayout(about),
-        GeneratedSources(f"{variables}\n{tables(signals, step)}\n", sizes),
-        parts,
-        TEXT,
-    )
-
-
-def tables(signals: Mapping[str, TimeSignal], step: float) -> str:
-    """Return the step and the C tables of all changes of the signals."""
-    changes = [change for signal in signals.values() for change in signal.pieces]
+    # a constant piece from the beginning of time, then the changes
+    pieces = [(SignalChange(ALWAYS, s.begin, s.begin), *s.changes) for s in signals.values()]
+    changes = [change for each in pieces for change in each]
     columns = {
         "AT": [c.at for c in changes],
         "FROM": [c.begin for c in changes],
         "TO": [c.to for c in changes],
         "RATE": [c.rate for c in changes],
     }
-    counts = ", ".join(str(len(signal.pieces)) for signal in signals.values())
-    lines = [f"static const double GRID = {step.hex()};", f"static const int CHANGES[] = {{{counts}}};"]
-    for name, column in columns.items():
-        lines.append(f"static const double {name}[] = {{")
-        lines += ["    " + ", ".join(v.hex() for v in column[k : k + 6]) + "," for k in range(0, len(column), 6)]
+    lines = [variables, f"static const double GRID = {step.hex()};"]
+    lines.append(f"static const int CHANGES[] = {{{', '.join(str(len(each)) for each in pieces)}}};")
+    for column, values in columns.items():
+        lines.append(f"static const double {column}[] = {{")
+        lines += ["    " + ", ".join(v.hex() for v in values[k : k + 6]) + "," for k in range(0, len(values), 6)]
         lines.append("};")
-    return "\n".join(lines)
+    identifier = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
+    parts = {file: part(file) for file in ("source.c", "steps_only.c")}
+    return build_native(Native(identifier, about, "\n".join([*lines, ""]), sizes, parts, TEXT), path).path
