@@ -12,29 +12,25 @@ from collections.abc import Collection
 from typing import Any
 
 from cosim.blocks.description import Way
-from cosim.blocks.event_mode import EVENT, INITIALIZATION, EventCoSimulation3, EventFmu
+from cosim.blocks.event_mode import INITIALIZATION, EventCalls, EventFmu
 from cosim.blocks.fmi import Calls, Listen
 
 
-class ScheduledExecution3(EventCoSimulation3):
+class ScheduledCalls(EventCalls):
     """Calls of an FMU for FMI 3.0 scheduled execution.
 
     Attributes:
         on_update: Function called when the FMU says that a clock has changed.
     """
 
-    fmpy_class, way = "fmi3.FMU3ScheduledExecution", "scheduled-execution"
+    fmpy_class, way = "ScheduledExecution", "scheduled-execution"
 
     def __init__(self, name: str, description: Any) -> None:
         super().__init__(name, description)
         self.may_return = False
         self.on_update: Any = lambda: None
 
-    @property
-    def identifier(self) -> str:
-        return str(self.description.scheduledExecution.modelIdentifier)
-
-    def instantiate(self, listen: Listen, logging: bool) -> None:
+    def instantiate(self, listen: Listen, logging: bool, **options: Any) -> None:
         from fmpy import fmi3
 
         fmu = self.fmu  # FMPy's own method drops the updates of clocks; the callbacks must live as long as the FMU.
@@ -57,12 +53,12 @@ class ScheduledFmu(EventFmu):
     has_jumped = is_stirred = False  # Inputs are taken by the partitions.
 
     def _make_calls(self, way: Way | None) -> Calls:
-        calls = ScheduledExecution3(self.name, self.description)
+        calls = ScheduledCalls(self.name, self.description)
         calls.on_update = self._on_update
         return calls
 
-    def _enter_first(self) -> None:
-        self.mode, self.active = EVENT, set()
+    def start(self) -> None:
+        super().start()
         self._fired: list[str] = []
         self._last: dict[str, float] = {}  # clock → time of its last activation [s]
         self._failure: BaseException | None = None

@@ -139,18 +139,13 @@ def library() -> Any:
     return run
 
 
-def move(function: Any, exchange: Exchange, row: Row, finite: int = 0) -> Move:
-    """Return a get or set call for C.
-
-    Args:
-        finite: Number of leading values that must be finite.
-    """
+def move(function: Any, exchange: Exchange, row: Row) -> Move:
+    """Return a get or set call for C."""
     kind, place = exchange.kind, ctypes.addressof(row) + 8 * exchange.places.start
-    values = place if kind.ctype is ctypes.c_double else ctypes.addressof(exchange.buffer)
+    references, count, values, scalars = exchange.arguments
     bounds = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
-    pointer, references = ctypes.cast(function, c_void_p), ctypes.addressof(exchange.vrs)
-    count, number = len(exchange.vrs), TYPES[kind.ctype]
-    return Move(pointer, references, count, exchange.count, values, place, *bounds, finite, number)
+    pointer = ctypes.cast(function, c_void_p)
+    return Move(pointer, references, count, scalars, values, place, *bounds, exchange.finite, TYPES[kind.ctype])
 
 
 def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets: Sequence[Move], time: float) -> Slot:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.base.errors import SimulationError
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
+from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
 from cosim.master.copying import Copies, copy_values
@@ -86,7 +86,7 @@ class Part:
         return self.component.may_return if isinstance(self.component, EventFmu) else self.exchange is not None
 
     @property
-    def exchange(self) -> ModelExchange2 | None:
+    def exchange(self) -> ModelExchange | None:
         """Return the calls of model exchange, if any."""
         return self.component.calls if self.rank != WHOLE and is_exchange(self.component) else None
 

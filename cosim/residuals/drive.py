@@ -19,8 +19,7 @@ from cosim.base.times import rounding, roundings
 from cosim.base.units import Conversion, conversion
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
-from cosim.blocks.fmu import FmuBlock, read_description
-from cosim.blocks.restartable import RestartableFmu
+from cosim.blocks.fmu import FmuBlock, RestartableFmu, read_description
 from cosim.fmi.annotation import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows

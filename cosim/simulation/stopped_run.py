@@ -30,7 +30,7 @@ from cosim.base.scratch import lock_file
 from cosim.base.times import rounding, roundings
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import LONGEST, ModelExchange2
+from cosim.blocks.model_exchange import LONGEST, ModelExchange
 from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
 from cosim.master.inbox import Change
@@ -114,7 +114,7 @@ class StoppedRun:
         scenario = ScenarioFile(self.source).scenario
         stop = scenario.start_time + scenario.step * scenario.steps  # as the master computes it
         calls = {s.component.name: s.component.calls for s in system.stages if isinstance(s.component, FmuBlock)}
-        exchanged = {name: each for name, each in calls.items() if isinstance(each, ModelExchange2)}
+        exchanged = {name: each for name, each in calls.items() if isinstance(each, ModelExchange)}
         return {n: (stop - scenario.start_time) / LONGEST for n, each in exchanged.items() if each.longest is None}
 
     def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
