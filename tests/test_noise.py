@@ -10,7 +10,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.blocks.faults import gaussian, stream
-from cosim.blocks.profile import Change, Profile, profile_function
+from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.blocks.sources import playback
 from cosim.master.master import simulate
 from cosim.scenario.scenario_file import ScenarioFile
@@ -60,18 +60,18 @@ def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
 
 
 def test_a_step_comes_at_its_time_and_a_ramp_runs_at_its_rate() -> None:
-    f = profile_function(Profile(start=1.0, changes=[Change(at=1.0, to=2.0), Change(at=3.0, to=-2.0, rate=2.0)]))
+    f = ProfileFunction(Profile(start=1.0, changes=[Change(at=1.0, to=2.0), Change(at=3.0, to=-2.0, rate=2.0)]))
     assert [f(t) for t in (0.0, 0.99, 1.0, 2.99)] == [1.0, 1.0, 2.0, 2.0]
     assert [f(t) for t in (3.0, 3.5, 5.0, 9.0)] == pytest.approx([2.0, 1.0, -2.0, -2.0])
 
 
 def test_a_change_interrupts_the_ramp_before_it() -> None:
-    f = profile_function(Profile(changes=[Change(at=0.0, to=10.0, rate=1.0), Change(at=2.0, to=0.0, rate=4.0)]))
+    f = ProfileFunction(Profile(changes=[Change(at=0.0, to=10.0, rate=1.0), Change(at=2.0, to=0.0, rate=4.0)]))
     assert [f(t) for t in (1.0, 2.0, 2.25, 3.0)] == pytest.approx([1.0, 2.0, 1.0, 0.0])
 
 
 def test_a_step_at_a_multiple_of_the_step_is_not_a_sample_late() -> None:
-    f = profile_function(Profile(changes=[Change(at=0.3, to=1.0)]))
+    f = ProfileFunction(Profile(changes=[Change(at=0.3, to=1.0)]))
     assert f(3 * 0.1) == 1.0  # 0.30000000000000004
     assert f(0.1 + 0.1 + 0.1 - 5.6e-17) == 1.0
     assert f(0.28) == 0.0

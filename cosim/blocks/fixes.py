@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.component import RowComponent, Signal
+from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
 COUNT = "fix"  # name of the counting output
@@ -37,7 +37,7 @@ class Sensor:
         return [*(f"{name}_meas" for name in self.signals), COUNT]
 
 
-class Fixes(RowComponent):
+class Fixes(Component):
     """Sensor of position fixes: samples its inputs at a rate and outputs the samples with latency.
 
     Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.

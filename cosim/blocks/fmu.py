@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from cosim.base.errors import FmuError
 from cosim.blocks.compiling import permission
-from cosim.blocks.component import ADVANCE, Row, in_turn
+from cosim.blocks.component import ADVANCE, Component, Row, in_turn
 from cosim.blocks.description import (
     Way,
     declares_slopes,
@@ -40,7 +40,7 @@ from cosim.fmi.state import Memory, Own, own_of, with_memory
 __all__ = ["FmuBlock", "matches", "read_description"]
 
 
-class FmuBlock:
+class FmuBlock(Component):
     """An FMU instance as a component.
 
     Attributes:

@@ -187,30 +187,8 @@ def transfer(row: Row, origin: int, to: int, links: Sequence[ConvertedLink] = ()
     return result
 
 
-def link(
-    kind: LinkKind,
-    window: tuple[int, int] = (0, 0),
-    *,
-    a: float = 0.0,
-    b: float = 0.0,
-    values: Any = None,
-    marks: Any = None,
-    past: Any = None,
-    count: int = 0,
-) -> ConvertedLink:
-    """Return a link; buffers are referenced, not copied.
-
-    Args:
-        values: Buffer of doubles, like `past`.
-        marks: Buffer of bytes.
-    """
-    result = ConvertedLink(kind, *window, a, b, _address(values), _address(marks), _address(past), count)
-    result.keeping = values, marks, past
-    return result
-
-
-def _address(buffer: Any) -> int | None:
-    """Return the address of a buffer."""
+def address_of(buffer: Any) -> int | None:
+    """Return the address of a buffer, which is referenced and not copied; None for an empty one."""
     return None if not buffer else ctypes.addressof(ctypes.c_char.from_buffer(buffer))
 
 
@@ -252,7 +230,7 @@ class Loop:
         self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), next=first)
         plan.slot, plan.hold = ctypes.addressof(self.slots), ctypes.addressof(hold)
         plan.row, plan.table = ctypes.addressof(row), table.ctypes.data
-        plan.counter, plan.doing, plan.asked = _address(counter), _address(doing), _address(asked)
+        plan.counter, plan.doing, plan.asked = address_of(counter), address_of(doing), address_of(asked)
 
     def prepare(self, slot: int, values: Array, since: int) -> None:
         """Set prepared values of a slot of version 0, without copying.

@@ -185,10 +185,7 @@ class Keeper:
             can_save = hasattr(component, "checkpoint") and not master.system.reruns
             components[component.name] = component.checkpoint() if can_save else None
         master.doing[0] = NOTHING
-        links = {
-            name: [link.save(k) if hasattr(link, "save") else None for link in chain]
-            for name, chain in master.copying.links.items()
-        }
+        links = {name: [link.save(k) for link in chain] for name, chain in master.copying.links.items()}
         for name in (ROWS, BESIDE):
             sync(self.place / name)
         content = {
@@ -244,8 +241,7 @@ def go_on(master: Master, start: Continuation) -> float:
     try:
         for name, memories in state.get("links", {}).items():
             for link, memory in zip(master.copying.links[name], memories, strict=True):
-                if hasattr(link, "restore"):
-                    link.restore(memory)
+                link.restore(memory)
         for component in master.components:
             master.announce(component)
             component.restore(state["components"][component.name])

@@ -6,7 +6,8 @@ from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from cosim.blocks.faults import Addition, LinkFunction
+from cosim.blocks.faults import LinkFunction
+from cosim.blocks.stepping import LinkKind
 from cosim.system.system import System
 from cosim.system.wiring import Transfer, through
 
@@ -59,8 +60,8 @@ class Copying:
             origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
             return 2, (origin, transfer.source, goal, transfer.target, through(chain))
         for link in chain:
-            if isinstance(link, Addition):
-                return 1, (transfer.source, transfer.target, link.samples)
+            if link.kind == LinkKind.ADDED:
+                return 1, (transfer.source, transfer.target, link.values)
         return 0, (transfer.source, transfer.target)
 
 
