@@ -73,7 +73,7 @@ def units_of(variables: Sequence[Any]) -> dict[str, str]:
 class DifferentiableFmu(FmuBlock):
     """An FMU for model exchange, evaluated at single points: `open`, any number of points, `close`."""
 
-    _calls: ModelExchange
+    calls: ModelExchange
 
     def __init__(
         self, name: str, path: Any, description: Any, start: Mapping[str, Any], connected: frozenset[str]
@@ -92,7 +92,7 @@ class DifferentiableFmu(FmuBlock):
 
     def state_references(self) -> list[int]:
         """Return the value references of the states, FMI 1.0 only."""
-        return self._calls.state_references()
+        return self.calls.state_references()
 
     def current_point(self) -> tuple[Array, Array]:
         """Return the current states and inputs."""
@@ -101,11 +101,11 @@ class DifferentiableFmu(FmuBlock):
     @property
     def event_counts(self) -> dict[str, int]:
         """Return the number of state, time and step events of `advance` so far; changes of inputs count as none."""
-        return self._calls.event_counts
+        return self.calls.event_counts
 
     def restart_solver(self, t: float) -> None:
         """Let the solver go on from the states set by `move`."""
-        self._calls.solver.reset(t)
+        self.calls.solver.reset(t)
 
     def move(self, t: float, states: Array, inputs: Array) -> Array:
         """Set time, states and inputs, and handle events.
@@ -116,7 +116,7 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             self.instance.fmu.setTime(t)
             self._put_states(states)
-            self._calls.event(lambda: self._write_reals(self._inputs, inputs))
+            self.calls.event(lambda: self._write_reals(self._inputs, inputs))
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def rates(self, states: Array, inputs: Array) -> Array:

@@ -16,17 +16,6 @@ from cosim.base.units import SI
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 from cosim.storage.archive import DESCRIPTION
 
-SOURCES_WITH_LIBRARIES = (
-    "it has no library for {platform}; it has some for {others}; it has sources: --compile (in Python "
-    "compile=True) compiles and runs them"
-)
-SOURCES_ONLY = (
-    "it has no library for {platform} or another platform; it has sources: --compile (in Python compile=True) "
-    "compiles and runs them"
-)
-OTHER_PLATFORMS = "it has no library for {platform}; it has some for {others}"
-NO_LIBRARY = "it has no library for {platform} or another platform"
-
 Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
 PLATFORMS, SOURCES = "binaries/", "sources/"
 LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
@@ -65,9 +54,15 @@ def read_description(path: Path) -> Any:
             text = f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
             raise FmuError(text)
     if not ways(description):
+        kinds = {
+            "co-simulation": description.coSimulation,
+            "model exchange": description.modelExchange,
+            "scheduled execution": description.scheduledExecution,
+        }
+        kind = ", ".join(name for name, part in kinds.items() if part is not None) or "nothing"
         raise FmuError(
-            f"{path} is {_kind(description)}; FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange, and 3.0 "
-            "for scheduled execution, are run here"
+            f"{path} is FMI {description.fmiVersion} for {kind}; FMI 1.0, 2.0 and 3.0 for co-simulation or model "
+            "exchange, and 3.0 for scheduled execution, are run here"
         )
     if description.guid is None:
         attribute = "instantiationToken" if description.fmiVersion.startswith("3") else "guid"
@@ -123,16 +118,6 @@ def declares_slopes(path: Path, way: Way) -> bool:
     return any(flag in ("true", "1") for flag in flags)
 
 
-def _kind(description: Any) -> str:
-    parts = {
-        "co-simulation": description.coSimulation,
-        "model exchange": description.modelExchange,
-        "scheduled execution": description.scheduledExecution,
-    }
-    names = ", ".join(name for name, part in parts.items() if part is not None)
-    return f"FMI {description.fmiVersion} for {names or 'nothing'}"
-
-
 def platform_of(description: Any) -> str:
     """Return this platform's name in the FMU's version."""
     import fmpy
@@ -151,11 +136,10 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message on a missing library, with remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
+    text = f"it has no library for {here}{f'; it has some for {others}' if others else ' or another platform'}"
     if C_CODE in platforms:
-        text = SOURCES_WITH_LIBRARIES if others else SOURCES_ONLY
-    else:
-        text = OTHER_PLATFORMS if others else NO_LIBRARY
-    return text.format(platform=here, others=others)
+        text += "; it has sources: --compile (in Python compile=True) compiles and runs them"
+    return text
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:

@@ -22,7 +22,7 @@ from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
 from cosim.blocks.description import Way, takes_any_step
 from cosim.blocks.fmi import STEPS, Calls, Listen, end_of
-from cosim.blocks.fmi_types import element_names
+from cosim.blocks.fmi_types import Exchange, clocks_of, element_names
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.variable_access import Ports
 
@@ -89,7 +89,7 @@ class EventFmu(FmuBlock):
 
     clock_types = frozenset({"Clock"})
     steps = True  # whether time passes in steps
-    _calls: EventCalls
+    calls: EventCalls
 
     def __init__(
         self,
@@ -110,14 +110,13 @@ class EventFmu(FmuBlock):
         self.mode, self.reached, self.next_event, self.asks = INITIALIZATION, 0.0, math.inf, False
         self.active: set[str] = set()
         self._changes: dict[str, Any] = {}  # values of the scenario's events, to set at the next instant
-        self._given: dict[int, list[Any]] = {}  # inputs as last set
+        self._given: dict[Exchange, list[Any]] = {}  # inputs as last set
         self._seen: list[list[Any]] = []
         self._places: dict[str, int] = {}  # places of the numbers of ticks
         super().__init__(name, path, description, start, connected, **settings)
-        self.may_return = self._calls.may_return
-        self._exchanges = {id(e): self._clocks_of(e.variables[0]) for e in (*self._ports.fed, *self._ports.read)}
+        self.may_return = self.calls.may_return
         self._steady = [e for e in self._ports.fed if not self._is_jumping(e.variables[0])]
-        self._discrete = [e for e in self._ports.fed if e not in self._steady and not self._exchanges[id(e)]]
+        self._discrete = [e for e in self._ports.fed if e not in self._steady and not e.clocks]
 
     # -- description ----------------------------------------------------------------------------
 
@@ -132,27 +131,21 @@ class EventFmu(FmuBlock):
             clocks.append(Signal(c.name, kind="Clock", local=c.causality not in {"input", "output"}))
 
         def part(variable: Any) -> tuple[frozenset[str], bool]:
-            return self._clocks_of(variable), variable.causality == "input" and self._is_jumping(variable)
+            return clocks_of(variable), variable.causality == "input" and self._is_jumping(variable)
 
         both = tuple(inputs), tuple(others)
         return Ports(self.description, self.connected, recorded, part=part, clocks=both)
 
-    def _clocks_of(self, variable: Any) -> frozenset[str]:
-        return frozenset(clock.name for clock in variable.clocks or ())
-
     def _is_jumping(self, variable: Any) -> bool:
         """Return whether an input is discrete or clocked."""
-        is_continuous = variable.type in ("Float64", "Float32") and variable.variability in (None, "continuous")
-        return (
-            not is_continuous
-            or bool(variable.clocks)
-            or not self._jumping.isdisjoint({variable.name, *element_names(variable)})
-        )
+        if variable.type not in ("Float64", "Float32") or variable.variability not in (None, "continuous"):
+            return True
+        return bool(variable.clocks) or not self._jumping.isdisjoint({variable.name, *element_names(variable)})
 
     def ask_for_small_steps(self) -> None:
         """Ask the FMU to return after each of its own steps, if it can."""
-        about = self._calls.about
-        self._calls.in_small_steps = about.providesIntermediateUpdate and about.canReturnEarlyAfterIntermediateUpdate
+        about = self.calls.about
+        self.calls.in_small_steps = about.providesIntermediateUpdate and about.canReturnEarlyAfterIntermediateUpdate
 
     def settles(self, name: str) -> bool:
         """Return whether values of an input are exchanged until they settle, at each instant."""
@@ -173,18 +166,18 @@ class EventFmu(FmuBlock):
         self.next_event, self.asks, self.active = math.inf, False, set()
         self._changes, self._given, self._seen = {}, {}, []
         super()._begin(start, stop)
-        self._values.show_outputs([e for e in self._ports.read if self._exchanges[id(e)]])
+        self._values.show_outputs([e for e in self._ports.read if e.clocks])
 
     def start(self) -> None:
-        instance, start = self.instance, self._calls.start_time
+        instance, start = self.instance, self.calls.start_time
         with instance.check_calls():
             for clock in self.clocks.values():
                 self._start_timer(clock, self.timings.get(clock.name), start)
-            self._calls.leave()
+            self.calls.leave()
         instance.initialized = True
         self.reached, self.mode, self.active = start, EVENT, set()
         if self.steps:
-            self._do_step = self._calls.bare(STEPS[3], "DoStep")
+            self._do_step = self.calls.bare(STEPS[3], "DoStep")
 
     def _start_timer(self, clock: Clock, timing: Timing | None, start: float) -> None:
         """Set the interval that the scenario states for a clock, or read that of the FMU."""
@@ -198,16 +191,16 @@ class EventFmu(FmuBlock):
             interval = timing.interval
             self._set_interval(clock, interval)
         if interval is not None:
-            timer.every(interval, start + clock.shift)
+            timer.begin(start + clock.shift, interval)
             return
         qualifier, interval = self._interval(clock)
         if clock.kind in PERIODIC:
             shift = (ctypes.c_double * 1)()
             self.instance.fmu.getShiftDecimal((ctypes.c_uint * 1)(clock.reference), shift)
             interval = math.nan if qualifier == NOT_YET_KNOWN else interval
-            timer.every(self._checked(clock, interval), start + float(shift[0]))
+            timer.begin(start + float(shift[0]), self._checked(clock, interval))
         elif qualifier != NOT_YET_KNOWN:
-            timer.once(start + self._checked(clock, interval))
+            timer.begin(start + self._checked(clock, interval))
 
     # -- values --------------------------------------------------------------------------------------
 
@@ -215,29 +208,23 @@ class EventFmu(FmuBlock):
         """Set changed inputs, as far as the mode allows."""
         values, begins = self._values, self.mode == INITIALIZATION
         for exchange in self._ports.fed if self.mode != STEP else self._steady:
-            clocks = self._exchanges[id(exchange)]
-            if clocks and not clocks & self.active:
+            if exchange.clocks and not exchange.clocks & self.active:
                 continue
             content = values.content(exchange)
-            if begins or self._given.get(id(exchange)) != content:
-                self._given[id(exchange)] = content
+            if begins or self._given.get(exchange) != content:
+                self._given[exchange] = content
                 values.put_in(exchange)
-
-    def try_inputs(self) -> None:
-        """Set changed inputs, as far as the mode allows."""
-        self.put()
 
     def get(self) -> None:
         """Read outputs, as far as the mode allows."""
         for exchange in self._ports.read:
-            clocks = self._exchanges[id(exchange)]
-            if not clocks or clocks & self.active:
+            if not exchange.clocks or exchange.clocks & self.active:
                 self._values.get_from(exchange)
 
     @property
     def has_jumped(self) -> bool:
         """Return whether a discrete input has a new value."""
-        return any(self._values.content(e) != self._given.get(id(e)) for e in self._discrete)
+        return any(self._values.content(e) != self._given.get(e) for e in self._discrete)
 
     def look(self) -> None:
         """Remember the inputs of this instant."""
@@ -249,7 +236,7 @@ class EventFmu(FmuBlock):
         return self._inputs() != self._seen
 
     def _inputs(self) -> list[list[Any]]:
-        return [self._values.content(e) for e in self._ports.fed if not self._exchanges[id(e)]]
+        return [self._values.content(e) for e in self._ports.fed if not e.clocks]
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Keep an event's values for the next instant."""
@@ -264,7 +251,7 @@ class EventFmu(FmuBlock):
         Raises:
             EarlyEnd: The FMU ended the simulation.
         """
-        calls, instance = self._calls, self.instance
+        calls, instance = self.calls, self.instance
         status = int(self._do_step(instance.component, self.reached, target - self.reached, True, *calls.flags))
         stop, calls.stop = calls.stop, None
         if stop is not None:
@@ -278,10 +265,6 @@ class EventFmu(FmuBlock):
             raise end_of(self.name, self.reached)
         self.asks = self.asks or bool(calls.is_event.value)
         return self.reached
-
-    def advance(self, t: float, h: float) -> None:
-        """Raise AssertionError; `go` steps the FMU."""
-        raise AssertionError("an FMU with event mode is stepped from instant to instant")
 
     def save(self) -> Any:
         """Return the state, for one restoration."""
@@ -318,7 +301,7 @@ class EventFmu(FmuBlock):
             with self.instance.check_calls():
                 self._set_interval(self.clocks[name], interval)
             timer, t = self.timers[name], self.instance.time
-            timer.every(interval, t, 0 if timer.next <= t + TICK_NOW * interval else 1)
+            timer.begin(t, interval, 0 if timer.next <= t + TICK_NOW * interval else 1)
         if changes:
             with self.instance.check_calls():
                 self._values.set(changes)
@@ -336,13 +319,13 @@ class EventFmu(FmuBlock):
         for name in names:
             self._values.row[self._places[name]] += 1.0
             if name in self.timers:
-                self.timers[name].tick()
+                self.timers[name].count += 1
 
     def _forget(self, clocks: Collection[str]) -> None:
         """Forget the inputs of clocks that tick: they are set at each tick, also with the value of the last one."""
         for exchange in self._ports.fed:
-            if not self._exchanges[id(exchange)].isdisjoint(clocks):
-                self._given.pop(id(exchange), None)
+            if not exchange.clocks.isdisjoint(clocks):
+                self._given.pop(exchange, None)
 
     def fired(self) -> list[str]:
         """Return output clocks that tick since the last call."""
@@ -383,7 +366,7 @@ class EventFmu(FmuBlock):
         """Read intervals that may have changed."""
         t = self.instance.time
         for clock in self.clocks.values():
-            if not clock.asks_fmu or clock.kind in ("constant", "fixed"):
+            if clock.interval is not None or clock.kind not in ("tunable", "changing", "countdown"):
                 continue
             if clock.kind == "changing" and clock.name not in self.active:
                 continue
@@ -392,9 +375,9 @@ class EventFmu(FmuBlock):
             timer = self.timers[clock.name]
             if clock.kind == "tunable":
                 if qualifier == CHANGED:
-                    timer.every(self._checked(clock, interval), t, 1)
+                    timer.begin(t, self._checked(clock, interval), 1)
             elif qualifier == CHANGED or (clock.kind == "changing" and qualifier == UNCHANGED):
-                timer.once(t + self._checked(clock, interval))
+                timer.begin(t + self._checked(clock, interval))
 
     def _interval(self, clock: Clock) -> tuple[int, float]:
         """Return qualifier and interval [s] of a clock."""

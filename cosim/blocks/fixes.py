@@ -8,8 +8,6 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
@@ -57,6 +55,7 @@ class Fixes(Component):
             for n, (_, variance, bias) in sensor.signals.items()
         ]
         self._losses = stream(seed, f"{name} dropout")
+        self._streams = [*(rng for rng, _, _ in self._noise), self._losses]
         self._late = math.ceil(sensor.latency / step - 1e-9)
         self._point, self._measured, self._count = 0, 0, 0
         self._values = [0.0] * len(self.inputs)
@@ -83,10 +82,12 @@ class Fixes(Component):
         self._row[first : first + len(self._values) + 1] = [*self._values, float(self._count)]
 
     def advance(self, t: float, h: float) -> None:
-        if self._point == 0:
-            self._begin()
+        if self._point == 0:  # Count the fix at the start of the run; with latency, queue it.
+            self._measured = 1
+            if self._late and self._errors is not None:
+                self._queue.append((self._late, self._opening))
         self._point += 1
-        while self._point_of(self._measured) <= self._point:
+        while math.ceil(self._measured / (self.sensor.rate * self.step) - 1e-9) <= self._point:
             self._measured += 1
             if (error := self._draw()) is not None:
                 self._queue.append((self._point + self._late, self._measurement(error)))
@@ -111,23 +112,9 @@ class Fixes(Component):
         for rng, saved in zip(self._streams, state["random"], strict=True):
             rng.bit_generator.state = saved
 
-    @property
-    def _streams(self) -> list[np.random.Generator]:
-        return [*(rng for rng, _, _ in self._noise), self._losses]
-
     def slot(self) -> str:
         """Return the reason why the C loop cannot step this component."""
         return f"{self.name} measures now and then"
-
-    def _begin(self) -> None:
-        """Count the fix at the start of the run; with latency, queue it."""
-        self._measured = 1
-        if self._late and self._errors is not None:
-            self._queue.append((self._late, self._opening))
-
-    def _point_of(self, fix: int) -> int:
-        """Return the communication point of a fix."""
-        return math.ceil(fix / (self.sensor.rate * self.step) - 1e-9)
 
     def _draw(self) -> list[float] | None:
         """Return the errors of a position fix, or None for a lost fix.

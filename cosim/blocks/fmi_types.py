@@ -116,6 +116,7 @@ class Exchange:
     """Variables of a type, read or written in a single call; all of them negated aliases of FMI 1.0, or none.
 
     Attributes:
+        clocks: Clocks at whose ticks the values are exchanged; none for other variables.
         names: Names of the scalars; an array of FMI 3.0 has several.
         places: Their places in the row or beside the row.
         is_direct: Whether the FMU reads and writes the row itself; all but doubles pass through a buffer.
@@ -129,7 +130,8 @@ class Exchange:
         self.names = tuple(name for variable in variables for name in element_names(variable))
         self.count = len(self.names)
         self.vrs = (ctypes.c_uint * len(variables))(*(v.valueReference for v in variables))
-        self.negated = any(map(is_negated, variables))
+        self.negated = is_negated(variables[0])
+        self.clocks = clocks_of(variables[0])
         self.is_direct = kind.ctype is ctypes.c_double and not self.negated
         is_float = kind.ctype in (ctypes.c_double, ctypes.c_float)
         self.finite = sum(name in outputs for name in self.names) if is_float else 0
@@ -190,6 +192,11 @@ def elements(kind: FmiType, variable: Any, value: Any) -> list[Any]:
 def as_bytes(value: Any) -> bytes:
     """Return binary data, which texts hold as hexadecimal digits; raise ValueError for other text."""
     return bytes.fromhex(value) if isinstance(value, str) else bytes(value or b"")
+
+
+def clocks_of(variable: Any) -> frozenset[str]:
+    """Return the names of the clocks of a variable."""
+    return frozenset(clock.name for clock in variable.clocks or ())
 
 
 def is_negated(variable: Any) -> bool:

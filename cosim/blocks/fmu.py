@@ -21,13 +21,12 @@ from cosim.blocks.description import (
     declares_slopes,
     default_tolerance,
     matches,
-    read_description,
     slips_of,
     ways,
 )
 from cosim.blocks.fmi import STEPS, Calls, end_of
 from cosim.blocks.fmi_types import element_names
-from cosim.blocks.instance import Instance, MessageLog
+from cosim.blocks.instance import Instance
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
@@ -37,14 +36,14 @@ from cosim.fmi.annotation import traits_of
 from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
-__all__ = ["FmuBlock", "matches", "read_description"]
-
 
 class FmuBlock(Component):
     """An FMU instance as a component.
 
     Attributes:
         clock_types: Types of variables that are neither set nor read like others, but known.
+        calls: Calls of the FMU's version and interface.
+        log: Messages of the FMU.
 
     Args:
         connected: Names of connected inputs; the rest keep their start values.
@@ -87,11 +86,12 @@ class FmuBlock(Component):
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected, self.feedthrough = start, connected, feedthrough
         self.compiles = permission.get() if compiles is None else compiles
-        self._calls = self._make_calls(way)
-        self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
-        if isinstance(self._calls, ModelExchange):
-            self._calls.solver_name, self._calls.longest, self._calls.max_steps = solver, solver_step, max_steps
-        self.instance = Instance(path, self._calls, logging=logging, compiles=self.compiles)
+        self.calls = self._make_calls(way)
+        self.calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
+        if isinstance(self.calls, ModelExchange):
+            self.calls.solver_name, self.calls.longest, self.calls.max_steps = solver, solver_step, max_steps
+        self.instance = Instance(path, self.calls, logging=logging, compiles=self.compiles)
+        self.log = self.instance.log
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu
         self._variables = {v.name: v for v in description.modelVariables}
@@ -181,16 +181,6 @@ class FmuBlock(Component):
             )
         return tuple(f"{self.name}: {warning}" for warning in warnings)
 
-    @property
-    def calls(self) -> Calls:
-        """Return the calls of the FMU's version and interface."""
-        return self._calls
-
-    @property
-    def log(self) -> MessageLog:
-        """Return the log messages of the FMU."""
-        return self.instance.log
-
     # -- call sequence -----------------------------------------------------------------------------
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
@@ -229,7 +219,7 @@ class FmuBlock(Component):
 
     def _begin(self, start: float, stop: float) -> None:
         """Enter initialization at `start`."""
-        calls, values, can_read = self._calls, self._values, self._calls.readable_before_start
+        calls, values, can_read = self.calls, self._values, self.calls.readable_before_start
         self.instance.time, self.instance.initialized = start, False
         calls.start_time, calls.stop_time = start, stop
         values.readable = can_read
@@ -250,7 +240,7 @@ class FmuBlock(Component):
 
     def start(self) -> None:
         with self.instance.check_calls():
-            self._calls.leave()
+            self.calls.leave()
         self.instance.initialized = True
         self._values.readable = True
         self._do_step = self.instance.stepping()
@@ -260,16 +250,19 @@ class FmuBlock(Component):
 
     def try_inputs(self) -> None:
         """Set the inputs without an event; `put` makes it."""
-        self._values.put_all()
+        if self.changes_by_events:
+            self._values.put_all()
+        else:
+            self.put()
 
     @property
     def changes_by_events(self) -> bool:
         """Return whether a change of inputs is an event."""
-        return isinstance(self._calls, ModelExchange)
+        return isinstance(self.calls, ModelExchange)
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
         """Return directional derivatives of outputs, None if unavailable."""
-        if not self._declares_slopes or not {*outputs, *inputs} <= self._variables.keys():
+        if not self._is_differentiable or not {*outputs, *inputs} <= self._variables.keys():
             return None  # Elements of arrays have no value reference of their own.
         unknowns, knowns = ([self._variables[n].valueReference for n in names] for names in (outputs, inputs))
         slope = self.instance.fmu.getDirectionalDerivative
@@ -278,8 +271,8 @@ class FmuBlock(Component):
         return [list(row) for row in zip(*columns, strict=True)]
 
     @cached_property
-    def _declares_slopes(self) -> bool:
-        return declares_slopes(self.path, self._calls.way)
+    def _is_differentiable(self) -> bool:
+        return declares_slopes(self.path, self.calls.way)
 
     def nominal(self, name: str, default: float = 1.0) -> float:
         """Return the nominal value of a variable."""
@@ -305,18 +298,18 @@ class FmuBlock(Component):
             times: Ends of steps [s] at which `change` follows.
             always: Whether inputs are set after every step.
         """
-        if isinstance(self._calls, ModelExchange):
-            self._calls.awaits_inputs, self._calls.changes_at = always, frozenset(times)
+        if isinstance(self.calls, ModelExchange):
+            self.calls.awaits_inputs, self.calls.changes_at = always, frozenset(times)
 
     def settle(self) -> None:
         """Handle an event of model exchange at the end of a step, if inputs do not change there."""
         with self.instance.check_calls():
-            self._calls.inputs_changed(None)
+            self.calls.inputs_changed(None)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
         with self.instance.check_calls():
-            self._calls.inputs_changed(lambda: self._values.set(values))
+            self.calls.inputs_changed(lambda: self._values.set(values))
         self._values.show_changes(values)
 
     def close(self) -> None:
@@ -349,7 +342,7 @@ class FmuBlock(Component):
 
     def slot(self) -> Slot | str:
         """Return the slot for the C loop, or the reason for none."""
-        calls = self._calls
+        calls = self.calls
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
         if type(calls) is not Calls or calls.version == 1:

@@ -79,8 +79,8 @@ class Ports:
         for variable in variables:
             part = self._part(variable), is_negated(variable)
             groups.setdefault((self.kinds[variable.type], part), []).append(variable)
-        keys = sorted(groups, key=lambda key: key[0].ctype is not ctypes.c_double)
-        return tuple(Exchange(key[0], groups[key], {*outputs}) for key in keys)
+        exchanges = (Exchange(kind, group, {*outputs}) for (kind, _), group in groups.items())
+        return tuple(sorted(exchanges, key=lambda exchange: exchange.kind.ctype is not ctypes.c_double))
 
     def _signals(self, exchanges: Iterable[Exchange], *, beside: bool) -> tuple[Signal, ...]:
         """Return the signals in the row, or beside the row."""

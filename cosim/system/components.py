@@ -11,10 +11,10 @@ from typing import Any
 from cosim.base.errors import FmuError, InputError
 from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
-from cosim.blocks.description import read_description, state_names, ways
+from cosim.blocks.description import matches, read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmi_types import element_names, kinds_of
-from cosim.blocks.fmu import FmuBlock, matches
+from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock, playback, reference
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
