@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,6 @@ from cosim.storage.results import Results
 from cosim.system.system import build_system
 from cosim.verbs.cli import app
 from tests.bounce1 import bounce_fmu
-
-FALL = math.sqrt(2 / 9.81)  # [s] to the first bounce from 1 m
 
 
 def bounced(folder: Path, start: dict[str, float] | None = None, **more: Any) -> Results:
@@ -46,40 +43,6 @@ def test_it_is_what_fmpy_makes_of_it_to_the_last_bit(tmp_path: Path, start: dict
     for name in ("h", "v", "events", "upwards"):
         assert ours[f"a.{name}"].tolist() == theirs[name].tolist(), name
     assert ours["a.events"][-1] >= 1
-
-
-@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
-def test_a_ball_bounces_when_and_as_high_as_it_must(tmp_path: Path, solver: str) -> None:
-    results = bounced(tmp_path, solver=solver, duration=1.0)
-    time, h = results.time, results["a.h"]
-    t = time - FALL
-    expected = np.where(t < 0, 1 - 9.81 * time**2 / 2, 0.7 * 9.81 * FALL * t - 9.81 * t**2 / 2)
-    assert h == pytest.approx(expected, abs=2e-5)  # the solver's tolerance is 1e-6 a step
-    assert (results["a.events"] > 0).tolist() == (t >= 0).tolist()
-    assert results.exact["a.label"] == ["a"] * len(time)
-
-
-def test_a_time_event_acts_at_its_time(tmp_path: Path) -> None:
-    kicked, plain = bounced(tmp_path, {"kick_at": 0.105}, duration=0.3), bounced(tmp_path, duration=0.3)
-    gained = kicked["a.v"] - plain["a.v"]
-    assert gained == pytest.approx((plain.time > 0.105).astype(float), abs=1e-6)
-    assert kicked["a.h"][-1] - plain["a.h"][-1] == pytest.approx(0.3 - 0.105, abs=1e-5)
-
-
-def test_the_fmu_is_told_of_each_step_of_the_solver_and_gets_the_event_that_it_asks_for(tmp_path: Path) -> None:
-    results = bounced(tmp_path, {"ask_at": 0.2}, duration=0.4)
-    assert results["a.events"].tolist() == (results.time >= 0.2 - 1e-9).astype(float).tolist()
-    assert (np.diff(results["a.steps"]) >= 1).all()
-
-
-def test_an_input_that_changes_is_an_event(tmp_path: Path) -> None:
-    wind = {"block": "reference", "signals": {"u": {"start": 0, "changes": [{"at": 0.2, "to": 9.81}]}}}
-    connections = [{"from": "w.u", "to": "a.wind"}]
-    results = bounced(tmp_path, duration=0.4, components={"w": wind}, connections=connections)
-    before, later = results["a.v"][results.time < 0.185], results["a.v"][results.time > 0.2 + 1e-9]
-    assert np.diff(before) == pytest.approx(-0.01 * 9.81, abs=1e-5)
-    assert np.diff(later) == pytest.approx(0.0, abs=1e-5)
-    assert results["a.events"][-1] - results["a.events"][1] == 1
 
 
 def test_a_call_that_fails_is_told_with_the_words_of_the_fmu(tmp_path: Path) -> None:
