@@ -294,7 +294,7 @@ def _sort_groups(names: Sequence[str], ends: Sequence[tuple[str, str]]) -> list[
     for k, group in enumerate(ordered):
         if 1 < len(group) <= MOST_PERMUTED:
             inner = [end for end in ends if set(end) <= set(group)]
-            ordered[k] = min(permutations(group), key=lambda order, inner=inner: sum(torn(order, inner)))
+            _, _, ordered[k] = min((sum(torn(order, inner)), n, order) for n, order in enumerate(permutations(group)))
     return ordered
 
 

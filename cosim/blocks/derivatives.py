@@ -161,7 +161,8 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             if self.instance.fmi3:
                 return np.array(fmu.getFloat64(references, nValues=len(scalars(variables))), float)
-            return np.where([is_negated(v) for v in variables], -1.0, 1.0) * np.array(fmu.getReal(references), float)
+            signs: Array = np.where([is_negated(v) for v in variables], -1.0, 1.0)
+            return signs * np.array(fmu.getReal(references), float)
 
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:

@@ -63,7 +63,7 @@ class Calls:
         self.start_time, self.stop_time = 0.0, 0.0
         self.tolerance: float | None = None
         self.is_event, self.ends, self.is_early, self.last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
-        self.flags = tuple(map(ctypes.byref, (self.is_event, self.ends, self.is_early, self.last)))
+        self.flags = tuple(ctypes.byref(cell) for cell in (self.is_event, self.ends, self.is_early, self.last))
 
     def load(self, folder: Path, library: Path) -> None:
         """Load the library; failures raise bare Exceptions."""

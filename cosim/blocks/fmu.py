@@ -59,6 +59,8 @@ class FmuBlock(Component):
     """
 
     clock_types: frozenset[str] = frozenset()
+    _arguments: tuple[Any, ...]
+    _settings: dict[str, Any]
 
     def __new__(cls, *arguments: Any, **settings: Any) -> Self:
         block = super().__new__(cls)

@@ -58,9 +58,9 @@ def check_numbers(path: Path, description: Any) -> None:
     for part in (*description.typeDefinitions, *description.modelVariables):
         simple = description.fmiVersion == "1.0" and getattr(part, "type", "") in {"Real", "Integer", "Enumeration"}
         parts.append((part.name, part, (*BOUNDS, *(("start",) if simple else ()))))
-    numbers = [
-        (float, f"{name} of {place}", getattr(part, name, None)) for place, part, names in parts for name in names
-    ]
+    numbers: list[tuple[Any, str, Any]] = []
+    for place, part, names in parts:
+        numbers += [(float, f"{name} of {place}", getattr(part, name, None)) for name in names]
     for type_ in description.typeDefinitions:
         numbers += [(int, f"item {item.name} of {type_.name}", item.value) for item in type_.items or ()]
     for kind, place, value in numbers:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Hashable, Iterable
+from dataclasses import replace
 from typing import Any
 
 from cosim.blocks.component import Row, Signal
@@ -88,13 +89,17 @@ class Ports:
         for v in (v for e in exchanges if e.kind.beside == beside for v in e.variables):
             unit, declared = unit_of(v), v.declaredType
             items = enumeration_items(v) if v.type == "Enumeration" and declared else None
-            about = {
-                "definition": unit_definition(self.description, unit),
-                "array": v.name if v.shape else "",
-                "local": v.causality not in {"input", "output"},
-                "relative": is_difference(v),
-                "declared": declared.name if items is not None else "",
-                "discrete": v.variability not in (None, "continuous"),
-            }
-            signals += [Signal(name, unit, kind=v.type, items=items, **about) for name in element_names(v)]
+            signal = Signal(
+                v.name,
+                unit,
+                unit_definition(self.description, unit),
+                v.type,
+                items,
+                v.name if v.shape else "",
+                v.causality not in {"input", "output"},
+                is_difference(v),
+                declared.name if items is not None else "",
+                v.variability not in (None, "continuous"),
+            )
+            signals += [replace(signal, name=name) for name in element_names(v)]
         return tuple(signals)
