@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.base.times import MOST, steps_in, whole_steps
-from cosim.blocks.coupling import OWN, Algorithm, Plan, order_by_dependencies
+from cosim.blocks.coupling import DEFAULT, OWN, Algorithm, Plan
 from cosim.blocks.faults import fault_function, points
 from cosim.simulation import criteria
 from cosim.system.schedule import schedule
@@ -49,7 +49,7 @@ def test_a_loop_is_a_fault_of_the_connections_for_an_algorithm_that_solves_none(
         name = "plain"
 
         def plan(self, components: Any, edges: Any, order: Any) -> Plan:
-            return order_by_dependencies(components, edges, order)
+            return DEFAULT.plan(components, edges, order)
 
     monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, Plain()))
     components = {"a": block("a", "u", u=True), "b": block("b", "u", u=True)}

@@ -128,13 +128,6 @@ class Timer:
     times: Sequence[float] = field(default_factory=tuple)
     is_set: bool = False
 
-    @classmethod
-    def stated(cls, timing: Timing, start: float) -> Timer:
-        """Return the timer of a scenario's times."""
-        if timing.at:
-            return cls(times=timing.at, is_set=True)
-        return cls(start + (timing.shift or 0.0), 0, timing.interval, is_set=True)
-
     @property
     def next(self) -> float:
         """Return the time [s] of the next tick, or infinity."""

@@ -98,15 +98,6 @@ class DifferentiableFmu(FmuBlock):
         """Return the current states and inputs."""
         return self._vector(self.instance.fmu.getContinuousStates), self._read(self._inputs)
 
-    @property
-    def event_counts(self) -> dict[str, int]:
-        """Return the number of state, time and step events of `advance` so far; changes of inputs count as none."""
-        return self.calls.event_counts
-
-    def restart_solver(self, t: float) -> None:
-        """Let the solver go on from the states set by `move`."""
-        self.calls.solver.reset(t)
-
     def move(self, t: float, states: Array, inputs: Array) -> Array:
         """Set time, states and inputs, and handle events.
 

@@ -174,12 +174,6 @@ def matches(pattern: str, component: str, variable: str) -> bool:
     return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
 
 
-def default_tolerance(description: Any) -> float | None:
-    """Return the relative tolerance of the default experiment."""
-    experiment = description.defaultExperiment
-    return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
-
-
 # -- units ----------------------------------------------------------------------------------------
 
 

@@ -183,7 +183,8 @@ class EventFmu(FmuBlock):
         """Set the interval that the scenario states for a clock, or read that of the FMU."""
         if not clock.is_time_based:
             if timing is not None:
-                self.timers[clock.name] = Timer.stated(timing, start)
+                first = start + (timing.shift or 0.0)
+                self.timers[clock.name] = Timer(first, interval=timing.interval, times=timing.at, is_set=True)
             return
         self.timers[clock.name] = timer = Timer()
         interval = clock.interval

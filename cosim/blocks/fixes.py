@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from cosim.blocks.component import Component, Signal
@@ -14,25 +13,9 @@ from cosim.blocks.faults import stream
 COUNT = "fix"  # name of the counting output
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """Rate, latency and noise of a sensor of position fixes.
-
-    Attributes:
-        rate: Fixes per second [Hz].
-        latency: Delay from measurement to output [s].
-        dropout: Probability of losing a fix.
-        signals: Name → unit, variance and bias of a fix.
-    """
-
-    rate: float
-    latency: float
-    dropout: float
-    signals: Mapping[str, tuple[str, float, float]]
-
-    def outputs(self) -> list[str]:
-        """Return the output names in order."""
-        return [*(f"{name}_meas" for name in self.signals), COUNT]
+def fix_outputs(signals: Iterable[str]) -> list[str]:
+    """Return the names of the outputs of a sensor in order."""
+    return [*(f"{name}_meas" for name in signals), COUNT]
 
 
 class Fixes(Component):
@@ -41,22 +24,34 @@ class Fixes(Component):
     Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.
 
     Args:
+        rate: Fixes per second [Hz].
+        latency: Delay from measurement to output [s].
+        dropout: Probability of losing a fix.
+        signals: Name → unit, variance and bias of a fix.
         step: Communication step [s].
         seed: Seed of the random streams, one per signal and one for losses, which also depend on `name`.
     """
 
-    def __init__(self, name: str, sensor: Sensor, step: float, seed: int) -> None:
-        self.name, self.sensor, self.step = name, sensor, step
-        self.inputs = tuple(Signal(n, unit, kind="Real") for n, (unit, _, _) in sensor.signals.items())
-        units = [*(unit for unit, _, _ in sensor.signals.values()), ""]
-        self.outputs = tuple(Signal(n, unit) for n, unit in zip(sensor.outputs(), units, strict=True))
+    def __init__(
+        self,
+        name: str,
+        rate: float,
+        latency: float,
+        dropout: float,
+        signals: Mapping[str, tuple[str, float, float]],
+        step: float,
+        seed: int,
+    ) -> None:
+        self.name, self._fixes_per_step, self._dropout = name, rate * step, dropout
+        units = {n: unit for n, (unit, _, _) in signals.items()}
+        self.inputs = tuple(Signal(n, unit, kind="Real") for n, unit in units.items())
+        self.outputs = tuple(map(Signal, fix_outputs(signals), (*units.values(), "")))
         self._noise = [
-            (stream(seed, f"{name}.{n}"), math.sqrt(variance), bias)
-            for n, (_, variance, bias) in sensor.signals.items()
+            (stream(seed, f"{name}.{n}"), math.sqrt(variance), bias) for n, (_, variance, bias) in signals.items()
         ]
         self._losses = stream(seed, f"{name} dropout")
         self._streams = [*(rng for rng, _, _ in self._noise), self._losses]
-        self._late = math.ceil(sensor.latency / step - 1e-9)
+        self._late = math.ceil(latency / step - 1e-9)
         self._point, self._measured, self._count = 0, 0, 0
         self._values = [0.0] * len(self.inputs)
         self._queue: deque[tuple[int, list[float]]] = deque()  # measured fixes with their output points
@@ -87,7 +82,7 @@ class Fixes(Component):
             if self._late and self._errors is not None:
                 self._queue.append((self._late, self._opening))
         self._point += 1
-        while math.ceil(self._measured / (self.sensor.rate * self.step) - 1e-9) <= self._point:
+        while math.ceil(self._measured / self._fixes_per_step - 1e-9) <= self._point:
             self._measured += 1
             if (error := self._draw()) is not None:
                 self._queue.append((self._point + self._late, self._measurement(error)))
@@ -122,7 +117,7 @@ class Fixes(Component):
         Lost fixes use random numbers too, so that losses do not change the errors of later fixes.
         """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
-        return None if self._losses.random() < self.sensor.dropout else errors
+        return None if self._losses.random() < self._dropout else errors
 
     def _measurement(self, errors: list[float]) -> list[float]:
         row, first = self._row, self._first

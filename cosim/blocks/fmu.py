@@ -19,7 +19,6 @@ from cosim.blocks.component import ADVANCE, Component, Row, in_turn
 from cosim.blocks.description import (
     Way,
     declares_slopes,
-    default_tolerance,
     matches,
     slips_of,
     ways,
@@ -89,7 +88,8 @@ class FmuBlock(Component):
         self.start_values, self.connected, self.feedthrough = start, connected, feedthrough
         self.compiles = permission.get() if compiles is None else compiles
         self.calls = self._make_calls(way)
-        self.calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
+        declared = getattr(description.defaultExperiment, "tolerance", None)
+        self.calls.tolerance = tolerance if tolerance is not None else float(declared) if declared else None
         if isinstance(self.calls, ModelExchange):
             self.calls.solver_name, self.calls.longest, self.calls.max_steps = solver, solver_step, max_steps
         self.instance = Instance(path, self.calls, logging=logging, compiles=self.compiles)
@@ -188,10 +188,7 @@ class FmuBlock(Component):
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         self._values.bind(row, first, beside, first_beside)
 
-    def open(self, start: float, stop: float) -> None:
-        self.load_and_begin(start, stop)
-
-    def load_and_begin(self, start: float, stop: float, loaded: Callable[[], None] = lambda: None) -> None:
+    def open(self, start: float, stop: float, loaded: Callable[[], None] = lambda: None) -> None:
         """Load the FMU, call `loaded`, and enter initialization at `start`."""
         self.instance.time = start
         self._load()

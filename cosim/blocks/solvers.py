@@ -35,7 +35,7 @@ FAILURES = {  # CVODE's error codes with remedies
 }
 
 
-def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str] | None = None, **settings: Any) -> Any:
+def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str], **settings: Any) -> Any:
     """Return the named solver; by default CVODE, else solve_ivp.
 
     solve_ivp replaces CVODE on platforms for which FMPy has none. Both have the same interface:
@@ -90,18 +90,16 @@ class CompiledRates(ctypes.Structure):
     )
 
     @classmethod
-    def of(
-        cls, fmu: Any, states: int, data: int, start: float, symbol: Callable[[str], str] | None
-    ) -> CompiledRates | None:
-        """Return the derivatives of an FMU; None without states or compiler, or if its calls are logged.
+    def of(cls, fmu: Any, states: int, data: int, start: float, symbol: Callable[[str], str]) -> CompiledRates | None:
+        """Return the derivatives of an FMU; None without states or compiler.
 
         Args:
             data: Offset of the pointer to the numbers within the content of a vector.
-            symbol: Name of an FMI function → its name in the library; None for a library that is not loaded by FMPy.
+            symbol: Name of an FMI function → its name in the library.
         """
-        if not states or symbol is None or getattr(fmu, "fmiCallLogger", None) is not None:
-            return None
         try:
+            if not states:
+                return None
             rates_function()
         except (NoCompiler, CompilerFailed):
             return None
@@ -131,7 +129,7 @@ def cvode(
     tolerance: float,
     single_steps: bool = False,
     max_steps: int | None = None,
-    symbol: Callable[[str], str] | None = None,
+    symbol: Callable[[str], str],
 ) -> Any:
     """Return FMPy's CVODE for an FMU, whose derivatives C calls if there is a compiler.
 

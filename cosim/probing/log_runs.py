@@ -187,7 +187,7 @@ def bound_row(block: FmuBlock, course: Course, place: Path) -> Any:
     row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
     exact = len(block.exact_inputs) + len(block.exact_outputs)
     block.bind(row, 0, [None] * exact, 0)
-    block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=_name_reading)
+    block.open(float(course.time[0]), float(course.time[-1]) + course.step, loaded=_name_reading)
     put_row(block, row, course, 0)
     return row
 
@@ -260,7 +260,7 @@ def simulate(
                 here.progress.made[0] += 1
     except SimulationError as error:
         stop = error
-    counts, made = block.event_counts, len(inputs)
+    counts, made = block.calls.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
     return Run(course.time[:made], _table(states), _table(inputs), _table(values[:made]), events, stop)
 
@@ -276,7 +276,7 @@ def _set_states(block: DifferentiableFmu, t: float, first: Mapping[int, float]) 
         for number, value in first.items():
             x[number] = value
         block.move(t, x, u)
-        block.restart_solver(t)
+        block.calls.solver.reset(t)
 
 
 def run_along(block: FmuBlock, row: Any, course: Course) -> tuple[Array, SimulationError | None]:

@@ -12,7 +12,7 @@ from cosim.base.errors import FmuError, InputError
 from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
 from cosim.blocks.description import matches, read_description, state_names, ways
-from cosim.blocks.fixes import COUNT, Fixes, Sensor
+from cosim.blocks.fixes import COUNT, Fixes, fix_outputs
 from cosim.blocks.fmi_types import element_names, kinds_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock, playback, reference
@@ -96,8 +96,7 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None
         signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
-    sensor = Sensor(component.rate, component.latency, component.dropout, signals)
-    collisions = [n for n in signals if n in sensor.outputs()]
+    collisions = [n for n in signals if n in fix_outputs(signals)]
     for signal in collisions:
         other = "the output that counts the fixes" if signal == COUNT else "an output with the fixes of another signal"
         message = f'"{signal}" is already the name of {other}; give the signal another name'
@@ -110,7 +109,10 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
             f"{fastest:g} Hz, or a shorter step"
         )
         diagnosis.note(("components", name, "rate"), message)
-    return None if too_fast or collisions else Fixes(name, sensor, scenario.step, scenario.seed)
+    if too_fast or collisions:
+        return None
+    about = component.rate, component.latency, component.dropout, signals
+    return Fixes(name, *about, scenario.step, scenario.seed)
 
 
 def _fmu(
