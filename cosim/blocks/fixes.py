@@ -39,6 +39,7 @@ class Fixes(Component):
         latency: float,
         dropout: float,
         signals: Mapping[str, tuple[str, float, float]],
+        *,
         step: float,
         seed: int,
     ) -> None:

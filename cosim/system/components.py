@@ -111,8 +111,8 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
         diagnosis.note(("components", name, "rate"), message)
     if too_fast or collisions:
         return None
-    about = component.rate, component.latency, component.dropout, signals
-    return Fixes(name, *about, scenario.step, scenario.seed)
+    rates = component.rate, component.latency, component.dropout
+    return Fixes(name, *rates, signals, step=scenario.step, seed=scenario.seed)
 
 
 def _fmu(
