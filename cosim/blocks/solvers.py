@@ -249,7 +249,9 @@ def cvode(
                 raise self.failed
             if len(self.refusals) >= REFUSALS:
                 raise self.refusals[-1]
-            number, text = (0, "") if self.error_info is None else (self.error_info[0], self.error_info[3])
+            if self.error_info is None:
+                raise SolverFailed("CVODE failed")
+            number, _, _, text = self.error_info
             reason = FAILURES.get(number) or f"CVODE failed (code {number}): {' '.join(text.split())}"
             if number == TOO_MUCH_WORK:
                 other = ", or take solver: solve_ivp"
