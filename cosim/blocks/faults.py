@@ -11,6 +11,8 @@ import numpy as np
 from cosim.base.times import first_point, last_point
 from cosim.blocks.stepping import ConvertedLink, LinkKind, address_of
 
+AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS = LinkKind
+
 
 class LinkFunction:
     """A function of (communication point, value) with an equivalent in C; called at each point in turn.
@@ -40,31 +42,31 @@ class LinkFunction:
     def __call__(self, k: int, v: Any) -> Any:
         """Return the value at point k."""
         kind = self.kind
-        if kind == LinkKind.AFFINE:
+        if kind is AFFINE:
             return v * self.a + self.b
-        if kind == LinkKind.ADDED:
+        if kind is ADDED:
             return v + self.values[k]
         acts = self.window[0] <= k <= self.window[1] and (self.marks is None or bool(self.marks[k]))
-        if kind == LinkKind.HELD:
+        if kind is HELD:
             if k == 0 or not acts:
                 self._past[0] = v
             return self._past[0]
-        if kind == LinkKind.DELAYED:  # at first the first value
+        if kind is DELAYED:  # at first the first value
             self._past[k] = v
             self._past.pop(k - self.delay - 1, None)
             return self._past.get(k - self.delay, self._past[min(self._past)]) if acts else v
         if not acts:
             return v
-        if kind == LinkKind.SCALE:
+        if kind is SCALE:
             return v * self.a
-        return self.a if kind == LinkKind.STUCK else v + self.a
+        return self.a if kind is STUCK else v + self.a
 
     def link(self) -> ConvertedLink:
         """Return the equivalent for the loop in C, which continues from the last point."""
         count = 0 if self.values is None else len(self.values)
-        if self.kind == LinkKind.HELD:
+        if self.kind is HELD:
             self._in_c = array("d", [self._past[0]])
-        elif self.kind == LinkKind.DELAYED:
+        elif self.kind is DELAYED:
             self._in_c, count = array("d", bytes(8 * (self.delay + 1))), self.delay + 1
             for k, value in self._past.items():
                 self._in_c[k % count] = value
@@ -76,9 +78,9 @@ class LinkFunction:
     def save(self, k: int) -> Any:
         """Return the past values that later points need, at point k; None without one."""
         ring = self._in_c
-        if self.kind == LinkKind.HELD:
+        if self.kind is HELD:
             return self._past[0] if ring is None else ring[0]
-        if self.kind != LinkKind.DELAYED:
+        if self.kind != DELAYED:
             return None
         if ring is None:
             return [*self._past.items()]
@@ -87,7 +89,7 @@ class LinkFunction:
     def restore(self, memory: Any) -> None:
         """Restore saved values."""
         if memory is not None:
-            self._past = {0: memory} if self.kind == LinkKind.HELD else dict(memory)
+            self._past = {0: memory} if self.kind is HELD else dict(memory)
 
 
 def fault_function(
@@ -111,14 +113,14 @@ def fault_function(
     if kind in {"bias", "scale", "stuck"}:
         return LinkFunction(LinkKind[kind.upper()], window, a=value or 0.0)
     if kind == "delay":
-        return LinkFunction(LinkKind.DELAYED, window, delay=min(delay, count))
+        return LinkFunction(DELAYED, window, delay=min(delay, count))
     if probability is not None:
         marks = rng.random(count) < probability
     elif kind == "spike":
         marks = np.arange(count) == min(window[0], count - 1)
     else:
         marks = np.ones(count, bool)
-    effect = LinkKind.SPIKES if kind == "spike" else LinkKind.HELD
+    effect = SPIKES if kind == "spike" else HELD
     return LinkFunction(effect, window, a=value or 0.0, marks=bytearray(marks.tobytes()))
 
 

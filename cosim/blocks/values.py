@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from cosim.base.errors import NotFinite, SimulationError
@@ -40,28 +41,14 @@ class Values:
         self.ports.place(row, first, first_beside)
 
     def look_up(self) -> None:
-        """Forget the functions of an earlier instance."""
-        self._component, self._functions = self.instance.component, dict[str, Any]()
+        """Look up the C functions that set and get values of the new instance."""
+        exchanges = [e for e in (*self.ports.inward, *self.ports.read) if e.kind.ctype is not None]
+        self._setters, self._getters = ({e: self._function(verb, e) for e in exchanges} for verb in ("Set", "Get"))
 
-    def function(self, name: str) -> Any:
-        """Return a C function that sets or gets values of a type, such as `SetReal`."""
-        if name not in self._functions:
-            self._functions[name] = self._calls.bare(self._calls.exchange, name)
-        return self._functions[name]
-
-    def _call(self, verb: str, exchange: Exchange, of: str = "") -> None:
-        """Set or get the values in the buffer of an exchange."""
-        fmu, name = self.instance.fmu, f"{verb}{exchange.kind.function}"
-        if exchange.kind.ctype is None:
-            with self.instance.check_calls():
-                if verb == "Set":
-                    fmu.setBinary(exchange.vrs, exchange.buffer)
-                else:
-                    exchange.buffer = fmu.getBinary(exchange.vrs, exchange.count)
-            return
-        arguments = exchange.arguments if self.ports.fmi3 else exchange.arguments[:3]
-        if status := self.function(name)(self._component, *arguments):
-            self.instance.judge(f"{self._calls.prefix}{name}{of}", status)
+    def _function(self, verb: str, exchange: Exchange) -> partial[int]:
+        """Return a C function with its arguments."""
+        function = self._calls.bare(self._calls.exchange, f"{verb}{exchange.kind.function}")
+        return partial(function, self.instance.component, *exchange.arguments[: 4 if self.ports.fmi3 else 3])
 
     # -- all values --------------------------------------------------------------------------
 
@@ -90,7 +77,11 @@ class Values:
 
     def read_in(self, exchange: Exchange) -> None:
         """Read values of the FMU."""
-        self._call("Get", exchange)
+        if exchange.kind.ctype is None:
+            with self.instance.check_calls():
+                exchange.buffer = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
+        elif status := self._getters[exchange]():
+            self.instance.judge(f"{self._calls.prefix}Get{exchange.kind.function}", status)
         if not exchange.is_direct:
             self._target(exchange)[exchange.places] = exchange.decode()
 
@@ -117,7 +108,11 @@ class Values:
                     self.instance.time,
                     f"the input {reason}, the range of its type; scale or limit the value connected to it",
                 ) from None
-        self._call("Set", exchange)
+        if exchange.kind.ctype is None:
+            with self.instance.check_calls():
+                self.instance.fmu.setBinary(exchange.vrs, exchange.buffer)
+        elif status := self._setters[exchange]():
+            self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function}", status)
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set variables; an array takes a list of values."""
@@ -125,7 +120,10 @@ class Values:
             variable = self._variables[name]
             exchange = Exchange(self.ports.kinds[variable.type], [variable])
             exchange.encode(value if isinstance(value, (list, tuple)) else [value] * exchange.count)
-            self._call("Set", exchange, f" of {name}")  # FMPy's own setters drop the status.
+            if exchange.kind.ctype is None:
+                self.instance.fmu.setBinary(exchange.vrs, exchange.buffer)
+            elif status := self._function("Set", exchange)():  # FMPy's own setters drop the status.
+                self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function} of {name}", status)
 
     def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
         """Store the set values of inputs in the row, else their start values; FMUs need not let inputs be read.
@@ -205,8 +203,8 @@ class Values:
         ports = self.ports
         if any(exchange.kind.beside for exchange in (*ports.fed, *ports.read)):
             return None
-        puts = [move(self.function(f"Set{e.kind.function}"), e, self.row) for e in ports.fed]
-        gets = [move(self.function(f"Get{e.kind.function}"), e, self.row) for e in ports.read]
+        puts = [move(self._setters[e].func, e, self.row) for e in ports.fed]
+        gets = [move(self._getters[e].func, e, self.row) for e in ports.read]
         return puts, gets
 
     def raise_error(self, reason: StopReason, plan: Plan) -> None:
