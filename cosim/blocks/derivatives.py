@@ -125,9 +125,7 @@ class DifferentiableFmu(FmuBlock):
         """
         knowns = [v.valueReference for v in (*self._states, *self._inputs)]
         unknowns = [v.valueReference for v in (*self._rates, *self._outputs)]
-        slope = self.instance.fmu.getDirectionalDerivative
-        with self.instance.check_calls():
-            columns = [slope(unknowns, [reference], [1.0]) for reference in knowns]
+        columns = [self.instance.call("getDirectionalDerivative", unknowns, [known], [1.0]) for known in knowns]
         return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
 
     # -- internal -------------------------------------------------------------------------------

@@ -17,6 +17,11 @@ from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers,
 from cosim.storage.archive import DESCRIPTION
 
 Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
+PARTS: dict[Way, str] = {
+    "co-simulation": "coSimulation",
+    "model-exchange": "modelExchange",
+    "scheduled-execution": "scheduledExecution",
+}  # of FMPy's description
 PLATFORMS, SOURCES = "binaries/", "sources/"
 LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
 C_CODE = "c-code"  # name of the source platform in FMI
@@ -54,12 +59,7 @@ def read_description(path: Path) -> Any:
             text = f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
             raise FmuError(text)
     if not ways(description):
-        kinds = {
-            "co-simulation": description.coSimulation,
-            "model exchange": description.modelExchange,
-            "scheduled execution": description.scheduledExecution,
-        }
-        kind = ", ".join(name for name, part in kinds.items() if part is not None) or "nothing"
+        kind = ", ".join(way for way, part in PARTS.items() if getattr(description, part) is not None) or "nothing"
         raise FmuError(
             f"{path} is FMI {description.fmiVersion} for {kind}; FMI 1.0, 2.0 and 3.0 for co-simulation or model "
             "exchange, and 3.0 for scheduled execution, are run here"
@@ -85,10 +85,12 @@ def ways(description: Any) -> tuple[Way, ...]:
     version = description.fmiVersion
     if version not in {"1.0", "2.0", "3.0"} and not version.startswith("3.0."):
         return ()
-    parts: dict[Way, Any] = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
-    if version.startswith("3"):
-        parts["scheduled-execution"] = description.scheduledExecution
-    return tuple(way for way, part in parts.items() if part is not None)
+    parts = {way: getattr(description, part) for way, part in PARTS.items()}
+    return tuple(
+        way
+        for way, part in parts.items()
+        if part is not None and (way != "scheduled-execution" or version.startswith("3"))
+    )
 
 
 def state_names(description: Any) -> list[str]:

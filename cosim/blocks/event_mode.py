@@ -292,8 +292,7 @@ class EventFmu(FmuBlock):
     def enter(self) -> None:
         """Enter event mode; set the scenario's values."""
         if self.mode != EVENT:
-            with self.instance.check_calls():
-                self.instance.fmu.enterEventMode()
+            self.instance.call("enterEventMode")
             self.mode, self.active = EVENT, set()
         self.asks = False
         changes, self._changes = self._changes, {}
@@ -310,8 +309,7 @@ class EventFmu(FmuBlock):
 
     def tick(self, names: Collection[str]) -> None:
         """Activate input clocks."""
-        with self.instance.check_calls():
-            self.instance.fmu.setClock([self.clocks[name].reference for name in names], [True] * len(names))
+        self.instance.call("setClock", [self.clocks[name].reference for name in names], [True] * len(names))
         self._count(names)
 
     def _count(self, names: Collection[str]) -> None:
@@ -334,8 +332,7 @@ class EventFmu(FmuBlock):
         idle = [c for c in idle if not c.clocks or c.clocks & self.active]
         if not idle:
             return []
-        with self.instance.check_calls():
-            states = self.instance.fmu.getClock([c.reference for c in idle])
+        states = self.instance.call("getClock", [c.reference for c in idle])
         names = [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
         self._count(names)
         return names
@@ -346,8 +343,7 @@ class EventFmu(FmuBlock):
         Raises:
             EarlyEnd: The FMU ended the simulation.
         """
-        with self.instance.check_calls():
-            more, ends, _, _, is_announced, time = self.instance.fmu.updateDiscreteStates()
+        more, ends, _, _, is_announced, time = self.instance.call("updateDiscreteStates")
         if ends:
             raise end_of(self.name, self.instance.time)
         self.next_event = time if is_announced else math.inf
@@ -357,8 +353,7 @@ class EventFmu(FmuBlock):
 
     def leave(self) -> None:
         """Return to step mode."""
-        with self.instance.check_calls():
-            self.instance.fmu.enterStepMode()
+        self.instance.call("enterStepMode")
         self.mode, self.active = STEP, set()
 
     # -- intervals ----------------------------------------------------------------------------------

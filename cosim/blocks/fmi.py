@@ -15,7 +15,7 @@ from typing import Any
 
 from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd
-from cosim.blocks.description import Way
+from cosim.blocks.description import PARTS, Way
 
 DISCARD = 2
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
@@ -28,11 +28,6 @@ STEPS = {
     2: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT),
     3: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4),
 }
-PARTS = {
-    "co-simulation": "coSimulation",
-    "model-exchange": "modelExchange",
-    "scheduled-execution": "scheduledExecution",
-}  # of a description
 Step = Callable[[Any, float, float, int], int]
 Listen = Callable[[int, bytes | None], None]  # status and message
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener

@@ -264,9 +264,7 @@ class FmuBlock(Component):
         if not self._is_differentiable or not {*outputs, *inputs} <= self._variables.keys():
             return None  # Elements of arrays have no value reference of their own.
         unknowns, knowns = ([self._variables[n].valueReference for n in names] for names in (outputs, inputs))
-        slope = self.instance.fmu.getDirectionalDerivative
-        with self.instance.check_calls():
-            columns = [slope(unknowns, [known], [1.0]) for known in knowns]
+        columns = [self.instance.call("getDirectionalDerivative", unknowns, [known], [1.0]) for known in knowns]
         return [list(row) for row in zip(*columns, strict=True)]
 
     @cached_property

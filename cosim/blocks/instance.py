@@ -218,35 +218,32 @@ class Instance:
         is_stepped = self.calls.way == "co-simulation"
         return is_stepped and any(getattr(self.calls.about, f"{capability}{s}", False) for s in ("state", "State"))
 
-    def _of_state(self, name: str) -> Any:
-        """Return a function for the state of the FMU, by its first word."""
-        return getattr(self.fmu, f"{name}FMU{'State' if self.fmi3 else 'state'}")
+    def _of_state(self, name: str) -> str:
+        """Return the name of a function for the state of the FMU, by its first word."""
+        return f"{name}FMU{'State' if self.fmi3 else 'state'}"
 
     def save_state(self) -> Any:
         """Return the state, to restore and free."""
-        with self.check_calls():
-            return self._of_state("get")()
+        return self.call(self._of_state("get"))
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
         """Restore a saved state, and free the state unless `keep` is set."""
-        with self.check_calls():
-            self._of_state("set")(state)
+        self.call(self._of_state("set"), state)
         if not keep:
             self.free_state(state)
 
     def free_state(self, state: Any) -> None:
         """Free a state that is not restored."""
-        with self.check_calls():
-            self._of_state("free")(state)
+        self.call(self._of_state("free"), state)
 
     def serialize(self) -> bytes | None:
         """Return the state as bytes, if possible."""
         if not self.serializes:
             return None
         try:
-            state = self._of_state("get")()
-            content = self._of_state("serialize")(state)
-            self._of_state("free")(state)
+            state = getattr(self.fmu, self._of_state("get"))()
+            content = getattr(self.fmu, self._of_state("serialize"))(state)
+            getattr(self.fmu, self._of_state("free"))(state)
         except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
             self._refuses = True
             return None
@@ -254,9 +251,7 @@ class Instance:
 
     def deserialize(self, content: bytes) -> None:
         """Restore a state from bytes."""
-        with self.check_calls():
-            state = self._of_state("deserialize" if self.fmi3 else "deSerialize")(content)
-        self.restore_state(state)
+        self.restore_state(self.call(self._of_state("deserialize" if self.fmi3 else "deSerialize"), content))
 
     # -- messages -------------------------------------------------------------------------
 
@@ -294,6 +289,11 @@ class Instance:
             yield
         except FMICallException as error:
             self.judge(error.function, error.status)
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of FMPy's object; a failure becomes a SimulationError."""
+        with self.check_calls():
+            return getattr(self.fmu, name)(*arguments)
 
     def stepping(self) -> Step:
         """Return the function that steps the FMU.

@@ -107,8 +107,7 @@ class ScheduledFmu(EventFmu):
         self.active = set()
         self._count([name])
         super().put()
-        with self.instance.check_calls():
-            self.instance.fmu.activateModelPartition(self.clocks[name].reference, t)
+        self.instance.call("activateModelPartition", self.clocks[name].reference, t)
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
@@ -121,8 +120,7 @@ class ScheduledFmu(EventFmu):
             self._read_intervals()
             idle = [c for c in self.output_clocks if c.name not in self._fired]
             if idle:
-                with self.instance.check_calls():
-                    states = self.instance.fmu.getClock([c.reference for c in idle])
+                states = self.instance.call("getClock", [c.reference for c in idle])
                 self._fired += [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
         except BaseException as failure:  # Exceptions cannot pass through C.
             self._failure = failure

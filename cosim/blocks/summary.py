@@ -11,6 +11,7 @@ from typing import Any
 
 from cosim.base.errors import Fault, FmuError, InputError, refuse
 from cosim.blocks.description import (
+    PARTS,
     platform_of,
     platforms_among,
     read_description,
@@ -19,7 +20,6 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.blocks.fmi import PARTS
 from cosim.storage.kinds import FMU, check_given
 
 
