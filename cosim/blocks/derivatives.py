@@ -150,8 +150,8 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             if self.instance.fmi3:
                 return np.array(fmu.getFloat64(references, nValues=len(scalars(variables))), float)
-            signs: Array = np.where([is_negated(v) for v in variables], -1.0, 1.0)
-            return signs * np.array(fmu.getReal(references), float)
+            values: Array = np.array(fmu.getReal(references), float)
+            return np.where([is_negated(v) for v in variables], -values, values)
 
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:
@@ -159,7 +159,7 @@ class DifferentiableFmu(FmuBlock):
             if self.instance.fmi3:
                 fmu.setFloat64(references, values.tolist())
             else:
-                fmu.setReal(references, (np.where([is_negated(v) for v in variables], -1.0, 1.0) * values).tolist())
+                fmu.setReal(references, np.where([is_negated(v) for v in variables], -values, values).tolist())
 
 
 def slopes_at(
