@@ -58,22 +58,24 @@ def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
     assert np.max(np.abs(correlation)) < 5 / math.sqrt(2000)  # five standard errors
 
 
-def test_a_step_comes_at_its_time_and_a_ramp_runs_at_its_rate() -> None:
-    f = ProfileFunction(Profile(start=1.0, changes=[Change(at=1.0, to=2.0), Change(at=3.0, to=-2.0, rate=2.0)]))
-    assert [f(t) for t in (0.0, 0.99, 1.0, 2.99)] == [1.0, 1.0, 2.0, 2.0]
-    assert [f(t) for t in (3.0, 3.5, 5.0, 9.0)] == pytest.approx([2.0, 1.0, -2.0, -2.0])
-
-
-def test_a_change_interrupts_the_ramp_before_it() -> None:
-    f = ProfileFunction(Profile(changes=[Change(at=0.0, to=10.0, rate=1.0), Change(at=2.0, to=0.0, rate=4.0)]))
-    assert [f(t) for t in (1.0, 2.0, 2.25, 3.0)] == pytest.approx([1.0, 2.0, 1.0, 0.0])
-
-
-def test_a_step_at_a_multiple_of_the_step_is_not_a_sample_late() -> None:
-    f = ProfileFunction(Profile(changes=[Change(at=0.3, to=1.0)]))
-    assert f(3 * 0.1) == 1.0  # 0.30000000000000004
-    assert f(0.1 + 0.1 + 0.1 - 5.6e-17) == 1.0
-    assert f(0.28) == 0.0
+@pytest.mark.parametrize(
+    ("changes", "values"),
+    [
+        (
+            [Change(at=1.0, to=2.0), Change(at=3.0, to=-2.0, rate=2.0)],
+            {0.0: 1.0, 0.99: 1.0, 1.0: 2.0, 2.99: 2.0, 3.0: 2.0, 3.5: 1.0, 5.0: -2.0, 9.0: -2.0},
+        ),
+        (  # a change interrupts the ramp before it
+            [Change(at=0.0, to=11.0, rate=1.0), Change(at=2.0, to=1.0, rate=4.0)],
+            {1.0: 2.0, 2.0: 3.0, 2.25: 2.0, 3.0: 1.0},
+        ),
+        # a step at a multiple of the step is not a sample late: 3·0.1 is 0.30000000000000004
+        ([Change(at=0.3, to=2.0)], {3 * 0.1: 2.0, 0.1 + 0.1 + 0.1 - 5.6e-17: 2.0, 0.28: 1.0}),
+    ],
+)
+def test_a_reference_from_1_follows_its_changes(changes: list[Change], values: dict[float, float]) -> None:
+    f = ProfileFunction(Profile(start=1.0, changes=changes))
+    assert [f(t) for t in values] == pytest.approx(list(values.values()), rel=1e-15)
 
 
 def test_a_faulty_playback_file_is_told_cell_by_cell(tmp_path: Path) -> None:
