@@ -188,7 +188,10 @@ class FmuBlock(Component):
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         self._values.bind(row, first, beside, first_beside)
 
-    def open(self, start: float, stop: float, loaded: Callable[[], None] = lambda: None) -> None:
+    def open(self, start: float, stop: float) -> None:
+        self.load_and_begin(start, stop)
+
+    def load_and_begin(self, start: float, stop: float, loaded: Callable[[], None] = lambda: None) -> None:
         """Load the FMU, call `loaded`, and enter initialization at `start`."""
         self.instance.time = start
         self._load()

@@ -108,7 +108,8 @@ def summaries(paths: Sequence[Path]) -> list[Summary]:
 
 def summary_of(path: Path, description: Any) -> Summary:
     """Return the summary of a described FMU."""
-    platforms, capabilities = platforms_of(path), {}
+    platforms = platforms_of(path)
+    capabilities: dict[str, dict[str, Any]] = {}
     for way, attribute in PARTS.items():
         if (part := getattr(description, attribute, None)) is not None:
             values = {field.name: getattr(part, field.name) for field in type(part).__attrs_attrs__}

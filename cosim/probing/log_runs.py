@@ -187,7 +187,7 @@ def bound_row(block: FmuBlock, course: Course, place: Path) -> Any:
     row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
     exact = len(block.exact_inputs) + len(block.exact_outputs)
     block.bind(row, 0, [None] * exact, 0)
-    block.open(float(course.time[0]), float(course.time[-1]) + course.step, loaded=_name_reading)
+    block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=_name_reading)
     put_row(block, row, course, 0)
     return row
 
