@@ -17,7 +17,7 @@ from controller.loop import Loop
 from controller.settings import Settings
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.blocks.profile import Change, Profile, profile_function
+from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.experiment.rigs import (
     FASTEST,
     SLOWEST,
@@ -98,7 +98,7 @@ class ClosedLoop(OpenLoop):
         psi = Profile(changes=[right, about, Change(at=22, to=0.0)])
         signals = {a.name: np.zeros(len(time)) for a in self.axes}
         for name, profile in (("x_ref", x), ("psi_ref", psi)):
-            signals[name] = np.array([profile_function(profile)(t) for t in time.tolist()])
+            signals[name] = np.array([ProfileFunction(profile)(t) for t in time.tolist()])
         return signals
 
     def write(self, folder: Path, trial: Trial) -> None:

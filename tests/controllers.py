@@ -32,7 +32,7 @@ from controller.settings import (
     TimeVariantSettings,
 )
 from controller.stability import FlownLoop, LoopMode
-from cosim.blocks.profile import Change, Profile, profile_function
+from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
 from cosim.model.symbolic.linearize import load_names
 from fmus.recipes import HEAVY, jacobians
@@ -104,8 +104,8 @@ def manoeuvre(t: float) -> tuple[float, float]:
     return X_OF(t), PSI_OF(t)
 
 
-X_OF = profile_function(Profile(changes=[Change(at=5, to=1.5), Change(at=17, to=3.0)]))
-PSI_OF = profile_function(
+X_OF = ProfileFunction(Profile(changes=[Change(at=5, to=1.5), Change(at=17, to=3.0)]))
+PSI_OF = ProfileFunction(
     Profile(
         changes=[
             Change(at=1, to=-math.pi / 2),

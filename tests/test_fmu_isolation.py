@@ -165,7 +165,8 @@ FOREIGN = """
 import atexit, ctypes, json, sys
 from pathlib import Path
 from cosim.base.scratch import process_folder
-from cosim.blocks.fmu import FmuBlock, read_description
+from cosim.blocks.description import read_description
+from cosim.blocks.fmu import FmuBlock
 at_exit, register = [], atexit.register
 atexit.register = lambda function: at_exit.append(register(function))
 path = Path(sys.argv[1])

@@ -15,16 +15,6 @@ from cosim.simulation.workflow import run
 from tests.small_exchange import small_fmu
 
 BOTH = pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
-# x = sin t; y is x 0.1 s ago, linear between the accepted steps; `calls` counts these
-DELAY = {
-    "derive": """x[1] = cos(m->t); double at = m->t - 0.1, t1 = m->t, x1 = x[0], t0 = 0, x0 = 0;
-        for (int k = m->calls - 1; k >= 0; k--) {
-            if (m->seen_t[k] <= at) { t0 = m->seen_t[k]; x0 = m->seen_x[k]; break; }
-            t1 = m->seen_t[k]; x1 = m->seen_x[k];
-        }
-        x[2] = t1 > t0 ? x0 + (x1 - x0) * (at - t0) / (t1 - t0) : x1; x[3] = m->calls;""",
-    "completed": "m->seen_t[m->calls] = m->t; m->seen_x[m->calls++] = x[0]",
-}
 
 
 def ran(folder: Path, components: dict[str, Any], step: float, duration: float, **more: Any) -> Any:
@@ -37,20 +27,6 @@ def ran(folder: Path, components: dict[str, Any], step: float, duration: float, 
 def alone(folder: Path, fmu: Path, step: float, duration: float, **more: Any) -> Any:
     """Run one FMU."""
     return ran(folder, {"b": {"fmu": fmu.name, "interface": "model-exchange", **more}}, step, duration)
-
-
-@pytest.mark.parametrize(("step", "solver"), [(5.0, "cvode"), (1.0, "cvode"), (0.1, "cvode"), (5.0, "solve_ivp")])
-def test_an_fmu_gets_each_accepted_step_whatever_the_communication_step(
-    tmp_path: Path, step: float, solver: str
-) -> None:
-    fmu = small_fmu(tmp_path / "delay.fmu", {"x": 0.0}, ["y", "calls"], needs_steps=True, **DELAY)
-    results = alone(tmp_path, fmu, step, 20.0, solver=solver, solver_step=0.05)
-    # Interpolation over steps of 0.05 s is exact within 0.05²/8.
-    assert results["b.y"][-1] == pytest.approx(math.sin(19.9), abs=5e-4)
-    assert results["b.calls"][-1] >= 20.0 / 0.05
-    coarse = alone(tmp_path, fmu, step, 20.0, solver=solver)
-    assert results["b.x"][-1] == pytest.approx(coarse["b.x"][-1], abs=2e-3)
-    assert coarse["b.calls"][-1] >= 50  # No step is longer than 1/50 of the run.
 
 
 @BOTH
@@ -118,19 +94,6 @@ def test_many_events_within_a_step_are_no_fault(tmp_path: Path, solver: str) -> 
     )  # fmt: skip
     results = alone(tmp_path, fmu, 0.05, 0.1, solver=solver, solver_step=5e-4)
     assert results["b.x"] == pytest.approx([0.0, 0.05 / 3, 0.1 / 3], abs=1e-5)  # high for 2/3 of each period
-
-
-@BOTH
-@pytest.mark.parametrize("step", [0.1, 0.25, 0.07])
-def test_an_event_at_a_communication_point_is_handled(tmp_path: Path, step: float, solver: str) -> None:
-    """x' = ±1 flips at |x| = 1, so at t = 1, 3, 5."""
-    fmu = small_fmu(
-        tmp_path / "tri.fmu", {"x": 0.0}, derive="x[1] = m->calls ? -1 : 1;", indicators=2,
-        indicate="z[0] = x[0] - 1; z[1] = x[0] + 1;",
-        event="if (x[0] >= 1 - 1e-12) m->calls = 1; else if (x[0] <= -1 + 1e-12) m->calls = 0",
-    )  # fmt: skip
-    results = alone(tmp_path, fmu, step, 7.0, solver=solver)
-    assert results["b.x"] == pytest.approx(2 / math.pi * np.arcsin(np.sin(math.pi / 2 * results.time)), abs=1e-9)
 
 
 START_ONLY = (

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.base.errors import Fault, InputError
-from cosim.blocks.fmu import read_description
+from cosim.blocks.description import read_description
 from cosim.loading.declared import make_model
 from cosim.loading.file import own_model, read_model
 from cosim.loading.source import ModelText

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.base.errors import InputError
-from cosim.blocks.fmu import read_description
+from cosim.blocks.description import read_description
 from cosim.loading.build import build
 from cosim.simulation.workflow import run
 from cosim.verbs.cli import app

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError, SimulationError
-from cosim.blocks.fmu import read_description
+from cosim.blocks.description import read_description
 from cosim.estimation.posing import build_problem
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native import compiler

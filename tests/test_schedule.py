@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cosim.base.times import MOST, steps_in, whole_steps
-from cosim.blocks.coupling import OWN, Algorithm, Plan, order_by_dependencies
-from cosim.blocks.faults import Hold, fault_function, points
+from cosim.blocks.coupling import OWN, Algorithm, Plan
+from cosim.blocks.faults import fault_function, points
 from cosim.simulation import criteria
 from cosim.system.schedule import schedule
 from cosim.system.wiring import Transfer
@@ -80,7 +80,7 @@ def test_what_is_lost_or_hit_by_chance_is_as_often_as_its_probability_says() -> 
         values = np.array([fault(k, float(k)) for k in range(count)])
         changed = np.mean(values != np.arange(count))
         assert changed == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / count))
-    assert passed(Hold((0, 7), bytearray(8 * [1]))) == [0] * 8  # what comes first is always there
+    assert passed(fault_function("freeze", (0, 7), 8, rng)) == [0] * 8  # what comes first is always there
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.blocks.derivatives import slopes_at
-from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import SolveIvp
 
 
@@ -56,10 +56,10 @@ class Solver:
         self.resets.append(time)
 
 
-def exchange(fmu: Fmu, solver: Solver, start: float = 0.0, completed: bool = False) -> ModelExchange2:
+def exchange(fmu: Fmu, solver: Solver, start: float = 0.0, completed: bool = False) -> ModelExchange:
     ways = SimpleNamespace(needsCompletedIntegratorStep=completed)
     counts = {"numberOfContinuousStates": 1, "numberOfEventIndicators": 0}
-    calls = ModelExchange2("m", SimpleNamespace(modelExchange=ways, derivatives=[], **counts))
+    calls = ModelExchange("m", SimpleNamespace(modelExchange=ways, derivatives=[], fmiVersion="2.0", **counts))
     calls.fmu, calls.solver, calls._started, calls.time = fmu, solver, True, start
     fmu.time = start
     calls.update()

@@ -127,20 +127,6 @@ def test_a_source_acts_from_its_time(fmus: Path, loop: str, kind: str, algorithm
         np.testing.assert_allclose(run["b.u"], 0.5 * run["a.y"], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("interpolation", "end"), [("held", 1.0), ("linear", 1.45)])
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_input_file_acts_from_its_times(
-    fmus: Path, tmp_path: Path, kind: str, interpolation: str, end: float
-) -> None:
-    """With lines between rows, an input has its value of a step's start: ∫u dt = 1.5 less u·h/2."""
-    options: dict[str, Any] = {"interpolation": interpolation, "in_process": True}
-    run = cosim.simulate(fmus / f"{kind}.fmu", input=fmus / "in.csv", step=H, **options)
-    driven = JUMP if interpolation == "held" else np.minimum(TIME, 1.0)
-    np.testing.assert_allclose(run[f"{kind}.u"], driven, rtol=0, atol=1e-12)
-    assert run[f"{kind}.x"][-1] == pytest.approx(end, abs=1e-9)
-    check_follows(run, kind)
-
-
 @pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
 def test_noise_and_faults_of_a_connection_act_at_their_row(fmus: Path, algorithm: str) -> None:
     scenario = scenario_of(fmus, source_of(fmus, "reference"), algorithm=algorithm, seed=3)
@@ -154,27 +140,6 @@ def test_noise_and_faults_of_a_connection_act_at_their_row(fmus: Path, algorithm
     biased = run["cs_declared.u"] - JUMP
     assert np.abs(biased[5:16] - 2.0).max() < 0.6 > np.abs(np.delete(biased, slice(5, 16))).max()
     assert np.abs(run["me_declared.u"][:13]).max() < 0.6 < run["me_declared.u"][13:].min()
-
-
-@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_event_acts_on_the_outputs_of_its_row_and_on_inputs_that_follow(
-    fmus: Path, kind: str, algorithm: str
-) -> None:
-    """b takes a's output of the event's row for the step from there, if it holds its input."""
-    scenario = {
-        "name": "event",
-        "duration": STEPS * H,
-        "step": H,
-        "algorithm": algorithm,
-        "components": {"a": {"fmu": str(fmus / f"{kind}.fmu")}, "b": {"fmu": str(fmus / "cs_none.fmu")}},
-        "connections": [{"from": "a.x" if kind.endswith("none") else "a.y", "to": "b.u"}],
-        "events": [{"at": 1, "set": {"a.u": 1}}],
-    }
-    run = cosim.run(scenario, in_process=True)
-    np.testing.assert_array_equal(run["a.u"], JUMP)
-    check_follows(run, "a")
-    check_follows(run, "b")
 
 
 @pytest.mark.parametrize("checkpoint", [True, False])
@@ -208,28 +173,6 @@ def test_a_replay_reads_outputs_for_the_command_of_their_row(fmus: Path, tmp_pat
 
 
 # -- between the rows of an input -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("interpolation", "end"), [("held", 0.0), ("linear", 2.0 - H)])
-def test_two_rows_are_held_or_a_line(fmus: Path, tmp_path: Path, interpolation: str, end: float) -> None:
-    (tmp_path / "in.csv").write_text("time,u\n0,0\n2,2\n")
-    source = {"block": "playback", "file": str(tmp_path / "in.csv"), "interpolation": interpolation}
-    run = cosim.run(scenario_of(fmus, source), in_process=True)
-    for kind in KINDS:
-        assert run[f"{kind}.x"][-1] == pytest.approx(end, abs=1e-9)
-        check_follows(run, kind)
-
-
-@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
-def test_a_line_is_exact_where_inputs_follow_polynomials(fmus: Path, tmp_path: Path, algorithm: str) -> None:
-    """∫t dt = 2, since an FMU gets the mean over its step."""
-    (tmp_path / "in.csv").write_text("time,u\n0,0\n2,2\n")
-    source = {"block": "playback", "file": str(tmp_path / "in.csv"), "interpolation": "linear"}
-    run = cosim.run(scenario_of(fmus, source, interpolate="linear", algorithm=algorithm), in_process=True)
-    for kind in KINDS:
-        assert run[f"{kind}.x"][-1] == pytest.approx(2.0, abs=1e-9)
-        if f"{kind}.y" in run:
-            np.testing.assert_allclose(run[f"{kind}.y"], run[f"{kind}.x"] + TIME, rtol=0, atol=1e-9)
 
 
 def test_integers_are_held_where_reals_are_interpolated(fmus: Path, tmp_path: Path) -> None:

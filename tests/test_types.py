@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,25 +59,6 @@ def test_integers_booleans_text_and_enumerations_go_from_fmu_to_fmu(tmp_path: Pa
         assert [row[f"b.{k}_out"] for k in "ribse"] == ["0.5", "-2147483648", "1", 'a "b", c', "2"]
 
 
-def test_sixty_four_bits_arrays_text_and_binary_data_of_fmi_3_are_exact(tmp_path: Path) -> None:
-    fmu = str(typed_fmu(tmp_path, 3))
-    largest = 2**63 - 3  # no double holds it
-    start = {"a": [1, 2, 3, 4], "n": largest, "byte": 255, "s": "text", "raw": "00ff"}
-    wires = (
-        ("a.twice", "b.a"),
-        ("a.next", "b.n"),
-        ("a.byte_out", "b.byte"),
-        ("a.s_out", "b.s"),
-        ("a.raw_out", "b.raw"),
-    )
-    results = results_of(scenario(tmp_path, {"a": {"fmu": fmu, "start": start}, "b": {"fmu": fmu}}, wires))
-    assert [results[f"b.twice[{k}]"][-1] for k in ("1,1", "1,2", "2,1", "2,2")] == [4, 8, 12, 16]
-    assert results.exact["b.next"][-1] == largest + 2
-    assert results["b.byte_out"][-1] == 255
-    assert results.exact["b.s_out"][-1] == "text"
-    assert results.exact["b.raw_out"][-1] == b"\x00\xff"
-
-
 def test_binary_data_that_comes_as_no_pointer_has_no_bytes(tmp_path: Path) -> None:
     fmu = str(typed_fmu(tmp_path, 3))
     path = scenario(tmp_path, {"a": {"fmu": fmu}, "b": {"fmu": fmu}}, (("a.raw_out", "b.raw"),))
@@ -103,15 +83,6 @@ def test_binary_data_that_comes_as_no_pointer_has_no_bytes(tmp_path: Path) -> No
 def test_a_value_outside_its_type_is_a_fault(tmp_path: Path, start: dict[str, Any], words: str) -> None:
     path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path, 3)), "start": start}})
     assert any(words in fault for fault in faults_of(path))
-
-
-def test_a_value_that_comes_out_of_range_stops_the_run_and_is_never_wrapped(tmp_path: Path) -> None:
-    signals = {"n": {"start": 0, "changes": [{"at": 0.5, "to": 256}]}}
-    components = {"r": {"block": "reference", "signals": signals}, "a": {"fmu": str(typed_fmu(tmp_path, 3))}}
-    with pytest.raises(
-        StoppedRun, match=r"a\.byte at t = 0\.5 s: the input 256 is outside 0 … 255, the range of its type"
-    ):
-        results_of(scenario(tmp_path, components, (("r.n", "a.byte"),)))
 
 
 @pytest.mark.parametrize("in_c", [False, True])
@@ -142,18 +113,6 @@ def test_types_that_lose_values_are_not_connected(tmp_path: Path) -> None:
         path = scenario(tmp_path, {"a": fmu, "b": fmu}, ((f"a.{source}", f"b.{target}"),))
         assert any(fault.startswith("types do not agree") for fault in faults_of(path))
     assert system_of(scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.i_out", "b.r_in"), ("a.b_out", "b.i_in"))))
-
-
-def test_units_of_one_dimension_are_converted_and_of_others_refused(tmp_path: Path) -> None:
-    rpm = typed_fmu(tmp_path, name="rpm", units=("rpm", "rpm"))
-    si = typed_fmu(tmp_path, name="si", units=("rad/s", "rad/s"))
-    length = typed_fmu(tmp_path, name="length", units=("m", "m"))
-    components = {"a": {"fmu": str(rpm), "start": {"r_in": 60}}, "b": {"fmu": str(si)}, "c": {"fmu": str(length)}}
-    results = results_of(scenario(tmp_path, components, (("a.r_out", "b.r_in"),)))
-    assert results["b.r_out"][-1] == pytest.approx(2 * math.pi, rel=1e-15)
-    assert "unit mismatch" in faults_of(scenario(tmp_path, components, (("a.r_out", "c.r_in"),)))[0]
-    path = scenario(tmp_path, components, ({"from": "a.r_out", "to": "c.r_in", "factor": 2},))
-    assert results_of(path)["c.r_out"][-1] == 120
 
 
 def test_locals_and_parameters_are_recorded_on_request(tmp_path: Path) -> None:
@@ -218,34 +177,6 @@ def test_a_criterion_on_a_time_that_was_not_reached_is_missed(tmp_path: Path) ->
     criteria = {"peak": {"of": "a.r_out", "after": 0.7, "max": 1}}
     outcome = run(scenario(tmp_path, {"a": a}, criteria=criteria), tmp_path / "out", report=False)
     assert [c["value"] for c in outcome.missed] == [None]
-
-
-def height(t: float) -> float:
-    """Of a ball dropped from 1 m that keeps 0.7 of its speed at each bounce."""
-    fall = math.sqrt(2 / 9.81)
-    speed, since = 9.81 * fall * 0.7, fall
-    if t <= fall:
-        return 1 - 9.81 / 2 * t * t
-    while t - since > 2 * speed / 9.81:
-        since, speed = since + 2 * speed / 9.81, speed * 0.7
-    return speed * (t - since) - 9.81 / 2 * (t - since) ** 2
-
-
-@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
-def test_model_exchange_locates_the_bounces_of_a_ball(tmp_path: Path, solver: str) -> None:
-    a = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange", "solver": solver}
-    results = results_of(scenario(tmp_path, {"a": a}, duration=2, step=0.05, tolerance=1e-8))
-    # 1e-8 a step, some hundred steps of the solver
-    assert results["a.h"] == pytest.approx([height(t) for t in results.time], abs=2e-6)
-    assert results["a.h"].min() > -1e-9
-
-
-def test_an_input_that_changes_is_an_event_of_model_exchange(tmp_path: Path) -> None:
-    a = {"fmu": str(typed_fmu(tmp_path)), "interface": "model-exchange"}
-    lift = {"block": "reference", "signals": {"lift": {"start": 9.81, "changes": [{"at": 0.5, "to": 0}]}}}
-    results = results_of(scenario(tmp_path, {"lift": lift, "a": a}, (("lift.lift", "a.r_in"),), tolerance=1e-9))
-    assert results["a.h"][:6] == pytest.approx(1.0, abs=1e-12)
-    assert results["a.h"][5:9] == pytest.approx([1 - 9.81 / 2 * (t - 0.5) ** 2 for t in results.time[5:9]], abs=1e-6)
 
 
 def test_a_component_with_a_longer_step_makes_it_at_its_end(tmp_path: Path) -> None:

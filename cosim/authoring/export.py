@@ -17,7 +17,7 @@ from cosim.base.units import computed_in
 from cosim.blocks.coupling import algorithms
 from cosim.blocks.description import enumeration_items, ways
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.profile import profile_function
+from cosim.blocks.profile import ProfileFunction
 from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
@@ -197,7 +197,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
             unit, factor = computed_in(profile.unit)
             changes = []
             for k, change in enumerate(profile.changes):
-                before = profile_function(profile.model_copy(update={"changes": profile.changes[:k]}))(change.at)
+                before = ProfileFunction(profile.model_copy(update={"changes": profile.changes[:k]}))(change.at)
                 rate = abs(factor) * (change.rate or 0.0)
                 changes.append(SignalChange(change.at, factor * before, factor * change.to, rate))
             signals[signal] = TimeSignal(unit, factor * profile.start, changes)

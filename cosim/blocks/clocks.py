@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -59,11 +59,6 @@ class Clock:
         """Return whether ticks are known beforehand."""
         return self.kind != "triggered"
 
-    @property
-    def asks_fmu(self) -> bool:
-        """Return whether the FMU computes the interval."""
-        return self.interval is None and self.is_time_based
-
 
 def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
     """Return the clocks of an FMU by name.
@@ -84,7 +79,21 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
         if name in variables:
             attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
             numbers = {key: _number(path, name, key, attributes[key]) for key in NUMBERS & attributes.keys()}
-            clocks[name] = clock = _clock(variables[name], attributes.get("intervalVariability", "triggered"), numbers)
+            kind, resolution = attributes.get("intervalVariability", "triggered"), numbers.get("resolution", 1.0)
+            interval = numbers.get("intervalDecimal")
+            if interval is None and "intervalCounter" in numbers:
+                interval = numbers["intervalCounter"] / resolution
+            variable = variables[name]
+            clocks[name] = clock = Clock(
+                name,
+                variable.valueReference,
+                kind,  # type: ignore[arg-type]  # checked by FMPy against the schema
+                variable.causality,
+                interval if kind in PERIODIC else None,
+                numbers.get("shiftDecimal") or numbers.get("shiftCounter", 0.0) / resolution,
+                int(numbers.get("priority", LOWEST)),
+                frozenset(clock.name for clock in variable.clocks or ()),
+            )
             if clock.interval is not None and not clock.interval > 0.0:
                 raise FmuError(
                     f"{path} is not a valid FMU: clock {name}: its interval is {clock.interval:g} s; a periodic clock "
@@ -99,24 +108,6 @@ def _number(path: Path, clock: str, key: str, text: str) -> float:
         if math.isfinite(number := float(text)) and (number > 0.0 or key != "resolution"):
             return number
     raise FmuError(f'{path} is not a valid FMU: {f"{key} of the clock {clock}"} is "{text}", which is no number')
-
-
-def _clock(variable: Any, kind: str, numbers: Mapping[str, float]) -> Clock:
-    resolution = numbers.get("resolution", 1.0)
-    interval = numbers.get("intervalDecimal")
-    if interval is None and "intervalCounter" in numbers:
-        interval = numbers["intervalCounter"] / resolution
-    shift = numbers.get("shiftDecimal") or numbers.get("shiftCounter", 0.0) / resolution
-    return Clock(
-        variable.name,
-        variable.valueReference,
-        kind,  # type: ignore[arg-type]  # checked by FMPy against the schema
-        variable.causality,
-        interval if kind in PERIODIC else None,
-        shift,
-        int(numbers.get("priority", LOWEST)),
-        frozenset(clock.name for clock in variable.clocks or ()),
-    )
 
 
 @dataclass
@@ -137,32 +128,15 @@ class Timer:
     times: Sequence[float] = field(default_factory=tuple)
     is_set: bool = False
 
-    @classmethod
-    def stated(cls, timing: Timing, start: float) -> Timer:
-        """Return the timer of a scenario's times."""
-        if timing.at:
-            return cls(times=timing.at, is_set=True)
-        return cls(start + (timing.shift or 0.0), 0, timing.interval, is_set=True)
-
     @property
     def next(self) -> float:
         """Return the time [s] of the next tick, or infinity."""
-        if not self.is_set:
-            return math.inf
-        if self.times:
+        if self.is_set and self.times:
             return self.times[self.count] if self.count < len(self.times) else math.inf
-        if self.interval is None:
-            return self.base if self.count == 0 else math.inf
-        return self.base + self.count * self.interval
+        if not self.is_set or (self.interval is None and self.count > 0):
+            return math.inf
+        return self.base + self.count * (self.interval or 0.0)
 
-    def once(self, time: float) -> None:
-        """Tick once, at `time` [s]."""
-        self.base, self.count, self.interval, self.is_set = time, 0, None, True
-
-    def every(self, interval: float, base: float, count: int = 0) -> None:
-        """Tick every `interval` [s] from tick `count` on."""
+    def begin(self, base: float, interval: float | None = None, count: int = 0) -> None:
+        """Tick once, at `base` [s], or every `interval` [s] from tick `count` on."""
         self.base, self.count, self.interval, self.is_set = base, count, interval, True
-
-    def tick(self) -> None:
-        """Count a tick."""
-        self.count += 1

@@ -7,10 +7,9 @@ Foreign sources are foreign programs. They are compiled only under the option `-
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,23 +48,6 @@ def with_permission(allowed: bool, function: Callable[..., Answer], *arguments: 
         return function(*arguments)
 
 
-@dataclass(frozen=True)
-class LibrarySources:
-    """Sources of a library below the folder `sources` of an FMU.
-
-    Attributes:
-        files: Source files to compile.
-        standard: Language standard as a compiler option; "" for the compiler's default.
-        definitions: Preprocessor definitions, NAME or NAME=VALUE.
-        includes: Folders of headers.
-    """
-
-    files: tuple[str, ...]
-    standard: str = ""
-    definitions: tuple[str, ...] = ()
-    includes: tuple[str, ...] = ()
-
-
 def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     """Compile an unpacked FMU's sources, or use the cache.
 
@@ -75,22 +57,37 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     Raises:
         FmuError: The sources are incomplete or do not compile.
     """
+    root = folder / SOURCES
     try:
-        sources = _sources_of(folder / SOURCES, description, identifier)
-        options = [f"-std={sources.standard}"] if sources.standard else []
-        options += [f"-D{text}" for text in sources.definitions]
-        includes = (SOURCES, *(f"{SOURCES}/{name}" for name in sources.includes), fmi_headers())
-        *first, last = (f"{SOURCES}/{name}" for name in sources.files)
-        command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in includes), *first]
-        libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in sources.files) else [])]
+        names, options, includes = _declared_sources(root, description, identifier)
+        for name in (*names, *includes):
+            if not (root / name).resolve().is_relative_to(root.resolve()):
+                raise FmuError(f'its sources cannot be compiled: "{name[:60]}" lies outside its folder')
+        if not names:
+            raise FmuError(
+                "its sources cannot be compiled: it has no C or C++ file in its folder `sources`; export it again "
+                "with its sources"
+            )
+        if missing := [name for name in names if not (root / name).is_file()]:
+            raise FmuError(
+                f"its sources cannot be compiled: it lists {', '.join(missing)}, which is not there; export it again "
+                "with all its sources"
+            )
+        folders = (SOURCES, *(f"{SOURCES}/{name}" for name in includes), fmi_headers())
+        *first, last = (f"{SOURCES}/{name}" for name in names)
+        command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in folders), *first]
+        libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in names) else [])]
         entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
-        paths = sorted(path for path in (folder / SOURCES).rglob("*") if path.is_file())
+        paths = sorted(path for path in root.rglob("*") if path.is_file())
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
         binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
     except NoCompiler as error:
         raise FmuError(f"its sources cannot be compiled: {error}") from None
     except CompilerFailed as error:
-        raise FmuError(f"its sources do not compile: {error}{_excerpt(error.output)}") from None
+        lines = error.output.splitlines()
+        more = [f"… and {len(lines) - MAX_LINES} lines more"] if len(lines) > MAX_LINES else []
+        excerpt = "".join(f"\n  {line[:MAX_WIDTH]}" for line in [*lines[:MAX_LINES], *more])
+        raise FmuError(f"its sources do not compile: {error}{excerpt}") from None
     library = library_file(folder, description, identifier)
     library.parent.mkdir(parents=True, exist_ok=True)
     draft = library.with_name(f".{library.name}.{os.getpid()}")
@@ -98,62 +95,24 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     return draft.replace(library)
 
 
-def _sources_of(folder: Path, description: Any, identifier: str) -> LibrarySources:
-    """Return the listed sources, else `all.c`, else all sources."""
-    sources = _declared_sources(description, identifier)
-    if sources is None:
-        names = (p.name for p in folder.glob("*") if p.suffix.lower() in (*C, *CPP))
-        sources = LibrarySources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
-    for name in (*sources.files, *sources.includes):
-        if not (folder / name).resolve().is_relative_to(folder.resolve()):
-            raise FmuError(f'its sources cannot be compiled: "{name[:60]}" lies outside its folder')
-    if not sources.files:
-        raise FmuError(
-            "its sources cannot be compiled: it has no C or C++ file in its folder `sources`; export it again "
-            "with its sources"
-        )
-    if missing := [name for name in sources.files if not (folder / name).is_file()]:
-        raise FmuError(
-            f"its sources cannot be compiled: it lists {', '.join(missing)}, which is not there; export it again "
-            "with all its sources"
-        )
-    return sources
+def _declared_sources(root: Path, description: Any, identifier: str) -> tuple[list[str], list[str], list[str]]:
+    """Return the files to compile, the options of the compiler, and the folders of headers.
 
-
-def _declared_sources(description: Any, identifier: str) -> LibrarySources | None:
-    """Return the sources in the library's build description.
-
-    The first build description replaces a missing one; the result is None without any.
+    The first build description replaces one that is missing for the library. Without any, `all.c` is compiled, else all
+    files.
     """
     builds = sorted(description.buildConfigurations, key=lambda build: build.modelIdentifier != identifier)
     sets = builds[0].sourceFileSets if builds else []
     if not sets:
-        return None
-    return LibrarySources(
-        files=tuple(dict.fromkeys(name for part in sets for name in part.sourceFiles)),
-        standard=_standard(part.language for part in sets),
-        definitions=tuple(dict.fromkeys(_definition(d) for part in sets for d in part.preprocessorDefinitions)),
-        includes=tuple(dict.fromkeys(name for part in sets for name in part.includeDirectories)),
-    )
-
-
-def _standard(languages: Iterable[str | None]) -> str:
-    """Return the last language standard as compilers name it."""
-    standard = ""
-    for language in filter(None, languages):
+        names = sorted(p.name for p in root.glob("*") if p.suffix.lower() in (*C, *CPP))
+        return ["all.c"] if (root / "all.c").is_file() else names, [], []
+    languages = [part.language for part in sets if part.language]
+    for language in languages:
         if language not in STANDARDS:
             raise FmuError(f"its sources cannot be compiled: they are in {language}; known are {', '.join(STANDARDS)}")
-        standard = STANDARDS[language]
-    return standard
-
-
-def _definition(definition: Any) -> str:
-    value = definition.value
-    return str(definition.name) if value is None else f"{definition.name}={value}"
-
-
-def _excerpt(output: str) -> str:
-    """Return the first lines of compiler output, indented."""
-    lines = output.splitlines()
-    more = [f"… and {len(lines) - MAX_LINES} lines more"] if len(lines) > MAX_LINES else []
-    return "".join(f"\n  {line[:MAX_WIDTH]}" for line in [*lines[:MAX_LINES], *more])
+    options = [f"-std={STANDARDS[languages[-1]]}"] if languages else []
+    for d in (definition for part in sets for definition in part.preprocessorDefinitions):
+        options.append(f"-D{d.name}" if d.value is None else f"-D{d.name}={d.value}")
+    files = dict.fromkeys(name for part in sets for name in part.sourceFiles)
+    includes = dict.fromkeys(name for part in sets for name in part.includeDirectories)
+    return list(files), list(dict.fromkeys(options)), list(includes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Collection, Mapping, MutableSequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from cosim.base.errors import SimulationError
 from cosim.base.units import SI, definition_of
@@ -65,7 +65,8 @@ class Signal:
         is_same_name = self.unit == to.unit
         if not self.unit or not to.unit or (is_same_name and None in (self.definition, to.definition)):
             return 1.0, 0.0
-        here, there = self._meaning(), to._meaning()
+        # The FMU's definition takes precedence over common units.
+        here, there = (s.definition or definition_of(s.unit) for s in (self, to))
         if here is None or there is None:
             return None
         powers = len(SI) - is_same_name  # Tools write angles of one unit with rad and without dimension.
@@ -74,27 +75,27 @@ class Signal:
         offset = 0.0 if self.relative and to.relative else (here[-1] - there[-1]) / there[-2]
         return here[-2] / there[-2], offset
 
-    def _meaning(self) -> tuple[float, ...] | None:
-        """Return SI exponents, factor and offset of the unit.
 
-        The FMU's definition takes precedence over common units.
-        """
-        return definition_of(self.unit) if self.definition is None else self.definition
-
-
-class Component(Protocol):
+class Component:
     """A component, called in order: bind, open, (put, get)* during initialization, start, (put, advance, get)*, close.
 
     The master writes inputs to `row[first:]`; the component writes outputs directly behind them. Values beyond the
     exact range of doubles (text, 64-bit integers) use `beside[first_beside:]` in the same way.
+
+    The methods with a body are those of a component with all its signals in the row, whose `get` or `advance` reads the
+    inputs.
+
+    Attributes:
+        nominal_step: Whether steps have nominal length; else each step ends exactly at the start time of the next.
+        saves: Whether `checkpoint` gives a state; otherwise a resumed run makes all steps again.
     """
 
     name: str
-    inputs: tuple[Signal, ...]
+    inputs: tuple[Signal, ...] = ()
     outputs: tuple[Signal, ...]
-    exact_inputs: tuple[Signal, ...]
-    exact_outputs: tuple[Signal, ...]
-    nominal_step: bool  # steps of nominal length; else each step ends exactly at the start time of the next
+    exact_inputs: tuple[Signal, ...] = ()
+    exact_outputs: tuple[Signal, ...] = ()
+    nominal_step: bool = True
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         """Return whether an output depends directly on an input.
@@ -108,6 +109,7 @@ class Component(Protocol):
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the signals, inputs first."""
+        self._row, self._first = row, first
 
     def open(self, start: float, stop: float) -> None:
         """Set start values and begin initialization."""
@@ -129,44 +131,20 @@ class Component(Protocol):
 
         The function is `in_turn` or a faster equivalent. It is valid after `start`.
         """
+        return in_turn(self, doing, first, puts=False)
 
     def close(self) -> None:
         """Free all resources; repeated calls are harmless."""
 
     @property
     def saves(self) -> bool:
-        """Return whether `checkpoint` gives a state; otherwise a resumed run makes all steps again."""
+        return True
 
     def checkpoint(self) -> Any:
         """Return the state in JSON types and bytes, if possible."""
 
     def restore(self, state: Any) -> None:
         """Restore a state of another process, after initialization."""
-
-
-class RowComponent(Component):
-    """Base of a component with all its signals in the row; `get` or `advance` reads the inputs."""
-
-    nominal_step = True
-    saves = True
-    inputs: tuple[Signal, ...] = ()
-    exact_inputs: tuple[Signal, ...] = ()
-    exact_outputs: tuple[Signal, ...] = ()
-
-    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        self._row, self._first = row, first
-
-    def start(self) -> None:
-        """Do nothing."""
-
-    def put(self) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
-
-    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        return in_turn(self, doing, first, puts=False)
 
 
 def in_turn(

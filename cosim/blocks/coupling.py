@@ -11,7 +11,7 @@ of the same time are an algebraic loop.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from itertools import permutations
 from typing import Any, NamedTuple
@@ -25,7 +25,8 @@ from cosim.base.registry import ALGORITHMS, load, names
 from cosim.blocks.component import Component
 
 Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
-Input = tuple[str, str]  # component, input
+Components = Mapping[str, Component]
+Order = Sequence[str] | None
 MOST_PERMUTED = 6  # components of a loop, beyond which their order is that of the file
 
 
@@ -81,7 +82,7 @@ class Algorithm:
     sequential = True
     solves_loops = False
 
-    def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
+    def plan(self, components: Components, edges: Sequence[Edge], order: Order) -> Plan:
         """Return the plan of a communication step.
 
         Args:
@@ -92,14 +93,7 @@ class Algorithm:
         """
         raise NotImplementedError
 
-    def plan_with_loops(
-        self,
-        components: Mapping[str, Component],
-        edges: Sequence[Edge],
-        order: Sequence[str] | None,
-        *,
-        undeclared: bool,
-    ) -> Plan:
+    def plan_with_loops(self, components: Components, edges: Sequence[Edge], order: Order, *, undeclared: bool) -> Plan:
         """Return the plan, with algebraic loops if supported.
 
         Args:
@@ -119,20 +113,65 @@ class GaussSeidel(Algorithm):
     about = "steps one after the other"
     solves_loops = True
 
-    def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
+    def plan(self, components: Components, edges: Sequence[Edge], order: Order) -> Plan:
         """Return a plan in the user's order, by default in the order of direct feedthrough."""
-        return order_by_dependencies(components, edges, order)
+        return self.plan_with_loops(components, edges, order, undeclared=False, loops=False)
 
     def plan_with_loops(
-        self,
-        components: Mapping[str, Component],
-        edges: Sequence[Edge],
-        order: Sequence[str] | None,
-        *,
-        undeclared: bool,
+        self, components: Components, edges: Sequence[Edge], order: Order, *, undeclared: bool, loops: bool = True
     ) -> Plan:
-        """Return the plan; components without an order become loops."""
-        return order_by_dependencies(components, edges, order, loops=True, undeclared=undeclared)
+        """Return a plan with values of the same time for inputs with direct feedthrough.
+
+        An order stated by the user is kept: connections along this order are immediate, all others are held.
+
+        Args:
+            undeclared: Whether inputs without declared dependencies may be part of a loop. Otherwise they are assumed
+                to have no direct feedthrough where a loop would need it.
+            loops: Whether components without an order become algebraic loops of the plan.
+
+        Raises:
+            AlgebraicLoop: No order exists, and the plan must not have loops.
+        """
+        if order is not None:
+            rest = [name for name in components if name not in order]  # sources without inputs
+            place = {name: k for k, name in enumerate((*rest, *order))}
+            ahead = ((place[source] < place[target], target, name) for source, target, name, _ in edges)
+            immediate = tuple(is_ahead and components[c].depends_on(name) is not False for is_ahead, c, name in ahead)
+            return Plan(tuple(place), immediate)
+        direct = {(target, name) for _, target, name, _ in edges if components[target].depends_on(name) is not False}
+        notes: list[str] = []
+        while True:
+            immediate = tuple((target, name) in direct for _, target, name, _ in edges)
+            ends = [(source, target) for source, target, name, _ in edges if (target, name) in direct]
+            try:
+                return Plan(_sort(components, ends), immediate, tuple(notes))
+            except CycleError as error:
+                cycle = list(reversed(error.args[1]))
+            inputs = direct & {(target, name) for source, target, name, _ in edges if {source, target} <= {*cycle}}
+            # Only outputs used within the loop count.
+            used = {c: {output for source, _, _, output in edges if source == c} for c in cycle}
+            removed = {(c, name) for c, name in inputs if components[c].depends_on(name, used[c]) is False}
+            if not removed:
+                unknown = {c for c, name in inputs if components[c].depends_on(name) is None}
+                if undeclared or not unknown:
+                    break
+                assumed = min(unknown, key=[*components].index)
+                removed = {(c, name) for c, name in direct if c == assumed and components[c].depends_on(name) is None}
+                if getattr(components[assumed], "feedthrough", None) is None:
+                    notes.append(
+                        Assumption(
+                            f"{assumed} does not declare which outputs depend directly on its inputs; cosim assumes "
+                            f"that none does, so {assumed} steps first. feedthrough: [...] of {assumed} names the "
+                            "inputs that an output follows at once, [] for none; order: [...] states the order instead"
+                        )
+                    )
+            direct -= removed
+        if not loops:
+            raise AlgebraicLoop(cycle)
+        groups = _sort_groups(list(components), ends)
+        selfish = {source for source, target in ends if source == target}
+        found = tuple(group for group in groups if len(group) > 1 or group[0] in selfish)
+        return Plan(tuple(name for group in groups for name in group), immediate, tuple(notes), found)
 
 
 class Jacobi(Algorithm):
@@ -143,7 +182,7 @@ class Jacobi(Algorithm):
     about = "all from the values of the step's start"
     sequential = False
 
-    def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
+    def plan(self, components: Components, edges: Sequence[Edge], order: Order) -> Plan:
         """Return a plan that steps components in file order and copies all values at the end."""
         return Plan(tuple(components), (False,) * len(edges))
 
@@ -183,136 +222,19 @@ class AlgorithmKey:
         raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
 
 
-# -- order -------------------------------------------------------------------------------------------
-
-
-def order_by_dependencies(
-    components: Mapping[str, Component],
-    edges: Sequence[Edge],
-    order: Sequence[str] | None,
-    *,
-    loops: bool = False,
-    undeclared: bool = False,
-) -> Plan:
-    """Return a plan with values of the same time for inputs with direct feedthrough.
-
-    An order stated by the user is kept: connections along this order are immediate, all others are held.
-
-    Args:
-        loops: Whether components without an order become algebraic loops of the plan.
-        undeclared: Whether inputs without declared dependencies may be part of a loop. Otherwise they are assumed to
-            have no direct feedthrough where a loop would need it.
-
-    Raises:
-        AlgebraicLoop: No order exists, and the plan must not have loops.
-    """
-    if order is not None:
-        return _plan_in_order(components, edges, order)
-    direct = {(target, name) for _, target, name, _ in edges if components[target].depends_on(name) is not False}
-    notes: list[str] = []
-    while True:
-        immediate = tuple((target, name) in direct for _, target, name, _ in edges)
-        try:
-            return Plan(_sort_components(components, edges, immediate), immediate, tuple(notes))
-        except CycleError as error:
-            cycle = list(reversed(error.args[1]))
-        try:
-            removed, note = _open_cycle(components, edges, direct, cycle, undeclared=undeclared)
-        except AlgebraicLoop:
-            if not loops:
-                raise
-            order_of_all, groups = order_with_loops(components, edges, immediate)
-            return Plan(order_of_all, immediate, tuple(notes), groups)
-        direct -= removed
-        notes += [note] if note else []
-
-
-def _open_cycle(
-    components: Mapping[str, Component],
-    edges: Sequence[Edge],
-    direct: set[Input],
-    cycle: Sequence[str],
-    *,
-    undeclared: bool,
-) -> tuple[set[Input], str]:
-    """Return inputs of a cycle without direct feedthrough, which open the cycle, and a note.
-
-    The note states an assumption about undeclared feedthrough; "" if none was necessary.
-    """
-    inputs = {(target, name) for source, target, name, _ in edges if {source, target} <= {*cycle}}
-    # Only outputs used within the loop count.
-    unneeded = {
-        (c, name) for c, name in inputs & direct if components[c].depends_on(name, _find_connected(edges, c)) is False
-    }
-    if unneeded:
-        return unneeded, ""
-    unknown = {component for component, name in inputs & direct if components[component].depends_on(name) is None}
-    if undeclared or not unknown:
-        raise AlgebraicLoop(cycle)
-    assumed = min(unknown, key=[*components].index)
-    removed = {(c, name) for c, name in direct if c == assumed and components[c].depends_on(name) is None}
-    is_stated = getattr(components[assumed], "feedthrough", None) is not None
-    return removed, "" if is_stated else Assumption(
-        f"{assumed} does not declare which outputs depend directly on its inputs; cosim assumes that none does, "
-        f"so {assumed} steps first. feedthrough: [...] of {assumed} names the inputs that an output follows at "
-        "once, [] for none; order: [...] states the order instead"
-    )
-
-
-def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:
-    """Return the outputs of a component that are connected to inputs."""
-    return {output for source, _, _, output in edges if source == component}
-
-
-def _plan_in_order(components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str]) -> Plan:
-    rest = [name for name in components if name not in order]  # sources without inputs
-    place = {name: k for k, name in enumerate((*rest, *order))}
-    immediate = tuple(
-        place[source] < place[target] and components[target].depends_on(name) is not False
-        for source, target, name, _ in edges
-    )
-    return Plan(tuple(place), immediate)
-
-
-def _sort_components(
-    components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]
-) -> tuple[str, ...]:
-    sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in components})
-    for (source, target, *_), now in zip(edges, immediate, strict=True):
-        if now:
-            sorter.add(target, source)
+def _sort(names: Iterable[str], ends: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """Return names in the order of their connections; raise CycleError if there is none."""
+    sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in names})
+    for source, target in ends:
+        sorter.add(target, source)
     return tuple(sorter.static_order())
 
 
-def order_with_loops(
-    components: Iterable[str], edges: Sequence[Edge], immediate: Sequence[bool]
-) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return an order of all components, and the loops.
+def _sort_groups(names: Sequence[str], ends: Sequence[tuple[str, str]]) -> list[tuple[str, ...]]:
+    """Return the groups of names that reach each other, in the order of their connections.
 
-    Args:
-        immediate: For each connection, whether its target needs the value of the same time.
+    Within a group, few connections lead back.
     """
-    names = list(components)
-    ends = [(source, target) for (source, target, *_), now in zip(edges, immediate, strict=True) if now]
-    groups = strong_components(names, ends)
-    ordered = [_order_within(group, ends) for group in _sort_groups(groups, ends)]
-    selfish = {source for source, target in ends if source == target}
-    loops = tuple(group for group in ordered if len(group) > 1 or group[0] in selfish)
-    return tuple(name for group in ordered for name in group), loops
-
-
-def _sort_groups(groups: Sequence[tuple[str, ...]], ends: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
-    """Return groups in the order of their connections."""
-    group_of = {name: k for k, group in enumerate(groups) for name in group}
-    sorter: TopologicalSorter[int] = TopologicalSorter({k: set() for k in range(len(groups))})
-    for source, target in ends:
-        if group_of[source] != group_of[target]:
-            sorter.add(group_of[target], group_of[source])
-    return [groups[k] for k in sorter.static_order()]
-
-
-def strong_components(names: Sequence[str], ends: Collection[tuple[str, str]]) -> list[tuple[str, ...]]:
-    """Return the groups of names that reach each other."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -320,21 +242,20 @@ def strong_components(names: Sequence[str], ends: Collection[tuple[str, str]]) -
     rows, columns = [place[source] for source, _ in ends], [place[target] for _, target in ends]
     graph = csr_array(([1] * len(rows), (rows, columns)), shape=(len(names), len(names)))
     _, labels = connected_components(graph, directed=True, connection="strong")
-    groups: dict[int, list[str]] = {}
-    for name, label in zip(names, labels.tolist(), strict=True):
-        groups.setdefault(label, []).append(name)
-    return [tuple(group) for group in groups.values()]
+    groups: dict[str, tuple[str, ...]] = {}
+    for name, label in zip(names, map(str, labels.tolist()), strict=True):
+        groups[label] = (*groups.get(label, ()), name)
+    label_of = {name: label for label, group in groups.items() for name in group}
+    between = [(label_of[source], label_of[target]) for source, target in ends]
+    ordered = [groups[label] for label in _sort(groups, (pair for pair in between if pair[0] != pair[1]))]
+    for k, group in enumerate(ordered):
+        if 1 < len(group) <= MOST_PERMUTED:
+            inner = [end for end in ends if set(end) <= set(group)]
+            _, _, ordered[k] = min((sum(torn(order, inner)), n, order) for n, order in enumerate(permutations(group)))
+    return ordered
 
 
 def torn(group: Sequence[str], ends: Iterable[tuple[str, str]]) -> list[bool]:
     """Return for each connection whether it leads back."""
     place = {name: k for k, name in enumerate(group)}
     return [place[source] >= place[target] for source, target in ends]
-
-
-def _order_within(group: tuple[str, ...], ends: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Return the order with the fewest connections back."""
-    inner = [end for end in ends if set(end) <= set(group)]
-    if not 1 < len(group) <= MOST_PERMUTED:
-        return group
-    return min(permutations(group), key=lambda order: sum(torn(order, inner)))

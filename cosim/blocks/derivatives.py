@@ -16,7 +16,7 @@ from cosim.base.errors import SimulationError
 from cosim.blocks.description import declares_slopes, unit_of
 from cosim.blocks.fmi_types import element_names, is_negated
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2
+from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import DOUBLES, derivatives_of
 from cosim.storage.archive import DESCRIPTION
 
@@ -73,6 +73,8 @@ def units_of(variables: Sequence[Any]) -> dict[str, str]:
 class DifferentiableFmu(FmuBlock):
     """An FMU for model exchange, evaluated at single points: `open`, any number of points, `close`."""
 
+    calls: ModelExchange
+
     def __init__(
         self, name: str, path: Any, description: Any, start: Mapping[str, Any], connected: frozenset[str]
     ) -> None:
@@ -90,23 +92,11 @@ class DifferentiableFmu(FmuBlock):
 
     def state_references(self) -> list[int]:
         """Return the value references of the states, FMI 1.0 only."""
-        assert isinstance(self._calls, ModelExchange1)
-        return self._calls.state_references()
+        return self.calls.state_references()
 
     def current_point(self) -> tuple[Array, Array]:
         """Return the current states and inputs."""
-        return self._continuous(), self._read(self._inputs)
-
-    @property
-    def event_counts(self) -> dict[str, int]:
-        """Return the number of state, time and step events of `advance` so far; changes of inputs count as none."""
-        assert isinstance(self._calls, ModelExchange2)
-        return self._calls.event_counts
-
-    def restart_solver(self, t: float) -> None:
-        """Let the solver go on from the states set by `move`."""
-        assert isinstance(self._calls, ModelExchange2)
-        self._calls.solver.reset(t)
+        return self._vector(self.instance.fmu.getContinuousStates), self._read(self._inputs)
 
     def move(self, t: float, states: Array, inputs: Array) -> Array:
         """Set time, states and inputs, and handle events.
@@ -117,10 +107,8 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             self.instance.fmu.setTime(t)
             self._put_states(states)
-            calls = self._calls
-            assert isinstance(calls, ModelExchange2)
-            calls.event(lambda: self._write_reals(self._inputs, inputs))
-        return self._continuous()
+            self.calls.event(lambda: self._write_reals(self._inputs, inputs))
+        return self._vector(self.instance.fmu.getContinuousStates)
 
     def rates(self, states: Array, inputs: Array) -> Array:
         """Return derivatives and outputs in the current mode."""
@@ -137,15 +125,10 @@ class DifferentiableFmu(FmuBlock):
         """
         knowns = [v.valueReference for v in (*self._states, *self._inputs)]
         unknowns = [v.valueReference for v in (*self._rates, *self._outputs)]
-        slope = self.instance.fmu.getDirectionalDerivative
-        with self.instance.check_calls():
-            columns = [slope(unknowns, [reference], [1.0]) for reference in knowns]
+        columns = [self.instance.call("getDirectionalDerivative", unknowns, [known], [1.0]) for known in knowns]
         return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
 
     # -- internal -------------------------------------------------------------------------------
-
-    def _continuous(self) -> Array:
-        return self._vector(self.instance.fmu.getContinuousStates)
 
     def _vector(self, function: Any) -> Array:
         """Return one number per state from an FMU function."""
@@ -163,25 +146,20 @@ class DifferentiableFmu(FmuBlock):
     def _read(self, variables: Sequence[Any]) -> Array:
         if not variables:
             return np.zeros(0)
-        references = [v.valueReference for v in variables]
+        fmu, references = self.instance.fmu, [v.valueReference for v in variables]
         with self.instance.check_calls():
             if self.instance.fmi3:
-                return np.array(self.instance.fmu.getFloat64(references, nValues=len(scalars(variables))), float)
-            values: Array = np.array(self.instance.fmu.getReal(references), float)
-            return np.asarray(_signs(variables) * values, float)
+                return np.array(fmu.getFloat64(references, nValues=len(scalars(variables))), float)
+            values: Array = np.array(fmu.getReal(references), float)
+            return np.where([is_negated(v) for v in variables], -values, values)
 
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:
-            references = [v.valueReference for v in variables]
+            fmu, references = self.instance.fmu, [v.valueReference for v in variables]
             if self.instance.fmi3:
-                self.instance.fmu.setFloat64(references, values.tolist())
+                fmu.setFloat64(references, values.tolist())
             else:
-                self.instance.fmu.setReal(references, (_signs(variables) * values).tolist())
-
-
-def _signs(variables: Sequence[Any]) -> Array:
-    """Return -1 for negated aliases of FMI 1.0, and 1 for other variables."""
-    return np.array([-1.0 if is_negated(v) else 1.0 for v in variables])
+                fmu.setReal(references, np.where([is_negated(v) for v in variables], -values, values).tolist())
 
 
 def slopes_at(
@@ -199,12 +177,9 @@ def slopes_at(
     after = block.move(t, states, inputs)
     z, n = np.concatenate([after, inputs]), len(after)
     rates = block.rates(after, inputs)
+    fault = "{} are not finite at these states and inputs; choose another operating point"
     if not np.isfinite(rates).all():
-        raise SimulationError(
-            block.name,
-            t,
-            ("its derivatives or outputs are not finite at these states and inputs; choose another operating point"),
-        )
+        raise SimulationError(block.name, t, fault.format("its derivatives or outputs"))
     if directional:
         slopes = block.directional_slopes()
     else:
@@ -218,12 +193,5 @@ def slopes_at(
         slopes = np.array(columns).T.reshape(rates.size, z.size)
         block.rates(after, inputs)
     if not np.isfinite(slopes).all():
-        raise SimulationError(
-            block.name,
-            t,
-            (
-                "the slopes of its derivatives or outputs are not finite at these states and inputs; choose another "
-                "operating point"
-            ),
-        )
+        raise SimulationError(block.name, t, fault.format("the slopes of its derivatives or outputs"))
     return slopes, rates, after

@@ -16,18 +16,12 @@ from cosim.base.units import SI
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 from cosim.storage.archive import DESCRIPTION
 
-SOURCES_WITH_LIBRARIES = (
-    "it has no library for {platform}; it has some for {others}; it has sources: --compile (in Python "
-    "compile=True) compiles and runs them"
-)
-SOURCES_ONLY = (
-    "it has no library for {platform} or another platform; it has sources: --compile (in Python compile=True) "
-    "compiles and runs them"
-)
-OTHER_PLATFORMS = "it has no library for {platform}; it has some for {others}"
-NO_LIBRARY = "it has no library for {platform} or another platform"
-
 Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
+PARTS: dict[Way, str] = {
+    "co-simulation": "coSimulation",
+    "model-exchange": "modelExchange",
+    "scheduled-execution": "scheduledExecution",
+}  # of FMPy's description
 PLATFORMS, SOURCES = "binaries/", "sources/"
 LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
 C_CODE = "c-code"  # name of the source platform in FMI
@@ -65,9 +59,10 @@ def read_description(path: Path) -> Any:
             text = f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
             raise FmuError(text)
     if not ways(description):
+        kind = ", ".join(way for way, part in PARTS.items() if getattr(description, part) is not None) or "nothing"
         raise FmuError(
-            f"{path} is {_kind(description)}; FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange, and 3.0 "
-            "for scheduled execution, are run here"
+            f"{path} is FMI {description.fmiVersion} for {kind}; FMI 1.0, 2.0 and 3.0 for co-simulation or model "
+            "exchange, and 3.0 for scheduled execution, are run here"
         )
     if description.guid is None:
         attribute = "instantiationToken" if description.fmiVersion.startswith("3") else "guid"
@@ -90,10 +85,12 @@ def ways(description: Any) -> tuple[Way, ...]:
     version = description.fmiVersion
     if version not in {"1.0", "2.0", "3.0"} and not version.startswith("3.0."):
         return ()
-    parts: dict[Way, Any] = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
-    if version.startswith("3"):
-        parts["scheduled-execution"] = description.scheduledExecution
-    return tuple(way for way, part in parts.items() if part is not None)
+    parts = {way: getattr(description, part) for way, part in PARTS.items()}
+    return tuple(
+        way
+        for way, part in parts.items()
+        if part is not None and (way != "scheduled-execution" or version.startswith("3"))
+    )
 
 
 def state_names(description: Any) -> list[str]:
@@ -123,16 +120,6 @@ def declares_slopes(path: Path, way: Way) -> bool:
     return any(flag in ("true", "1") for flag in flags)
 
 
-def _kind(description: Any) -> str:
-    parts = {
-        "co-simulation": description.coSimulation,
-        "model exchange": description.modelExchange,
-        "scheduled execution": description.scheduledExecution,
-    }
-    names = ", ".join(name for name, part in parts.items() if part is not None)
-    return f"FMI {description.fmiVersion} for {names or 'nothing'}"
-
-
 def platform_of(description: Any) -> str:
     """Return this platform's name in the FMU's version."""
     import fmpy
@@ -151,11 +138,10 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message on a missing library, with remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
+    text = f"it has no library for {here}{f'; it has some for {others}' if others else ' or another platform'}"
     if C_CODE in platforms:
-        text = SOURCES_WITH_LIBRARIES if others else SOURCES_ONLY
-    else:
-        text = OTHER_PLATFORMS if others else NO_LIBRARY
-    return text.format(platform=here, others=others)
+        text += "; it has sources: --compile (in Python compile=True) compiles and runs them"
+    return text
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:
@@ -188,12 +174,6 @@ def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, s
 def matches(pattern: str, component: str, variable: str) -> bool:
     """Return whether a pattern with * matches a variable. Brackets are literal, as in array names."""
     return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
-
-
-def default_tolerance(description: Any) -> float | None:
-    """Return the relative tolerance of the default experiment."""
-    experiment = description.defaultExperiment
-    return float(experiment.tolerance) if experiment is not None and experiment.tolerance else None
 
 
 # -- units ----------------------------------------------------------------------------------------

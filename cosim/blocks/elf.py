@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,10 +37,10 @@ class ElfLibrary:
 
 def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
     """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
-    try:
-        return _read(content, symbols) if content.startswith(HEAD) else ElfLibrary()
-    except (struct.error, ValueError, IndexError, OverflowError):
-        return ElfLibrary()
+    if content.startswith(HEAD):
+        with suppress(struct.error, ValueError, IndexError, OverflowError):
+            return _read(content, symbols)
+    return ElfLibrary()
 
 
 def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
@@ -63,12 +64,8 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
         elif kind == DYNAMIC_SYMBOLS and with_symbols:
             strings = sections[link][4]
             symbols = np.frombuffer(content, SYMBOL, length // SYMBOL.itemsize, offset)
-            is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & np.isin(symbols["other"] & 3, VISIBLE)
-            for name, binding in zip(
-                symbols["name"][is_defined].tolist(), (symbols["info"][is_defined] >> 4).tolist(), strict=True
-            ):
-                if binding in EXPORTED:
-                    defined.add(symbol := text(strings + name))
-                    if binding == UNIQUE:
-                        unique.add(symbol)
+            binding, is_visible = symbols["info"] >> 4, np.isin(symbols["other"] & 3, VISIBLE)
+            is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
+            defined |= {text(strings + name) for name in symbols["name"][is_defined].tolist()}
+            unique |= {text(strings + name) for name in symbols["name"][is_defined & (binding == UNIQUE)].tolist()}
     return ElfLibrary(soname, frozenset(needed), frozenset(defined), frozenset(unique))

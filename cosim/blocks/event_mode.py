@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Collection, Mapping, Sequence
-from functools import partial
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,8 @@ from cosim.base.errors import SimulationError, Terminated
 from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
 from cosim.blocks.description import Way, takes_any_step
-from cosim.blocks.fmi import BOOLEAN, DOUBLE, Calls, CoSimulation3, Listen, end_of
-from cosim.blocks.fmi_types import element_names
+from cosim.blocks.fmi import STEPS, Calls, Listen, end_of
+from cosim.blocks.fmi_types import Exchange, clocks_of, element_names
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.variable_access import Ports
 
@@ -32,8 +31,8 @@ TICK_NOW = 1e-9  # fraction of an interval within which a tick is due
 INITIALIZATION, EVENT, STEP = "initialization", "event", "step"
 
 
-class EventCoSimulation3(CoSimulation3):
-    """FMI 3.0 co-simulation with event mode.
+class EventCalls(Calls):
+    """Calls of an FMU for FMI 3.0 co-simulation with event mode.
 
     Attributes:
         may_return: Whether the FMU may return early from a step. An FMU with steps of one length may not.
@@ -46,34 +45,12 @@ class EventCoSimulation3(CoSimulation3):
         self.may_return = takes_any_step(description)
         self.in_small_steps = False
         self.stop: BaseException | None = None
-        self.event, self.ends, self.is_early, self.last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
 
-    @property
-    def gives_updates(self) -> bool:
-        """Return whether steps have intermediate updates."""
-        return bool(self.description.coSimulation.providesIntermediateUpdate)
-
-    def instantiate(self, listen: Listen, logging: bool) -> None:
-        self.fmu.instantiate(
-            loggingOn=logging,
-            logMessage=lambda _, status, category, message: listen(status, message),
-            eventModeUsed=True,
-            earlyReturnAllowed=self.may_return,
-            intermediateUpdate=self._update_between if self.gives_updates else None,
-        )
-
-    def prepare_steps(self) -> None:
-        """Look up the step function of the instance."""
-        self._do_step = self.bare_step()
-
-    def do_step(self, component: Any, t: float, h: float) -> int:
-        """Step; the attributes hold the outcome."""
-        flags = (ctypes.byref(cell) for cell in (self.event, self.ends, self.is_early, self.last))
-        status = int(self._do_step(component, t, h, True, *flags))
-        stop, self.stop = self.stop, None
-        if stop is not None:
-            raise stop
-        return status
+    def instantiate(self, listen: Listen, logging: bool, **options: Any) -> None:
+        options |= {"eventModeUsed": True, "earlyReturnAllowed": self.may_return}
+        if self.about.providesIntermediateUpdate:
+            options["intermediateUpdate"] = self._update_between
+        super().instantiate(listen, logging, **options)
 
     def _update_between(self, *arguments: Any) -> None:
         """Ask for an early return where one is due.
@@ -98,6 +75,7 @@ class EventFmu(FmuBlock):
 
     Attributes:
         clocks: Declared clocks by name.
+        output_clocks: Clocks that the FMU ticks by itself.
         timers: Timers of the clocks that tick at known times.
         reached: Time [s] to which the FMU has come; ahead of the master after an early return of another FMU.
         next_event: Time [s] of the next event that the FMU announced; infinity without one.
@@ -111,6 +89,7 @@ class EventFmu(FmuBlock):
 
     clock_types = frozenset({"Clock"})
     steps = True  # whether time passes in steps
+    calls: EventCalls
 
     def __init__(
         self,
@@ -125,74 +104,48 @@ class EventFmu(FmuBlock):
         **settings: Any,
     ) -> None:
         self.clocks = read_clocks(path, description)
+        self.output_clocks = [c for c in self.clocks.values() if c.causality != "input"]
         self.timings, self._jumping = dict(timings or {}), jumping
         self.timers: dict[str, Timer] = {}
         self.mode, self.reached, self.next_event, self.asks = INITIALIZATION, 0.0, math.inf, False
         self.active: set[str] = set()
         self._changes: dict[str, Any] = {}  # values of the scenario's events, to set at the next instant
-        self._given: dict[int, list[Any]] = {}  # inputs as last set
+        self._given: dict[Exchange, list[Any]] = {}  # inputs as last set
         self._seen: list[list[Any]] = []
         self._places: dict[str, int] = {}  # places of the numbers of ticks
         super().__init__(name, path, description, start, connected, **settings)
-        make, arguments = self._recipe
-        self._recipe = partial(make, timings=self.timings, jumping=jumping), arguments
-        self._exchanges = {id(e): self._clocks_of(e.variables[0]) for e in (*self._ports.fed, *self._ports.read)}
+        self.may_return = self.calls.may_return
         self._steady = [e for e in self._ports.fed if not self._is_jumping(e.variables[0])]
-        self._discrete = [e for e in self._ports.fed if e not in self._steady and not self._exchanges[id(e)]]
+        self._discrete = [e for e in self._ports.fed if e not in self._steady and not e.clocks]
 
     # -- description ----------------------------------------------------------------------------
 
     def _make_calls(self, way: Way | None) -> Calls:
-        return EventCoSimulation3(self.name, self.description)
+        return EventCalls(self.name, self.description)
 
     def _make_ports(self, recorded: frozenset[str]) -> Ports:
-        inputs = [c for c in self.clocks.values() if self._is_triggered_by_others(c)]
-        others = [c for c in self.clocks.values() if c not in inputs]
-
-        def signals(clocks: Sequence[Clock]) -> tuple[Signal, ...]:
-            return tuple(Signal(c.name, kind="Clock", local=c.causality not in {"input", "output"}) for c in clocks)
+        inputs, others = list[Signal](), list[Signal]()
+        for c in self.clocks.values():
+            is_ticked_here = c.causality == "input" and not c.is_time_based and c.name not in self.timings
+            clocks = inputs if is_ticked_here else others
+            clocks.append(Signal(c.name, kind="Clock", local=c.causality not in {"input", "output"}))
 
         def part(variable: Any) -> tuple[frozenset[str], bool]:
-            return self._clocks_of(variable), variable.causality == "input" and self._is_jumping(variable)
+            return clocks_of(variable), variable.causality == "input" and self._is_jumping(variable)
 
-        return Ports(self.description, self.connected, recorded, part=part, clocks=(signals(inputs), signals(others)))
-
-    def _is_triggered_by_others(self, clock: Clock) -> bool:
-        return clock.causality == "input" and not clock.is_time_based and clock.name not in self.timings
-
-    def _clocks_of(self, variable: Any) -> frozenset[str]:
-        return frozenset(clock.name for clock in variable.clocks or ())
+        both = tuple(inputs), tuple(others)
+        return Ports(self.description, self.connected, recorded, part=part, clocks=both)
 
     def _is_jumping(self, variable: Any) -> bool:
         """Return whether an input is discrete or clocked."""
-        is_continuous = variable.type in ("Float64", "Float32") and variable.variability in (None, "continuous")
-        return (
-            not is_continuous
-            or bool(variable.clocks)
-            or not self._jumping.isdisjoint({variable.name, *element_names(variable)})
-        )
-
-    @property
-    def event_calls(self) -> EventCoSimulation3:
-        """Return the calls of co-simulation with event mode."""
-        calls = self._calls
-        assert isinstance(calls, EventCoSimulation3)
-        return calls
-
-    @property
-    def may_return(self) -> bool:
-        """Return whether a step may end early."""
-        return self.event_calls.may_return
-
-    @property
-    def output_clocks(self) -> list[Clock]:
-        """Return the clocks that the FMU ticks by itself."""
-        return [c for c in self.clocks.values() if c.causality != "input"]
+        if variable.type not in ("Float64", "Float32") or variable.variability not in (None, "continuous"):
+            return True
+        return bool(variable.clocks) or not self._jumping.isdisjoint({variable.name, *element_names(variable)})
 
     def ask_for_small_steps(self) -> None:
         """Ask the FMU to return after each of its own steps, if it can."""
-        calls, about = self.event_calls, self.description.coSimulation
-        calls.in_small_steps = calls.gives_updates and about.canReturnEarlyAfterIntermediateUpdate
+        about = self.calls.about
+        self.calls.in_small_steps = about.providesIntermediateUpdate and about.canReturnEarlyAfterIntermediateUpdate
 
     def settles(self, name: str) -> bool:
         """Return whether values of an input are exchanged until they settle, at each instant."""
@@ -213,44 +166,42 @@ class EventFmu(FmuBlock):
         self.next_event, self.asks, self.active = math.inf, False, set()
         self._changes, self._given, self._seen = {}, {}, []
         super()._begin(start, stop)
-        self._values.show_outputs([e for e in self._ports.read if self._exchanges[id(e)]])
+        self._values.show_outputs([e for e in self._ports.read if e.clocks])
 
     def start(self) -> None:
-        instance = self.instance
+        instance, start = self.instance, self.calls.start_time
         with instance.check_calls():
-            self._read_first_intervals()
-            self._calls.leave()
+            for clock in self.clocks.values():
+                self._start_timer(clock, self.timings.get(clock.name), start)
+            self.calls.leave()
         instance.initialized = True
-        self.reached = self._calls.start_time
-        self._enter_first()
+        self.reached, self.mode, self.active = start, EVENT, set()
+        if self.steps:
+            self._do_step = self.calls.bare(STEPS[3], "DoStep")
 
-    def _enter_first(self) -> None:
-        """Note the event mode after initialization."""
-        self.event_calls.prepare_steps()
-        self.mode, self.active = EVENT, set()
-
-    def _read_first_intervals(self) -> None:
-        """Set stated intervals; read those of the FMU."""
-        start = self._calls.start_time
-        for clock in self.clocks.values():
-            timing = self.timings.get(clock.name)
-            if clock.is_time_based:
-                self.timers[clock.name] = timer = Timer()
-                interval = clock.interval
-                if timing is not None and timing.interval is not None:
-                    interval = timing.interval
-                    self._set_interval(clock, interval)
-                if interval is not None:
-                    timer.every(interval, start + clock.shift)
-                    continue
-                qualifier, interval = self._interval(clock)
-                if clock.kind in PERIODIC:
-                    interval = math.nan if qualifier == NOT_YET_KNOWN else interval
-                    timer.every(self._checked(clock, interval), start + self._shift(clock))
-                elif qualifier != NOT_YET_KNOWN:
-                    timer.once(start + self._checked(clock, interval))
-            elif timing is not None:
-                self.timers[clock.name] = Timer.stated(timing, start)
+    def _start_timer(self, clock: Clock, timing: Timing | None, start: float) -> None:
+        """Set the interval that the scenario states for a clock, or read that of the FMU."""
+        if not clock.is_time_based:
+            if timing is not None:
+                first = start + (timing.shift or 0.0)
+                self.timers[clock.name] = Timer(first, interval=timing.interval, times=timing.at, is_set=True)
+            return
+        self.timers[clock.name] = timer = Timer()
+        interval = clock.interval
+        if timing is not None and timing.interval is not None:
+            interval = timing.interval
+            self._set_interval(clock, interval)
+        if interval is not None:
+            timer.begin(start + clock.shift, interval)
+            return
+        qualifier, interval = self._interval(clock)
+        if clock.kind in PERIODIC:
+            shift = (ctypes.c_double * 1)()
+            self.instance.fmu.getShiftDecimal((ctypes.c_uint * 1)(clock.reference), shift)
+            interval = math.nan if qualifier == NOT_YET_KNOWN else interval
+            timer.begin(start + float(shift[0]), self._checked(clock, interval))
+        elif qualifier != NOT_YET_KNOWN:
+            timer.begin(start + self._checked(clock, interval))
 
     # -- values --------------------------------------------------------------------------------------
 
@@ -258,29 +209,23 @@ class EventFmu(FmuBlock):
         """Set changed inputs, as far as the mode allows."""
         values, begins = self._values, self.mode == INITIALIZATION
         for exchange in self._ports.fed if self.mode != STEP else self._steady:
-            clocks = self._exchanges[id(exchange)]
-            if clocks and not clocks & self.active:
+            if exchange.clocks and not exchange.clocks & self.active:
                 continue
             content = values.content(exchange)
-            if begins or self._given.get(id(exchange)) != content:
-                self._given[id(exchange)] = content
+            if begins or self._given.get(exchange) != content:
+                self._given[exchange] = content
                 values.put_in(exchange)
-
-    def try_inputs(self) -> None:
-        """Set changed inputs, as far as the mode allows."""
-        self.put()
 
     def get(self) -> None:
         """Read outputs, as far as the mode allows."""
         for exchange in self._ports.read:
-            clocks = self._exchanges[id(exchange)]
-            if not clocks or clocks & self.active:
+            if not exchange.clocks or exchange.clocks & self.active:
                 self._values.get_from(exchange)
 
     @property
     def has_jumped(self) -> bool:
         """Return whether a discrete input has a new value."""
-        return any(self._values.content(e) != self._given.get(id(e)) for e in self._discrete)
+        return any(self._values.content(e) != self._given.get(e) for e in self._discrete)
 
     def look(self) -> None:
         """Remember the inputs of this instant."""
@@ -292,7 +237,7 @@ class EventFmu(FmuBlock):
         return self._inputs() != self._seen
 
     def _inputs(self) -> list[list[Any]]:
-        return [self._values.content(e) for e in self._ports.fed if not self._exchanges[id(e)]]
+        return [self._values.content(e) for e in self._ports.fed if not e.clocks]
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Keep an event's values for the next instant."""
@@ -307,8 +252,11 @@ class EventFmu(FmuBlock):
         Raises:
             EarlyEnd: The FMU ended the simulation.
         """
-        calls, instance = self.event_calls, self.instance
-        status = calls.do_step(instance.component, self.reached, target - self.reached)
+        calls, instance = self.calls, self.instance
+        status = int(self._do_step(instance.component, self.reached, target - self.reached, True, *calls.flags))
+        stop, calls.stop = calls.stop, None
+        if stop is not None:
+            raise stop
         if status:
             instance.time = self.reached
             instance.judge(instance.step_name, status)
@@ -316,12 +264,8 @@ class EventFmu(FmuBlock):
         instance.time = self.reached
         if calls.ends.value:
             raise end_of(self.name, self.reached)
-        self.asks = self.asks or bool(calls.event.value)
+        self.asks = self.asks or bool(calls.is_event.value)
         return self.reached
-
-    def advance(self, t: float, h: float) -> None:
-        """Raise AssertionError; `go` steps the FMU."""
-        raise AssertionError("an FMU with event mode is stepped from instant to instant")
 
     def save(self) -> Any:
         """Return the state, for one restoration."""
@@ -348,8 +292,7 @@ class EventFmu(FmuBlock):
     def enter(self) -> None:
         """Enter event mode; set the scenario's values."""
         if self.mode != EVENT:
-            with self.instance.check_calls():
-                self.instance.fmu.enterEventMode()
+            self.instance.call("enterEventMode")
             self.mode, self.active = EVENT, set()
         self.asks = False
         changes, self._changes = self._changes, {}
@@ -358,7 +301,7 @@ class EventFmu(FmuBlock):
             with self.instance.check_calls():
                 self._set_interval(self.clocks[name], interval)
             timer, t = self.timers[name], self.instance.time
-            timer.every(interval, t, 0 if timer.next <= t + TICK_NOW * interval else 1)
+            timer.begin(t, interval, 0 if timer.next <= t + TICK_NOW * interval else 1)
         if changes:
             with self.instance.check_calls():
                 self._values.set(changes)
@@ -366,8 +309,7 @@ class EventFmu(FmuBlock):
 
     def tick(self, names: Collection[str]) -> None:
         """Activate input clocks."""
-        with self.instance.check_calls():
-            self.instance.fmu.setClock([self.clocks[name].reference for name in names], [True] * len(names))
+        self.instance.call("setClock", [self.clocks[name].reference for name in names], [True] * len(names))
         self._count(names)
 
     def _count(self, names: Collection[str]) -> None:
@@ -376,13 +318,13 @@ class EventFmu(FmuBlock):
         for name in names:
             self._values.row[self._places[name]] += 1.0
             if name in self.timers:
-                self.timers[name].tick()
+                self.timers[name].count += 1
 
     def _forget(self, clocks: Collection[str]) -> None:
         """Forget the inputs of clocks that tick: they are set at each tick, also with the value of the last one."""
         for exchange in self._ports.fed:
-            if not self._exchanges[id(exchange)].isdisjoint(clocks):
-                self._given.pop(id(exchange), None)
+            if not exchange.clocks.isdisjoint(clocks):
+                self._given.pop(exchange, None)
 
     def fired(self) -> list[str]:
         """Return output clocks that tick since the last call."""
@@ -390,8 +332,7 @@ class EventFmu(FmuBlock):
         idle = [c for c in idle if not c.clocks or c.clocks & self.active]
         if not idle:
             return []
-        with self.instance.check_calls():
-            states = self.instance.fmu.getClock([c.reference for c in idle])
+        states = self.instance.call("getClock", [c.reference for c in idle])
         names = [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
         self._count(names)
         return names
@@ -402,8 +343,7 @@ class EventFmu(FmuBlock):
         Raises:
             EarlyEnd: The FMU ended the simulation.
         """
-        with self.instance.check_calls():
-            more, ends, _, _, is_announced, time = self.instance.fmu.updateDiscreteStates()
+        more, ends, _, _, is_announced, time = self.instance.call("updateDiscreteStates")
         if ends:
             raise end_of(self.name, self.instance.time)
         self.next_event = time if is_announced else math.inf
@@ -413,8 +353,7 @@ class EventFmu(FmuBlock):
 
     def leave(self) -> None:
         """Return to step mode."""
-        with self.instance.check_calls():
-            self.instance.fmu.enterStepMode()
+        self.instance.call("enterStepMode")
         self.mode, self.active = STEP, set()
 
     # -- intervals ----------------------------------------------------------------------------------
@@ -423,7 +362,7 @@ class EventFmu(FmuBlock):
         """Read intervals that may have changed."""
         t = self.instance.time
         for clock in self.clocks.values():
-            if not clock.asks_fmu or clock.kind in ("constant", "fixed"):
+            if clock.interval is not None or clock.kind not in ("tunable", "changing", "countdown"):
                 continue
             if clock.kind == "changing" and clock.name not in self.active:
                 continue
@@ -432,9 +371,9 @@ class EventFmu(FmuBlock):
             timer = self.timers[clock.name]
             if clock.kind == "tunable":
                 if qualifier == CHANGED:
-                    timer.every(self._checked(clock, interval), t, 1)
+                    timer.begin(t, self._checked(clock, interval), 1)
             elif qualifier == CHANGED or (clock.kind == "changing" and qualifier == UNCHANGED):
-                timer.once(t + self._checked(clock, interval))
+                timer.begin(t + self._checked(clock, interval))
 
     def _interval(self, clock: Clock) -> tuple[int, float]:
         """Return qualifier and interval [s] of a clock."""
@@ -446,11 +385,6 @@ class EventFmu(FmuBlock):
 
     def _set_interval(self, clock: Clock, interval: float) -> None:
         self.instance.fmu.setIntervalDecimal((ctypes.c_uint * 1)(clock.reference), (ctypes.c_double * 1)(interval))
-
-    def _shift(self, clock: Clock) -> float:
-        shift = (ctypes.c_double * 1)()
-        self.instance.fmu.getShiftDecimal((ctypes.c_uint * 1)(clock.reference), shift)
-        return float(shift[0])
 
     def _checked(self, clock: Clock, interval: float) -> float:
         """Return an interval; raise SimulationError if invalid."""

@@ -4,60 +4,55 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
-from cosim.blocks.component import RowComponent, Signal
+from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
 COUNT = "fix"  # name of the counting output
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """Rate, latency and noise of a sensor of position fixes.
-
-    Attributes:
-        rate: Fixes per second [Hz].
-        latency: Delay from measurement to output [s].
-        dropout: Probability of losing a fix.
-        signals: Name → unit, variance and bias of a fix.
-    """
-
-    rate: float
-    latency: float
-    dropout: float
-    signals: Mapping[str, tuple[str, float, float]]
-
-    def outputs(self) -> list[str]:
-        """Return the output names in order."""
-        return [*(f"{name}_meas" for name in self.signals), COUNT]
+def fix_outputs(signals: Iterable[str]) -> list[str]:
+    """Return the names of the outputs of a sensor in order."""
+    return [*(f"{name}_meas" for name in signals), COUNT]
 
 
-class Fixes(RowComponent):
+class Fixes(Component):
     """Sensor of position fixes: samples its inputs at a rate and outputs the samples with latency.
 
     Fix j is taken at the first communication point at or after j/rate and appears ⌈latency/step⌉ points later.
 
     Args:
+        rate: Fixes per second [Hz].
+        latency: Delay from measurement to output [s].
+        dropout: Probability of losing a fix.
+        signals: Name → unit, variance and bias of a fix.
         step: Communication step [s].
         seed: Seed of the random streams, one per signal and one for losses, which also depend on `name`.
     """
 
-    def __init__(self, name: str, sensor: Sensor, step: float, seed: int) -> None:
-        self.name, self.sensor, self.step = name, sensor, step
-        self.inputs = tuple(Signal(n, unit, kind="Real") for n, (unit, _, _) in sensor.signals.items())
-        units = [*(unit for unit, _, _ in sensor.signals.values()), ""]
-        self.outputs = tuple(Signal(n, unit) for n, unit in zip(sensor.outputs(), units, strict=True))
+    def __init__(
+        self,
+        name: str,
+        rate: float,
+        latency: float,
+        dropout: float,
+        signals: Mapping[str, tuple[str, float, float]],
+        *,
+        step: float,
+        seed: int,
+    ) -> None:
+        self.name, self._fixes_per_step, self._dropout = name, rate * step, dropout
+        units = {n: unit for n, (unit, _, _) in signals.items()}
+        self.inputs = tuple(Signal(n, unit, kind="Real") for n, unit in units.items())
+        self.outputs = tuple(map(Signal, fix_outputs(signals), (*units.values(), "")))
         self._noise = [
-            (stream(seed, f"{name}.{n}"), math.sqrt(variance), bias)
-            for n, (_, variance, bias) in sensor.signals.items()
+            (stream(seed, f"{name}.{n}"), math.sqrt(variance), bias) for n, (_, variance, bias) in signals.items()
         ]
         self._losses = stream(seed, f"{name} dropout")
-        self._late = math.ceil(sensor.latency / step - 1e-9)
+        self._streams = [*(rng for rng, _, _ in self._noise), self._losses]
+        self._late = math.ceil(latency / step - 1e-9)
         self._point, self._measured, self._count = 0, 0, 0
         self._values = [0.0] * len(self.inputs)
         self._queue: deque[tuple[int, list[float]]] = deque()  # measured fixes with their output points
@@ -83,10 +78,12 @@ class Fixes(RowComponent):
         self._row[first : first + len(self._values) + 1] = [*self._values, float(self._count)]
 
     def advance(self, t: float, h: float) -> None:
-        if self._point == 0:
-            self._begin()
+        if self._point == 0:  # Count the fix at the start of the run; with latency, queue it.
+            self._measured = 1
+            if self._late and self._errors is not None:
+                self._queue.append((self._late, self._opening))
         self._point += 1
-        while self._point_of(self._measured) <= self._point:
+        while math.ceil(self._measured / self._fixes_per_step - 1e-9) <= self._point:
             self._measured += 1
             if (error := self._draw()) is not None:
                 self._queue.append((self._point + self._late, self._measurement(error)))
@@ -111,23 +108,9 @@ class Fixes(RowComponent):
         for rng, saved in zip(self._streams, state["random"], strict=True):
             rng.bit_generator.state = saved
 
-    @property
-    def _streams(self) -> list[np.random.Generator]:
-        return [*(rng for rng, _, _ in self._noise), self._losses]
-
     def slot(self) -> str:
         """Return the reason why the C loop cannot step this component."""
         return f"{self.name} measures now and then"
-
-    def _begin(self) -> None:
-        """Count the fix at the start of the run; with latency, queue it."""
-        self._measured = 1
-        if self._late and self._errors is not None:
-            self._queue.append((self._late, self._opening))
-
-    def _point_of(self, fix: int) -> int:
-        """Return the communication point of a fix."""
-        return math.ceil(fix / (self.sensor.rate * self.step) - 1e-9)
 
     def _draw(self) -> list[float] | None:
         """Return the errors of a position fix, or None for a lost fix.
@@ -135,7 +118,7 @@ class Fixes(RowComponent):
         Lost fixes use random numbers too, so that losses do not change the errors of later fixes.
         """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
-        return None if self._losses.random() < self.sensor.dropout else errors
+        return None if self._losses.random() < self._dropout else errors
 
     def _measurement(self, errors: list[float]) -> list[float]:
         row, first = self._row, self._first

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,11 @@ class FmiType:
         """Return a value as C expects it for this FMI type; raise ValueError if the type cannot hold it."""
         if self.function == "String":
             return value.encode() if isinstance(value, str) else value
+        if self.function == "Binary":
+            try:
+                return as_bytes(value)
+            except ValueError:
+                raise ValueError(f"{str(value)[:40]!r} is no text of hexadecimal digits") from None
         if self.low is None or self.high is None:
             if self.largest < math.inf and abs(value) > self.largest:
                 raise ValueError(f"{value:g} is outside ±{self.largest:.7g}")
@@ -99,7 +104,7 @@ FLOWS = {  # allowed connections: no value may be lost
 
 def kinds_of(version: str) -> dict[str, FmiType]:
     """Return an FMI version's supported types by name."""
-    return FMI1 if version == "1.0" else FMI2 if version == "2.0" else FMI3
+    return {"1.0": FMI1, "2.0": FMI2}.get(version, FMI3)
 
 
 def is_compatible(source: str, target: str) -> bool:
@@ -111,32 +116,40 @@ class Exchange:
     """Variables of a type, read or written in a single call; all of them negated aliases of FMI 1.0, or none.
 
     Attributes:
+        clocks: Clocks at whose ticks the values are exchanged; none for other variables.
         names: Names of the scalars; an array of FMI 3.0 has several.
         places: Their places in the row or beside the row.
+        is_direct: Whether the FMU reads and writes the row itself; all but doubles pass through a buffer.
+        finite: Number of leading values that are floating-point outputs, which must be finite.
+        buffer: Values on their way; a list of bytes for binary data, which FMPy sets and reads.
+        arguments: Arguments of an FMI function after the instance; the last one is of FMI 3.0 only.
     """
 
-    def __init__(self, kind: FmiType, variables: Sequence[Any]) -> None:
+    def __init__(self, kind: FmiType, variables: Sequence[Any], outputs: Collection[str] = ()) -> None:
         self.kind, self.variables = kind, tuple(variables)
         self.names = tuple(name for variable in variables for name in element_names(variable))
         self.count = len(self.names)
         self.vrs = (ctypes.c_uint * len(variables))(*(v.valueReference for v in variables))
-        self.negated = any(map(is_negated, variables))
-        self.buffer: Any = (kind.ctype * self.count)() if kind.ctype is not None else None
+        self.negated = is_negated(variables[0])
+        self.clocks = clocks_of(variables[0])
+        self.is_direct = kind.ctype is ctypes.c_double and not self.negated
+        is_float = kind.ctype in (ctypes.c_double, ctypes.c_float)
+        self.finite = sum(name in outputs for name in self.names) if is_float else 0
         self.places = slice(0, 0)
+        self.buffer: Any = [b""] * self.count
+        if kind.ctype is not None:
+            self.move_by((kind.ctype * self.count)())
 
-    def arguments(self, fmi3: bool, address: int | None = None) -> tuple[Any, ...]:
-        """Return an FMI function's arguments after the instance.
-
-        Args:
-            address: Address of the values; None for the own buffer.
-        """
-        place = ctypes.addressof(self.buffer) if address is None else address
-        arguments = ctypes.addressof(self.vrs), len(self.vrs), place
-        return (*arguments, self.count) if fmi3 else arguments
+    def move_by(self, buffer: Any) -> None:
+        """Set the memory which the FMU reads and writes."""
+        self.buffer = buffer
+        self.arguments = ctypes.addressof(self.vrs), len(self.vrs), ctypes.addressof(buffer), self.count
 
     def decode(self) -> list[Any]:
         """Return the values in the buffer."""
         values: list[Any] = self.buffer[:]
+        if self.kind.function == "Binary":
+            return [value or b"" for value in values]  # None: NULL, no bytes
         if self.kind.function == "String":
             return [(value or b"").decode("utf-8", "replace") for value in values]
         return [negative(self.kind.function, value) for value in values] if self.negated else values
@@ -158,23 +171,22 @@ def elements(kind: FmiType, variable: Any, value: Any) -> list[Any]:
         ValueError: The text of a description is none of the type.
     """
     is_text = kind.function in {"String", "Binary"}
-    given = value.split() if isinstance(value, str) and not is_text else value
-    scalars = list(given) if isinstance(given, (list, tuple)) else [given]
+    scalars = value.split() if isinstance(value, str) and not is_text else value
+    scalars = list(scalars) if isinstance(scalars, (list, tuple)) else [scalars]
     count = len(element_names(variable))
-    return [_stored(kind, scalar) for scalar in (scalars if len(scalars) == count else scalars[:1] * count)]
-
-
-def _stored(kind: FmiType, value: Any) -> Any:
-    """Return a scalar as it is stored in or beside the row."""
-    if value is None:
-        raise TypeError
-    if kind.function == "String":
-        return str(value)
-    if kind.function == "Binary":
-        return as_bytes(value)
-    if kind.function == "Boolean" and isinstance(value, str):
-        return {"true": 1.0, "1": 1.0}.get(value, 0.0)
-    return int(value) if kind.beside else float(value)
+    stored: list[Any] = []
+    for scalar in scalars if len(scalars) == count else scalars[:1] * count:
+        if scalar is None:
+            raise TypeError
+        if kind.function == "String":
+            stored.append(str(scalar))
+        elif kind.function == "Binary":
+            stored.append(as_bytes(scalar))
+        elif kind.function == "Boolean" and isinstance(scalar, str):
+            stored.append(float(scalar in {"true", "1"}))
+        else:
+            stored.append(int(scalar) if kind.beside else float(scalar))
+    return stored
 
 
 def as_bytes(value: Any) -> bytes:
@@ -182,12 +194,9 @@ def as_bytes(value: Any) -> bytes:
     return bytes.fromhex(value) if isinstance(value, str) else bytes(value or b"")
 
 
-def named_bytes(name: str, value: Any) -> bytes:
-    """Return binary data of a variable; raise ValueError, with the variable, for text without hexadecimal digits."""
-    try:
-        return as_bytes(value)
-    except ValueError:
-        raise ValueError(f"{name}: {str(value)[:40]!r} is no text of hexadecimal digits") from None
+def clocks_of(variable: Any) -> frozenset[str]:
+    """Return the names of the clocks of a variable."""
+    return frozenset(clock.name for clock in variable.clocks or ())
 
 
 def is_negated(variable: Any) -> bool:

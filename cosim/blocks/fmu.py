@@ -7,51 +7,41 @@ life cycle and values.py for the transfer of values.
 from __future__ import annotations
 
 import ctypes
-import math
 from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
+from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from cosim.base.errors import FmuError
 from cosim.blocks.compiling import permission
-from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
+from cosim.blocks.component import ADVANCE, Component, Row, in_turn
 from cosim.blocks.description import (
     Way,
     declares_slopes,
-    default_tolerance,
     matches,
-    read_description,
     slips_of,
     ways,
 )
-from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, SingleCall, end_of
+from cosim.blocks.fmi import STEPS, Calls, end_of
 from cosim.blocks.fmi_types import element_names
-from cosim.blocks.instance import Instance, MessageLog
-from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
+from cosim.blocks.instance import Instance
+from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
-from cosim.blocks.values import Arguments, Values
+from cosim.blocks.values import Values
 from cosim.blocks.variable_access import Ports
-from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by
-
-__all__ = ["FmuBlock", "matches", "read_description"]
-
-CALLS: dict[tuple[str, Way], type[Calls]] = {
-    ("1", "co-simulation"): CoSimulation1,
-    ("2", "co-simulation"): CoSimulation2,
-    ("3", "co-simulation"): CoSimulation3,
-    ("1", "model-exchange"): ModelExchange1,
-    ("2", "model-exchange"): ModelExchange2,
-    ("3", "model-exchange"): ModelExchange3,
-}
+from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
+from cosim.fmi.state import Memory, Own, own_of, with_memory
 
 
-class FmuBlock:
+class FmuBlock(Component):
     """An FMU instance as a component.
 
     Attributes:
         clock_types: Types of variables that are neither set nor read like others, but known.
+        calls: Calls of the FMU's version and interface.
+        log: Messages of the FMU.
 
     Args:
         connected: Names of connected inputs; the rest keep their start values.
@@ -67,6 +57,13 @@ class FmuBlock:
     """
 
     clock_types: frozenset[str] = frozenset()
+    _arguments: tuple[Any, ...]
+    _settings: dict[str, Any]
+
+    def __new__(cls, *arguments: Any, **settings: Any) -> Self:
+        block = super().__new__(cls)
+        block._arguments, block._settings = arguments, settings  # to make another instance
+        return block
 
     def __init__(
         self,
@@ -88,25 +85,14 @@ class FmuBlock:
     ) -> None:
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected, self.feedthrough = start, connected, feedthrough
-        self.compiles = compiles = permission.get() if compiles is None else compiles
-        make: Callable[..., FmuBlock] = partial(
-            type(self),
-            way=way,
-            tolerance=tolerance,
-            recorded=recorded,
-            logging=logging,
-            solver=solver,
-            solver_step=solver_step,
-            max_steps=max_steps,
-            feedthrough=feedthrough,
-            compiles=compiles,
-        )
-        self._recipe = make, (name, path, description, start, connected)
-        self._calls = self._make_calls(way)
-        self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
-        if isinstance(self._calls, ModelExchange2):
-            self._calls.solver_name, self._calls.longest, self._calls.max_steps = solver, solver_step, max_steps
-        self.instance = Instance(path, self._calls, logging=logging, compiles=compiles)
+        self.compiles = permission.get() if compiles is None else compiles
+        self.calls = self._make_calls(way)
+        declared = getattr(description.defaultExperiment, "tolerance", None)
+        self.calls.tolerance = tolerance if tolerance is not None else float(declared) if declared else None
+        if isinstance(self.calls, ModelExchange):
+            self.calls.solver_name, self.calls.longest, self.calls.max_steps = solver, solver_step, max_steps
+        self.instance = Instance(path, self.calls, logging=logging, compiles=self.compiles)
+        self.log = self.instance.log
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu
         self._variables = {v.name: v for v in description.modelVariables}
@@ -116,20 +102,23 @@ class FmuBlock:
         self._values = Values(self.instance, ports)
 
     def _make_calls(self, way: Way | None) -> Calls:
-        kind = CALLS.get((self.description.fmiVersion[0], way or ways(self.description)[0]))
-        if kind is None:
+        way = way or ways(self.description)[0]
+        if way == "scheduled-execution":
             raise FmuError(
                 f"{self.path} is for scheduled execution, which a scenario runs (components: {{name: {{fmu: FILE}}}})"
             )
-        return kind(self.name, self.description)
+        return (Calls if way == "co-simulation" else ModelExchange)(self.name, self.description)
 
     def _make_ports(self, recorded: frozenset[str]) -> Ports:
-        optional = self._optional(self.connected | self.start_values.keys())
+        names = self.connected | self.start_values.keys()
+        free = {v.name for v in self.description.modelVariables if v.causality == "input"} - names
+        # Only FMUs of cosim declare optional inputs.
+        optional = optional_inputs(self.path) & free if free and self.description.author == AUTHOR else frozenset[str]()
         return Ports(self.description, self.connected, recorded, optional)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
         """Return a recipe for an instance in another process."""
-        return self._recipe
+        return partial(type(self), **{**self._settings, "compiles": self.compiles}), self._arguments
 
     def with_start_values(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
         """Return another instance with other start values.
@@ -137,44 +126,37 @@ class FmuBlock:
         Args:
             unpacked: Folder of the already unpacked FMU, left unchanged.
         """
-        make, (name, path, description, _, connected) = self._recipe
+        make, (name, path, description, _, connected) = self.__reduce__()
         block = make(name, path, description, start, connected)
         block.instance.place = unpacked
         return block
 
     # -- description ---------------------------------------------------------------
 
-    def _optional(self, names: frozenset[str]) -> frozenset[str]:
-        """Return optional inputs without source or value. Only FMUs of cosim declare optional inputs."""
-        free = {v.name for v in self.description.modelVariables if v.causality == "input"} - names
-        return optional_inputs(self.path) & free if free and self.description.author == AUTHOR else frozenset()
-
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
-        variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
-        feeding, is_complete = self._feeding if outputs is None else self._feeding_of(outputs)
-        if id(variable) in feeding:
-            return True
-        if is_complete:
-            return False
-        return True if self._is_followed(name) else None
+        stem = name.rpartition("[")[0]
+        followers, undeclared = self._feedthrough_declared
 
-    def _is_followed(self, name: str) -> bool:
-        """Return whether an input, or an element of it, is stated or measured to have direct feedthrough."""
-        stems = name, name.rpartition("[")[0]
-        return any(n in stems or n.rpartition("[")[0] == name for n in self.feedthrough or ())
+        def is_any(variables: Sequence[Any]) -> bool:
+            return any(
+                outputs is None or v.name in outputs or not set(element_names(v)).isdisjoint(outputs) for v in variables
+            )
+
+        if is_any(followers.get(id(self._variables.get(name) or self._variables.get(stem)), ())):
+            return True
+        if not is_any(undeclared):
+            return False
+        is_stated = any(n in (name, stem) or n.rpartition("[")[0] == name for n in self.feedthrough or ())
+        return True if is_stated else None
 
     @cached_property
-    def _feeding(self) -> tuple[frozenset[int], bool]:
-        return self._feeding_of(None)
-
-    def _feeding_of(self, outputs: Collection[str] | None) -> tuple[frozenset[int], bool]:
-        """Return ids of variables feeding outputs, and whether every output declares its dependencies."""
-        dependencies = [
-            unknown.dependencies
-            for unknown in self.description.outputs
-            if outputs is None or any(n in outputs for n in (unknown.variable.name, *element_names(unknown.variable)))
-        ]
-        return frozenset(id(v) for each in dependencies for v in each or ()), None not in dependencies
+    def _feedthrough_declared(self) -> tuple[dict[int, list[Any]], list[Any]]:
+        """Return id of a variable → outputs that depend on it, and outputs without declared dependencies."""
+        followers: dict[int, list[Any]] = {}
+        for unknown in self.description.outputs:
+            for variable in unknown.dependencies or ():
+                followers.setdefault(id(variable), []).append(unknown.variable)
+        return followers, [u.variable for u in self.description.outputs if u.dependencies is None]
 
     def names_any(self, pattern: str) -> bool:
         """Return whether a pattern such as `plant.*` matches a variable."""
@@ -199,16 +181,6 @@ class FmuBlock:
                 f"variables of type {', '.join(sorted(types))} are not supported: they are neither set nor recorded"
             )
         return tuple(f"{self.name}: {warning}" for warning in warnings)
-
-    @property
-    def calls(self) -> Calls:
-        """Return the calls of the FMU's version and interface."""
-        return self._calls
-
-    @property
-    def log(self) -> MessageLog:
-        """Return the log messages of the FMU."""
-        return self.instance.log
 
     # -- call sequence -----------------------------------------------------------------------------
 
@@ -248,33 +220,30 @@ class FmuBlock:
 
     def _begin(self, start: float, stop: float) -> None:
         """Enter initialization at `start`."""
-        calls, values = self._calls, self._values
+        calls, values, can_read = self.calls, self._values, self.calls.readable_before_start
         self.instance.time, self.instance.initialized = start, False
         calls.start_time, calls.stop_time = start, stop
-        values.allow_reading(calls.readable_before_start)
+        values.readable = can_read
+        again = {}  # Some FMUs (20-sim) forget start values set before initialization.
+        for name, value in self.start_values.items() if can_read else ():
+            v = self._variables.get(name)
+            if v is None or v.causality == "structuralParameter":
+                continue
+            if v.causality == "input" or v.initial == "exact":
+                again[name] = value
         with self.instance.check_calls():
             calls.prepare()
             values.set(self.start_values)
             calls.enter()
-            # Some FMUs (20-sim) forget start values set before initialization.
-            values.set({n: v for n, v in self.start_values.items() if self._is_set_again(n)})
-        values.show(self.start_values, readable=calls.readable_before_start)
-        values.watched = [] if isinstance(calls, ModelExchange2) and self._ports.fed else None
-
-    def _is_set_again(self, name: str) -> bool:
-        variable = self._variables.get(name)
-        return (
-            self._calls.readable_before_start
-            and variable is not None
-            and (variable.causality == "input" or variable.initial == "exact")
-            and variable.causality != "structuralParameter"
-        )
+            values.set(again)
+        values.show(self.start_values, readable=can_read)
+        values.watched = [] if self.changes_by_events and self._ports.fed else None
 
     def start(self) -> None:
         with self.instance.check_calls():
-            self._calls.leave()
+            self.calls.leave()
         self.instance.initialized = True
-        self._values.allow_reading(True)
+        self._values.readable = True
         self._do_step = self.instance.stepping()
 
     def put(self) -> None:
@@ -282,26 +251,27 @@ class FmuBlock:
 
     def try_inputs(self) -> None:
         """Set the inputs without an event; `put` makes it."""
-        self._values.put_all()
+        if self.changes_by_events:
+            self._values.put_all()
+        else:
+            self.put()
 
     @property
     def changes_by_events(self) -> bool:
         """Return whether a change of inputs is an event."""
-        return isinstance(self._calls, ModelExchange2)
+        return isinstance(self.calls, ModelExchange)
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
         """Return directional derivatives of outputs, None if unavailable."""
-        if not self._declares_slopes or not {*outputs, *inputs} <= self._variables.keys():
+        if not self._is_differentiable or not {*outputs, *inputs} <= self._variables.keys():
             return None  # Elements of arrays have no value reference of their own.
         unknowns, knowns = ([self._variables[n].valueReference for n in names] for names in (outputs, inputs))
-        slope = self.instance.fmu.getDirectionalDerivative
-        with self.instance.check_calls():
-            columns = [slope(unknowns, [known], [1.0]) for known in knowns]
+        columns = [self.instance.call("getDirectionalDerivative", unknowns, [known], [1.0]) for known in knowns]
         return [list(row) for row in zip(*columns, strict=True)]
 
     @cached_property
-    def _declares_slopes(self) -> bool:
-        return declares_slopes(self.path, self._calls.way)
+    def _is_differentiable(self) -> bool:
+        return declares_slopes(self.path, self.calls.way)
 
     def nominal(self, name: str, default: float = 1.0) -> float:
         """Return the nominal value of a variable."""
@@ -327,23 +297,26 @@ class FmuBlock:
             times: Ends of steps [s] at which `change` follows.
             always: Whether inputs are set after every step.
         """
-        if isinstance(self._calls, ModelExchange2):
-            self._calls.awaits_inputs, self._calls.changes_at = always, frozenset(times)
+        if isinstance(self.calls, ModelExchange):
+            self.calls.awaits_inputs, self.calls.changes_at = always, frozenset(times)
 
     def settle(self) -> None:
         """Handle an event of model exchange at the end of a step, if inputs do not change there."""
         with self.instance.check_calls():
-            self._calls.inputs_changed(None)
+            self.calls.inputs_changed(None)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
         with self.instance.check_calls():
-            self._calls.inputs_changed(lambda: self._values.set(values))
+            self.calls.inputs_changed(lambda: self._values.set(values))
         self._values.show_changes(values)
 
     def close(self) -> None:
         self.instance.free()
         self.instance.remove()
+
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        return in_turn(self, doing, first, puts=bool(self._ports.fed))
 
     # -- state --------------------------------------------------------------------------
 
@@ -364,65 +337,19 @@ class FmuBlock:
         self.instance.time = state["time"]
         self.log.restore(state["log"])
 
-    # -- fast step -----------------------------------------------------------------------
-
-    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        step, arguments = self._calls.single_call(self.instance.component), self._values.direct_arguments
-        if step is None or arguments is None:
-            return in_turn(self, doing, first, puts=bool(self._ports.fed))
-        return self._bare_stepping(step, arguments, doing, first)
-
-    def _bare_stepping(
-        self, step: SingleCall, arguments: tuple[Arguments | None, Arguments], doing: MutableSequence[int], first: int
-    ) -> Callable[[float, float], None]:
-        """Return a faster `in_turn` for values moved without conversion.
-
-        All functions and arguments are prepared beforehand.
-        """
-        instance, values = self.instance, self._values
-        judge, setter, getter, step_name = instance.judge, values.setter, values.getter, instance.step_name
-        inputs, outputs = arguments
-        put, get = None if inputs is None else self._prepare(setter, inputs), self._prepare(getter, outputs)
-        do_step, at, over = step
-        numbers, isfinite = memoryview(values.row).cast("B").cast("d")[values.out], math.isfinite
-        putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
-
-        def once(t: float, h: float) -> None:
-            if put is not None:
-                doing[0] = putting
-                if status := put():
-                    judge(setter, status)
-            doing[0] = advancing
-            at.value, over.value = t, h
-            if status := do_step():
-                instance.time = t
-                judge(step_name, status)
-            instance.time = t + h
-            doing[0] = getting
-            if status := get():
-                judge(getter, status)
-            if not isfinite(sum(numbers)):
-                values.raise_not_finite(numbers.tolist())
-
-        return once
-
-    def _prepare(self, symbol: str, arguments: Arguments) -> Callable[[], int]:
-        """Return a library function bound to prepared arguments."""
-        component = ctypes.c_void_p(self.instance.component)
-        return partial(self._calls.untyped(symbol), component, *self._ports.c_arguments(arguments))
-
     # -- stepped by C -------------------------------------------------------------------------
 
     def slot(self) -> Slot | str:
         """Return the slot for the C loop, or the reason for none."""
-        version = {CoSimulation2: 2, CoSimulation3: 3}.get(type(self._calls), 0)
+        calls = self.calls
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
-        if not version:
-            return f"{self.name} is of FMI {self.description.fmiVersion} {self._calls.way}"
+        if type(calls) is not Calls or calls.version == 1:
+            return f"{self.name} is of FMI {self.description.fmiVersion} {calls.way}"
         if (moves := self._values.moves()) is None:
             return f"{self.name} has values that no double holds"
-        return fmu_slot(version, self._calls.bare_step(), self.instance.component, *moves, self.instance.time)
+        step = calls.bare(STEPS[calls.version], "DoStep")
+        return fmu_slot(calls.version, step, self.instance.component, *moves, self.instance.time)
 
     def set_time(self, t: float) -> None:
         """Note the time [s] after C steps; raise a pending stop."""
@@ -444,3 +371,46 @@ class FmuBlock:
             self.instance.judge(self.instance.step_name, plan.status)
         else:
             self._values.raise_error(reason, plan)
+
+
+class RestartableFmu(FmuBlock):
+    """An FMU for repeated runs that restarts without unpacking, with access to the state of cosim's own FMUs."""
+
+    def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
+        """Reset or reload the FMU, and enter initialization at `start` with new start values."""
+        self.start_values = values
+        if self.instance.fmu is None or not self._reset():
+            self.instance.free()
+            self._load()
+        self._begin(start, stop)
+
+    def own(self) -> Own:
+        """Return the state that determines the future.
+
+        Foreign FMUs raise ValueError, KeyError or TypeError.
+        """
+        return own_of(self._state())
+
+    def remember(self, memory: Memory) -> None:
+        """Write a memory into the state of a cosim FMU, since start values can express a constant past only."""
+        self.instance.deserialize(with_memory(self._state(), memory))
+
+    def _state(self) -> bytes:
+        with self.instance.check_calls():
+            fmu = self.instance.fmu
+            pointer = fmu.getFMUstate()
+            state: bytes = fmu.serializeFMUstate(pointer)
+            fmu.freeFMUstate(pointer)
+        return state
+
+    @cached_property
+    def _is_ours(self) -> bool:
+        return traits_of(self.path) is not None
+
+    def _reset(self) -> bool:
+        """Reset a cosim FMU; return False for foreign FMUs, of which some (20-sim) stand still after a reset."""
+        if self._is_ours:
+            with suppress(Exception):  # FMPy raises bare Exceptions; without reset the FMU is loaded again.
+                self.instance.fmu.reset()
+                return True
+        return False

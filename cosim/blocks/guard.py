@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -51,31 +50,27 @@ def check_identifiers(path: Path, description: Any) -> None:
 
 def check_numbers(path: Path, description: Any) -> None:
     """Raise FmuError for text in place of a needed number. Only descriptions with schema violations need this check."""
-    for is_whole, place, value in _numbers(description):
-        try:
-            int(value) if is_whole else float(value)
-        except (TypeError, ValueError):
-            kind = "whole number" if is_whole else "number"
-            message = f'{path} is not a valid FMU: {place} is "{str(value)[:60]}", which is no {kind}'
-            raise FmuError(message) from None
-
-
-def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:
-    """Yield each number as (is whole, place, value)."""
-    parts: list[tuple[str, Any, tuple[str, ...]]]
-    parts = [("its default experiment", description.defaultExperiment, EXPERIMENT)]
+    parts: list[tuple[str, Any, tuple[str, ...]]] = [
+        ("its default experiment", description.defaultExperiment, EXPERIMENT)
+    ]
     for unit in description.unitDefinitions:
         parts += [(f"unit {unit.name}", part, CONVERSION) for part in (unit.baseUnit, *unit.displayUnits)]
     for part in (*description.typeDefinitions, *description.modelVariables):
         simple = description.fmiVersion == "1.0" and getattr(part, "type", "") in {"Real", "Integer", "Enumeration"}
         parts.append((part.name, part, (*BOUNDS, *(("start",) if simple else ()))))
+    numbers: list[tuple[Any, str, Any]] = []
     for place, part, names in parts:
-        for name in names:
-            value = getattr(part, name, None)
-            if value is not None and value != "":
-                yield False, f"{name} of {place}", value
+        numbers += [(float, f"{name} of {place}", getattr(part, name, None)) for name in names]
     for type_ in description.typeDefinitions:
-        yield from ((True, f"item {item.name} of {type_.name}", item.value) for item in type_.items or ())
+        numbers += [(int, f"item {item.name} of {type_.name}", item.value) for item in type_.items or ()]
+    for kind, place, value in numbers:
+        try:
+            if kind is int or value not in (None, ""):
+                kind(value)
+        except (TypeError, ValueError):
+            what = "whole number" if kind is int else "number"
+            message = f'{path} is not a valid FMU: {place} is "{str(value)[:60]}", which is no {what}'
+            raise FmuError(message) from None
 
 
 def without_wrapping(words: str) -> str:

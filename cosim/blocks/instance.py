@@ -17,17 +17,17 @@ from cosim.base.scratch import process_folder
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import C_CODE, library_of, no_library, platform_of, platforms_among
-from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
+from cosim.blocks.fmi import DISCARD, Calls, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
-from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.shared_code import claim, own_symbols_first
 from cosim.fmi.lifetime import let_go_at_exit
 from cosim.fmi.sampled import sampled_by
 from cosim.storage.archive import unpack
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-WARNING, DISCARD, FATAL = 1, 2, 4
+WARNING, FATAL = 1, 4
 LONGEST_MESSAGE = 1000  # characters
 KEPT_FIRST, KEPT_LAST = 50, 50  # messages
 
@@ -49,15 +49,11 @@ class MessageLog:
         """Yield the messages, with a note in place of those between."""
         yield from self.first
         if self.omitted:
-            yield str(
+            yield (
                 f"{self.omitted:,} messages are left out here: the first {len(self.first)} and the last "
                 f"{len(self.last)} are recorded"
             )
         yield from self.last
-
-    def __getitem__(self, k: int) -> str:
-        every: list[str] = [*self]
-        return every[k]
 
     def append(self, text: str) -> None:
         """Add a message."""
@@ -99,7 +95,7 @@ class Instance:
         self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
         self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
         self.log = MessageLog()
-        self.fmi3 = self.description.fmiVersion.startswith("3")
+        self.fmi3 = calls.version == 3
         self.step_name = f"{calls.prefix}DoStep"
         self.fmu: Any = None
         self.component: Any = None
@@ -125,9 +121,19 @@ class Instance:
         hidden = claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
+        identifier = str(self.calls.about.modelIdentifier)
         try:
-            library, warning = self._library(folder)
-            self._load_library(folder, library, hidden=bool(hidden))
+            library, warning = library_of(folder, self.description, identifier) or (None, "")
+            if library is None:
+                platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
+                if not self._compiles or C_CODE not in platforms:
+                    raise FmuError(no_library(platform_of(self.description), platforms))
+                library = compile_library(folder, self.description, identifier)
+            try:
+                with own_symbols_first(self.path, library):
+                    self.calls.load(folder, library)
+            except Exception as error:  # FMPy raises bare Exceptions.
+                raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
             for text in filter(None, (warning, *hidden)):
                 self.remember(text)
             # pythonfmu reports its reasons in debug messages only.
@@ -136,35 +142,14 @@ class Instance:
                 self.calls.limit_logging()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
             reason = "; ".join((self.last_words() or str(error), *hidden))
-            raise FmuError(self._load_fault(reason)) from None
+            raise FmuError(f"{self.path} does not load: {reason}") from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
         self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
         let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
 
-    def _library(self, folder: Path) -> tuple[Path, str]:
-        """Return the library for this platform and a warning. A missing library is compiled from sources if allowed."""
-        identifier = self.calls.identifier
-        if (library := library_of(folder, self.description, identifier)) is not None:
-            return library
-        platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
-        if self._compiles and C_CODE in platforms:
-            return compile_library(folder, self.description, identifier), ""
-        raise FmuError(no_library(platform_of(self.description), platforms))
-
-    def _load_library(self, folder: Path, library: Path, *, hidden: bool) -> None:
-        """Load the library; raise FmuError with reason and remedy."""
-        try:
-            with own_symbols_first(self.path, library):
-                self.calls.load(folder, library)
-        except Exception as error:  # FMPy raises bare Exceptions.
-            raise FmuError(load_error(library, error, hidden=hidden)) from None
-
-    def _load_fault(self, reason: str) -> str:
-        """Return the message of an FMU that does not load; a reason with a code of its own keeps that code."""
-        return f"{self.path} does not load: {reason}"
-
     def _unpack(self) -> Path:
+        """Unpack the FMU unless it is unpacked; return the folder."""
         if self.place is not None:
             self._folder = self.place
             return self.place
@@ -177,7 +162,7 @@ class Instance:
                     f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
                 )
                 raise DiskFull(self.name, self.time, full) from None
-            raise FmuError(self._load_fault(str(error))) from None
+            raise FmuError(f"{self.path} does not load: {error}") from None
         return folder
 
     def free(self) -> None:
@@ -217,47 +202,48 @@ class Instance:
 
         The FMU must save and restore its state and accept steps of any length.
         """
-        part = self.description.coSimulation
-        states = getattr(part, "canGetAndSetFMUstate", False) or getattr(part, "canGetAndSetFMUState", False)
-        any_step = states and part.canHandleVariableCommunicationStepSize and sampled_by(self.path) is None
-        return bool(any_step and isinstance(self.calls, CoSimulation2 | CoSimulation3))
+        return bool(
+            self._declares("canGetAndSetFMU")
+            and self.calls.about.canHandleVariableCommunicationStepSize
+            and sampled_by(self.path) is None
+        )
+
+    @property
+    def serializes(self) -> bool:
+        """Return whether bytes hold the whole state."""
+        return self._declares("canGetAndSetFMU") and self._declares("canSerializeFMU") and not self._refuses
+
+    def _declares(self, capability: str) -> bool:
+        """Return whether the FMU is stepped and declares a capability regarding its state."""
+        is_stepped = self.calls.way == "co-simulation"
+        return is_stepped and any(getattr(self.calls.about, f"{capability}{s}", False) for s in ("state", "State"))
+
+    def _of_state(self, name: str) -> str:
+        """Return the name of a function for the state of the FMU, by its first word."""
+        return f"{name}FMU{'State' if self.fmi3 else 'state'}"
 
     def save_state(self) -> Any:
         """Return the state, to restore and free."""
-        with self.check_calls():
-            return self.fmu.getFMUState() if self.fmi3 else self.fmu.getFMUstate()
+        return self.call(self._of_state("get"))
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
         """Restore a saved state, and free the state unless `keep` is set."""
-        with self.check_calls():
-            if self.fmi3:
-                self.fmu.setFMUState(state)
-            else:
-                self.fmu.setFMUstate(state)
+        self.call(self._of_state("set"), state)
         if not keep:
             self.free_state(state)
 
     def free_state(self, state: Any) -> None:
         """Free a state that is not restored."""
-        with self.check_calls():
-            (self.fmu.freeFMUState if self.fmi3 else self.fmu.freeFMUstate)(state)
-
-    @property
-    def serializes(self) -> bool:
-        """Return whether bytes hold the whole state."""
-        part = self.description.coSimulation
-        declared = bool(getattr(part, "canGetAndSetFMUstate", False) and getattr(part, "canSerializeFMUstate", False))
-        return declared and not self._refuses and isinstance(self.calls, CoSimulation2 | CoSimulation3)
+        self.call(self._of_state("free"), state)
 
     def serialize(self) -> bytes | None:
         """Return the state as bytes, if possible."""
         if not self.serializes:
             return None
-        fmu = self.fmu
         try:
-            state = fmu.getFMUState() if self.fmi3 else fmu.getFMUstate()
-            content = fmu.serializeFMUState(state) if self.fmi3 else fmu.serializeFMUstate(state)
-            fmu.freeFMUState(state) if self.fmi3 else fmu.freeFMUstate(state)
+            state = getattr(self.fmu, self._of_state("get"))()
+            content = getattr(self.fmu, self._of_state("serialize"))(state)
+            getattr(self.fmu, self._of_state("free"))(state)
         except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
             self._refuses = True
             return None
@@ -265,10 +251,7 @@ class Instance:
 
     def deserialize(self, content: bytes) -> None:
         """Restore a state from bytes."""
-        fmu = self.fmu
-        with self.check_calls():
-            state = fmu.deserializeFMUState(content) if self.fmi3 else fmu.deSerializeFMUstate(content)
-        self.restore_state(state)
+        self.restore_state(self.call(self._of_state("deserialize" if self.fmi3 else "deSerialize"), content))
 
     # -- messages -------------------------------------------------------------------------
 
@@ -289,7 +272,7 @@ class Instance:
 
     def remember(self, text: str) -> None:
         """Add a message to the log."""
-        self.log.append(text if len(text) <= LONGEST_MESSAGE else text[:LONGEST_MESSAGE])  # keeps a message's code
+        self.log.append(text if len(text) <= LONGEST_MESSAGE else text[:LONGEST_MESSAGE])
 
     def last_words(self) -> str:
         """Return the FMU's last message on a single line."""
@@ -307,13 +290,18 @@ class Instance:
         except FMICallException as error:
             self.judge(error.function, error.status)
 
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of FMPy's object; a failure becomes a SimulationError."""
+        with self.check_calls():
+            return getattr(self.fmu, name)(*arguments)
+
     def stepping(self) -> Step:
         """Return the function that steps the FMU.
 
         Model exchange makes many FMI calls per step. Its errors therefore name the failed call and the call's time.
         """
         calls, step = self.calls, self.calls.stepping()
-        if not isinstance(calls, ModelExchange2):
+        if not isinstance(calls, ModelExchange):
             return step
         from fmpy.fmi1 import FMICallException
 
@@ -345,11 +333,7 @@ class Instance:
                 f"{function} returned Discard: the FMU ended the simulation early{words and f': {words}'}",
                 readable=True,
             )
-        self._fail(function, status)
-
-    def _fail(self, function: str, status: int) -> None:
-        """Raise SimulationError for a failed call. After Fatal the instance is abandoned, as FMI demands."""
-        if status == FATAL:
+        if status == FATAL:  # FMI demands to abandon the instance.
             self.fmu = None
         words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
         if "KeyboardInterrupt" in words:  # Ctrl-C arrived while the FMU's Python code ran.

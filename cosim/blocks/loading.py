@@ -32,102 +32,76 @@ def load_error(library: Path, error: Exception, *, hidden: bool = False) -> str:
     text = " ".join(str(error).split())
     text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
     text = re.sub(rf"{re.escape(str(library.parent))}/?", "", text)
-    return header_fault(library) or _loader_fault(library.name, text, error, hidden)
+    fault = _header_fault(library) or _loader_fault(text, error, hidden)
+    return f"its library {library.name}: {fault}"
 
 
-def header_fault(library: Path) -> str | None:
+def _header_fault(library: Path) -> str | None:
     """Return a library file's misfit with this machine.
 
     Only Linux files are examined; on other systems the loader's own text is clear.
     """
     if platform.system() != "Linux":
         return None
-    name = library.name
     try:
         with library.open("rb") as stream:
             head = stream.read(64)
     except OSError as error:
-        return f"its library {name}: cannot be read: {error.strerror}"
+        return f"cannot be read: {error.strerror}"
     if head.startswith(POINTER_OF_LFS):
-        return (
-            f'its library {name}: is a pointer of git-lfs, not the file itself; "git lfs pull" in its repository '
-            "brings it"
-        )
+        return 'is a pointer of git-lfs, not the file itself; "git lfs pull" in its repository brings it'
     for magic, system in OTHER_SYSTEMS.items():
         if head.startswith(magic):
-            return (
-                f"its library {name}: is made for {system}, though its folder is that of Linux; export the FMU "
-                "for this platform"
-            )
+            return f"is made for {system}, though its folder is that of Linux; export the FMU for this platform"
     if len(head) < 20 or not head.startswith(ELF):
-        return (
-            f"its library {name}: is no library (it begins with {head[:8].hex(' ') or 'nothing'}); export the "
-            "FMU for this platform"
-        )
+        return f"is no library (it begins with {head[:8].hex(' ') or 'nothing'}); export the FMU for this platform"
     bits, own_bits = BITS.get(head[4], 0), 8 * struct.calcsize("P")
     if bits != own_bits:
-        return (
-            f"its library {name}: has {bits} bits (wrong ELF class), this Python {own_bits}; export the FMU for "
-            "this platform"
-        )
+        return f"has {bits} bits (wrong ELF class), this Python {own_bits}; export the FMU for this platform"
     (processor,) = struct.unpack_from("<H" if head[5] == 1 else ">H", head, 18)
     own = MACHINES.get(platform.machine().lower())
     if own is not None and processor != own:
         other = PROCESSORS.get(processor, f"processor {processor}")
-        return (
-            f"its library {name}: is made for {other}, this machine is {PROCESSORS[own]}; export the FMU for "
-            "this platform"
-        )
+        return f"is made for {other}, this machine is {PROCESSORS[own]}; export the FMU for this platform"
     return None
 
 
-def _loader_fault(name: str, text: str, error: Exception, hidden: bool) -> str:
+def _loader_fault(text: str, error: Exception, hidden: bool) -> str:
     """Return the message for a text of the loader, with the remedy of a known cause."""
     if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or SYMBOL.search(text)):
-        return f"its library {name}: {text}"
+        return text
     if match := TOO_NEW.search(text):
         own = ""
         if sys.platform == "linux" and match["name"] == "GLIBC":
             own = f", this machine has {os.confstr('CS_GNU_LIBC_VERSION')}"
         package = MAKERS.get(match["name"], match["name"])
         return (
-            f"its library {name}: needs {package} {match['version']}{own} ({text}); run it on a newer system, or "
+            f"needs {package} {match['version']}{own} ({text}); run it on a newer system, or "
             "have the FMU built on an older one"
         )
-    if (match := MISSING.search(text)) and isinstance(_cause(error), OSError):
+    # FMPy raises a bare Exception.
+    cause = error.__context__ if error.__context__ is not None and type(error) is Exception else error
+    if (match := MISSING.search(text)) and isinstance(cause, OSError):
         return (
-            f"its library {name}: needs {match['file']}, which is not on this machine ({text}); install the "
+            f"needs {match['file']}, which is not on this machine ({text}); install the "
             f"package that has {match['file']}, or name its folder in LD_LIBRARY_PATH"
         )
     if match := SYMBOL.search(text):
         if isinstance(error, AttributeError):  # The library is loaded, but an FMI function is missing.
             return (
-                f"its library {name}: has no function {match['name']}, which FMI demands ({text}); export the "
+                f"has no function {match['name']}, which FMI demands ({text}); export the "
                 "FMU for this platform with a tool that writes it"
             )
         return (
-            f"its library {name}: needs {match['name']}, which no library that it names has ({text}); the FMU "
+            f"needs {match['name']}, which no library that it names has ({text}); the FMU "
             "was linked without the library that has it: export it again, with that library"
         )
-    if _is_execution_refused(text):
+    is_refused = "Operation not permitted" in text or "Permission denied" in text
+    if "failed to map segment" in text and sys.platform == "linux":
+        is_refused |= bool(os.statvfs(tempfile.gettempdir()).f_flag & os.ST_NOEXEC)
+    if is_refused:
         return (
-            f"its library {name}: may not be executed where FMUs are unpacked ({text}); set TMPDIR to a folder "
+            f"may not be executed where FMUs are unpacked ({text}); set TMPDIR to a folder "
             "in which programs may be executed (not mounted noexec)"
         )
-    return f"its library {name}: {text}"
-
-
-def _is_execution_refused(text: str) -> bool:
-    if "Operation not permitted" in text or "Permission denied" in text:
-        return True
-    return "failed to map segment" in text and _is_without_programs(tempfile.gettempdir())
-
-
-def _is_without_programs(folder: str) -> bool:
-    """Return whether the folder's disk is mounted noexec."""
-    return sys.platform == "linux" and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)
-
-
-def _cause(error: Exception) -> BaseException:
-    """Return the error behind FMPy's bare Exception."""
-    return error.__context__ if error.__context__ is not None and type(error) is Exception else error
+    return text

@@ -15,10 +15,8 @@ from itertools import pairwise
 from typing import Any
 
 from cosim.base.errors import SimulationError
-from cosim.base.messages import Note
-from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
-from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
+from cosim.blocks.fmi import Calls, Step, end_of
 from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, solver
 
 EVENTS_NOT_SEPARATED = (
@@ -40,8 +38,8 @@ EVER_FASTER = 4  # spans between crossings of an indicator that are each shorter
 STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
 
 
-class ModelExchange2(Calls):
-    """FMI 2.0 model exchange.
+class ModelExchange(Calls):
+    """Calls of an FMU for model exchange.
 
     Attributes:
         longest: Longest step of the solver [s]; None for a share of the run.
@@ -53,12 +51,16 @@ class ModelExchange2(Calls):
     """
 
     way: Way = "model-exchange"
-    fmpy_class = "fmi2.FMU2Model"
-    next_event: float | None
+    fmpy_class = "Model"
 
     def __init__(self, name: str, description: Any) -> None:
         super().__init__(name, description)
-        self.time, self.next_event = 0.0, None
+        self.time = 0.0
+        self.next_event: float | None = None
+        self._states, self._indicator_count = description.numberOfContinuousStates, description.numberOfEventIndicators
+        # FMI 1.0 demands the call of every host.
+        self._needs_completed_steps = self.version == 1 or bool(self.about.needsCompletedIntegratorStep)
+        self._first: Any = None  # event information from the initialization of FMI 1.0
         self.solver: Any = None
         self.solver_name: Solver | None = None
         self.longest: float | None = None
@@ -74,18 +76,39 @@ class ModelExchange2(Calls):
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
-        self.fmu.setupExperiment(startTime=self.start_time, stopTime=self.stop_time)  # tolerance: solver only
+        if self.version == 1:
+            self.fmu.setTime(self.start_time)
+        super().prepare()
 
     def leave(self) -> None:
-        self._initialize()
+        if self.version == 1:
+            self._first = self.fmu.initialize()
+        else:
+            self.fmu.exitInitializationMode()
         self.time = self.start_time
         self.update()
-        self._enter_continuous_time()
-        self.solver = self._solver()
+        self._enter("ContinuousTime")
+        self.solver = solver(
+            self.solver_name,
+            self.fmu,
+            self.symbol,
+            states=self._states,
+            indicators=self._indicator_count,
+            start=self.start_time,
+            longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
+            tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
+            single_steps=self._needs_completed_steps,
+            max_steps=self.max_steps,
+        )
         self._started = True
 
     def stepping(self) -> Step:
         return self._step
+
+    def _enter(self, mode: str) -> None:
+        """Enter a mode of the FMU; FMI 1.0 has none."""
+        if self.version > 1:
+            getattr(self.fmu, f"enter{mode}Mode")()
 
     def inputs_changed(self, take: Callable[[], None] | None) -> None:
         if take is None:  # An event at the end of the step is handled without them, unless a change is due.
@@ -103,11 +126,11 @@ class ModelExchange2(Calls):
 
     def event(self, change: Callable[[], None] | None = None) -> None:
         """Handle an event: change inputs, then update discrete states."""
-        self._enter_event()
+        self._enter("Event")
         if change is not None:
             change()
         self.update()
-        self._enter_continuous_time()
+        self._enter("ContinuousTime")
 
     @property
     def goes_back(self) -> bool:
@@ -116,10 +139,7 @@ class ModelExchange2(Calls):
 
     def save(self) -> tuple[float, list[float]]:
         """Return time [s] and continuous states, for `go_back`."""
-        states = (ctypes.c_double * max(1, self.description.numberOfContinuousStates))()
-        if self.description.numberOfContinuousStates:
-            self.fmu.getContinuousStates(ctypes.cast(states, DOUBLES), self.description.numberOfContinuousStates)
-        return self.time, list(states)
+        return self.time, self._numbers(self.fmu.getContinuousStates, self._states)
 
     def go_back(self, saved: tuple[float, list[float]]) -> None:
         """Take back the states before a step, whose event, if any, has not been handled."""
@@ -128,47 +148,15 @@ class ModelExchange2(Calls):
         self._place(self.time, states)
         self.solver.reset(self.time)
 
-    # -- calls that differ between versions -----------------------------------------------------
-
-    def _initialize(self) -> None:
-        self.fmu.exitInitializationMode()
-
-    def _enter_event(self) -> None:
-        self.fmu.enterEventMode()
-
-    def _enter_continuous_time(self) -> None:
-        self.fmu.enterContinuousTimeMode()
-
-    @property
-    def _needs_completed_steps(self) -> bool:
-        """Return whether the FMU needs a call after each accepted step of the solver."""
-        return bool(self.description.modelExchange.needsCompletedIntegratorStep)
-
-    def _completed_step(self) -> tuple[bool, bool]:
-        """Report a solver step; return event and end requests."""
-        if not self._needs_completed_steps:
-            return False, False
-        event, terminate = self.fmu.completedIntegratorStep()
-        return event, terminate
-
-    def _update_discrete_states(self) -> Any:
-        return self.fmu.newDiscreteStates()
-
     # -- internal -------------------------------------------------------------------------------
 
-    def _solver(self) -> Any:
-        return solver(
-            self.solver_name,
-            self.fmu,
-            self.symbol,
-            states=self.description.numberOfContinuousStates,
-            indicators=self.description.numberOfEventIndicators,
-            start=self.start_time,
-            longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
-            tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
-            single_steps=self._needs_completed_steps,
-            max_steps=self.max_steps,
-        )
+    @staticmethod
+    def _numbers(function: Any, count: int) -> list[float]:
+        """Return the numbers of an FMU by one of its functions."""
+        cells = (ctypes.c_double * max(1, count))()
+        if count:
+            function(ctypes.cast(cells, DOUBLES), count)
+        return list(cells)[:count]
 
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
         """Integrate to the communication point across all events."""
@@ -217,9 +205,12 @@ class ModelExchange2(Calls):
                 except SolverFailed as error:
                     raise SimulationError(self.name, self.time, self._explain(error)) from None
             self.fmu.setTime(self.time)
-            step_event, terminate = self._completed_step()
-            if terminate:
-                self._end()
+            step_event = False
+            if self._needs_completed_steps:
+                answer = self.fmu.completedIntegratorStep()
+                step_event, terminate = (answer, False) if self.version == 1 else answer
+                if terminate:
+                    raise end_of(self.name, self.time)
             if state_event or step_event or self.time >= target:
                 return state_event, step_event
 
@@ -232,7 +223,7 @@ class ModelExchange2(Calls):
         Raises:
             SimulationError: Two events are closer together than times can be separated.
         """
-        if not self.description.numberOfEventIndicators:
+        if not self._indicator_count:
             event, _, time = self.solver.step(self.time, target)
             return bool(event), float(time)
         spacing = math.ulp(max(abs(self.time), abs(target), target - self.start_time))
@@ -287,24 +278,18 @@ class ModelExchange2(Calls):
     def _place(self, time: float, states: Sequence[float]) -> None:
         """Set time and continuous states."""
         self.fmu.setTime(time)
-        if self.description.numberOfContinuousStates:
+        if self._states:
             cells = (ctypes.c_double * len(states))(*states)
             self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), len(states))
 
     def _indicators(self, time: float, states: Sequence[float]) -> list[float]:
         """Return the event indicators at a point."""
         self._place(time, states)
-        cells = (ctypes.c_double * self.description.numberOfEventIndicators)()
-        self.fmu.getEventIndicators(ctypes.cast(cells, DOUBLES), len(cells))
-        return list(cells)
+        return self._numbers(self.fmu.getEventIndicators, self._indicator_count)
 
     def _rates(self) -> list[float]:
         """Return the derivatives of the continuous states."""
-        count = self.description.numberOfContinuousStates
-        cells = (ctypes.c_double * max(1, count))()
-        if count:
-            derivatives_of(self.fmu)(ctypes.cast(cells, DOUBLES), count)
-        return list(cells)
+        return self._numbers(derivatives_of(self.fmu), self._states)
 
     def _explain(self, error: SolverFailed) -> str:
         """Return the solver's reason with the derivative's name."""
@@ -312,7 +297,7 @@ class ModelExchange2(Calls):
             return error.reason
         number, value = error.derivative
         derivatives = self.description.derivatives
-        are_scalar = len(derivatives) == self.description.numberOfContinuousStates  # Arrays would break the numbering.
+        are_scalar = len(derivatives) == self._states  # Arrays would break the numbering.
         name = derivatives[number].variable.name if are_scalar else f"number {number + 1}"
         return (
             f"the derivative {name} is {value}, also with the shortest steps of the solver. If the solution is "
@@ -335,24 +320,30 @@ class ModelExchange2(Calls):
     def _point(self) -> tuple[list[float], ...]:
         """Return continuous states, their derivatives and the event indicators."""
         states = self.save()[1]
-        indicators = self._indicators(self.time, states) if self.description.numberOfEventIndicators else []
+        indicators = self._indicators(self.time, states) if self._indicator_count else []
         return states, self._rates(), indicators
 
     def update(self) -> None:
         """Update discrete states until stable; note the next time event."""
         due: float | None = None
         for _ in range(MOST_EVENTS):
-            more, terminate, _, _, defined, time = self._update_discrete_states()
+            if self.version > 1:
+                update = self.fmu.newDiscreteStates if self.version == 2 else self.fmu.updateDiscreteStates
+                more, terminate, _, _, defined, time = update()
+            else:
+                first, self._first = self._first, None
+                converged, _, _, terminate, defined, time = self.fmu.eventUpdate() if first is None else first
+                more = first is None and not converged
             if terminate:
-                self._end()
+                raise end_of(self.name, self.time)
             due = time if defined else None
             if more:
                 continue
             if due is None or due > self.time:
                 self.next_event = due
                 return
-            self._enter_continuous_time()  # A time event due now is an event of its own.
-            self._enter_event()
+            self._enter("ContinuousTime")  # A time event due now is an event of its own.
+            self._enter("Event")
         fault = f"its discrete states still change after {MOST_EVENTS} updates"
         if due is not None and due <= self.time:
             fault = (
@@ -360,49 +351,6 @@ class ModelExchange2(Calls):
                 "not in the future; the FMU must give a later time or none"
             )
         raise SimulationError(self.name, self.time, fault)
-
-    def _end(self) -> None:
-        raise EarlyEnd(self.name, self.time, Note("the FMU ended the simulation"), readable=True)
-
-
-def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:
-    """Return whether an indicator leaves its side and returns to it within a step.
-
-    Args:
-        ahead: Indicator shortly after the beginning, along its slope.
-        was: Whether it did so in a longer step. It then still does if it moves towards the other side.
-    """
-    leaves = (ahead > 0.0) != (begin > 0.0) or (was and (ahead <= begin if begin > 0.0 else ahead >= begin))
-    return leaves and (end > 0.0) == (begin > 0.0)
-
-
-class ModelExchange1(Version1, ModelExchange2):
-    """Calls of an FMU for FMI 1.0 model exchange, without modes and with a single call per event."""
-
-    fmpy_class = "fmi1.FMU1Model"
-    _needs_completed_steps = True  # FMI 1.0 demands the call of every host.
-    _first: Any = None  # event information from the initialization
-
-    def prepare(self) -> None:
-        self._started, self.solver = False, None
-        self.fmu.setTime(self.start_time)
-
-    def _initialize(self) -> None:
-        self._first = self.fmu.initialize()
-
-    def _enter_event(self) -> None:
-        """Do nothing; FMI 1.0 has no modes."""
-
-    def _enter_continuous_time(self) -> None:
-        """Do nothing; FMI 1.0 has no modes."""
-
-    def _completed_step(self) -> tuple[bool, bool]:
-        return self.fmu.completedIntegratorStep(), False
-
-    def _update_discrete_states(self) -> Any:
-        first, self._first = self._first, None
-        converged, *more = self.fmu.eventUpdate() if first is None else (True, *first[1:])
-        return (not converged, more[2], more[0], more[1], *more[3:])
 
     def state_references(self) -> list[int]:
         """Return the value references of the continuous states. FMI 1.0 declares them at run time only, if at all."""
@@ -415,19 +363,12 @@ class ModelExchange1(Version1, ModelExchange2):
         return list(references)
 
 
-class ModelExchange3(ModelExchange2):
-    """FMI 3.0 model exchange."""
+def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:
+    """Return whether an indicator leaves its side and returns to it within a step.
 
-    fmpy_class, prefix, exchange = "fmi3.FMU3Model", "fmi3", EXCHANGE3
-
-    def instantiate(self, listen: Listen, logging: bool) -> None:
-        CoSimulation3.instantiate(self, listen, logging)  # type: ignore[arg-type]
-
-    def prepare(self) -> None:
-        self._started, self.solver = False, None
-
-    def enter(self) -> None:
-        self.fmu.enterInitializationMode(startTime=self.start_time, stopTime=self.stop_time)
-
-    def _update_discrete_states(self) -> Any:
-        return self.fmu.updateDiscreteStates()
+    Args:
+        ahead: Indicator shortly after the beginning, along its slope.
+        was: Whether it did so in a longer step. It then still does if it moves towards the other side.
+    """
+    leaves = (ahead > 0.0) != (begin > 0.0) or (was and (ahead <= begin if begin > 0.0 else ahead >= begin))
+    return leaves and (end > 0.0) == (begin > 0.0)

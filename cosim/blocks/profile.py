@@ -54,7 +54,7 @@ class ProfileFunction:
         step: Length [s] of the steps of a run, for the comparison of times.
     """
 
-    def __init__(self, profile: Profile, factor: float, step: float = 0.0) -> None:
+    def __init__(self, profile: Profile, factor: float = 1.0, step: float = 0.0) -> None:
         begins = [profile.start]
         for before, change in zip(profile.changes, profile.changes[1:], strict=False):
             begins.append(_value_after(begins[-1], before.to, before.rate, change.at - before.at))
@@ -83,11 +83,6 @@ class ProfileFunction:
                 ramp = begin + np.copysign(rate * np.maximum(0.0, elapsed), to - begin)
                 values[part] = np.where(abs(to - begin) <= rate * elapsed, to, ramp)
         return self.factor * values
-
-
-def profile_function(profile: Profile, factor: float = 1.0, step: float = 0.0) -> ProfileFunction:
-    """Return a profile as a scaled function of time."""
-    return ProfileFunction(profile, factor, step)
 
 
 def _value_after(begin: float, to: float, rate: float | None, elapsed: float) -> float:

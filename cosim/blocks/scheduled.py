@@ -12,29 +12,25 @@ from collections.abc import Collection
 from typing import Any
 
 from cosim.blocks.description import Way
-from cosim.blocks.event_mode import EVENT, INITIALIZATION, EventCoSimulation3, EventFmu
+from cosim.blocks.event_mode import INITIALIZATION, EventCalls, EventFmu
 from cosim.blocks.fmi import Calls, Listen
 
 
-class ScheduledExecution3(EventCoSimulation3):
+class ScheduledCalls(EventCalls):
     """Calls of an FMU for FMI 3.0 scheduled execution.
 
     Attributes:
         on_update: Function called when the FMU says that a clock has changed.
     """
 
-    fmpy_class, way = "fmi3.FMU3ScheduledExecution", "scheduled-execution"
+    fmpy_class, way = "ScheduledExecution", "scheduled-execution"
 
     def __init__(self, name: str, description: Any) -> None:
         super().__init__(name, description)
         self.may_return = False
         self.on_update: Any = lambda: None
 
-    @property
-    def identifier(self) -> str:
-        return str(self.description.scheduledExecution.modelIdentifier)
-
-    def instantiate(self, listen: Listen, logging: bool) -> None:
+    def instantiate(self, listen: Listen, logging: bool, **options: Any) -> None:
         from fmpy import fmi3
 
         fmu = self.fmu  # FMPy's own method drops the updates of clocks; the callbacks must live as long as the FMU.
@@ -57,12 +53,12 @@ class ScheduledFmu(EventFmu):
     has_jumped = is_stirred = False  # Inputs are taken by the partitions.
 
     def _make_calls(self, way: Way | None) -> Calls:
-        calls = ScheduledExecution3(self.name, self.description)
+        calls = ScheduledCalls(self.name, self.description)
         calls.on_update = self._on_update
         return calls
 
-    def _enter_first(self) -> None:
-        self.mode, self.active = EVENT, set()
+    def start(self) -> None:
+        super().start()
         self._fired: list[str] = []
         self._last: dict[str, float] = {}  # clock → time of its last activation [s]
         self._failure: BaseException | None = None
@@ -105,14 +101,13 @@ class ScheduledFmu(EventFmu):
                 f"clock {name} was due twice at t = {t:.6g} s; FMI allows one activation at a time, so one is left out"
             )
             if name in self.timers:
-                self.timers[name].tick()
+                self.timers[name].count += 1
             return
         self._last[name] = t
         self.active = set()
         self._count([name])
         super().put()
-        with self.instance.check_calls():
-            self.instance.fmu.activateModelPartition(self.clocks[name].reference, t)
+        self.instance.call("activateModelPartition", self.clocks[name].reference, t)
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
@@ -125,8 +120,7 @@ class ScheduledFmu(EventFmu):
             self._read_intervals()
             idle = [c for c in self.output_clocks if c.name not in self._fired]
             if idle:
-                with self.instance.check_calls():
-                    states = self.instance.fmu.getClock([c.reference for c in idle])
+                states = self.instance.call("getClock", [c.reference for c in idle])
                 self._fired += [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
         except BaseException as failure:  # Exceptions cannot pass through C.
             self._failure = failure

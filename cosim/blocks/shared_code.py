@@ -24,7 +24,10 @@ from cosim.base.messages import CheckNote, CheckWarning
 from cosim.blocks.elf import ElfLibrary, read_elf
 from cosim.storage.archive import DAMAGES, DESCRIPTION
 
-ENDING = {"Windows": r"\.dll", "Darwin": r"\.dylib|\.so"}.get(platform.system(), r"\.so(\.\d+)*")
+# files of this system's libraries, and words in their folders, of FMI 1.0, 2.0 and 3.0
+ENDING, WORDS = {"Windows": (r"\.dll", ("win", "windows")), "Darwin": (r"\.dylib|\.so", ("darwin",))}.get(
+    platform.system(), (r"\.so(\.\d+)*", ("linux",))
+)
 LIBRARY = re.compile(rf".*({ENDING})", re.IGNORECASE)
 PLATFORM = re.compile(r"(?:^|/)binaries/([^/]+)/")
 RESOURCES = re.compile(r"(?:resources/original/)*resources/(?P<name>(?P<top>[^/.]+)[^/]*(?P<rest>/.*)?)")
@@ -49,16 +52,16 @@ class Code:
         offered: Code that another FMU's search by name could find.
         symbols: Symbols that its libraries define.
         needed: Libraries that its libraries need.
-        modules: Python module → checksum of its file.
         libraries: Name and digest of each library in the FMU.
+        modules: Python module → checksum of its file.
     """
 
     wanted: Mapping[str, str] = field(default_factory=dict)
     offered: Mapping[str, str] = field(default_factory=dict)
     symbols: frozenset[str] = frozenset()
     needed: frozenset[str] = frozenset()
-    modules: Mapping[str, int] = field(default_factory=dict)
     libraries: frozenset[tuple[str, str]] = frozenset()
+    modules: Mapping[str, int] = field(default_factory=dict)
 
     def clash(self, other: Code) -> str:
         """Return what both FMUs have by one name and with different content, "" if nothing."""
@@ -86,46 +89,31 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
     with zipfile.ZipFile(path) as archive:
         files = [info for info in archive.infolist() if not info.is_dir()]
         own = {name.decode() for name in IDENTIFIER.findall(archive.read(DESCRIPTION))}
+        versions = {*VERSION, *(f"{identifier}_fmiGetVersion" for identifier in own)}
         for info in files:
-            if not _is_library(info.filename):
+            folder = PLATFORM.findall(info.filename)
+            is_of_here = not folder or any(word in folder[-1] for word in WORDS)
+            if not (is_of_here and LIBRARY.fullmatch(info.filename)):
                 continue
             name, digest = PurePosixPath(info.filename).name, f"{info.CRC:08x}-{info.file_size}"
             elf = read_elf(archive.read(info)) if sys.platform.startswith("linux") else ElfLibrary()
             names = {f"library {n}": digest for n in (name, elf.soname) if n}
             offered |= names
             libraries |= {(n, digest) for n in (name, elf.soname)}
-            if not (name.partition(".")[0] in own or elf.defined & {*VERSION} or _is_of_fmi1(elf, own)):
-                wanted |= names
             unique = {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
-            wanted |= unique
+            is_fmu = name.partition(".")[0] in own or not elf.defined.isdisjoint(versions)
+            wanted |= unique if is_fmu else names | unique
             offered |= unique
             symbols |= elf.defined
             needed |= elf.needed
     modules = _modules([(info.filename, f"{info.CRC:08x}-{info.file_size}") for info in files])
-    scripts = {info.filename: info.CRC for info in files if info.filename.endswith(".py")}
-    own_files = dict[str, int]()
-    for name in (module.removeprefix("Python module ") for module in modules):
+    found = frozenset(symbols), frozenset(needed), frozenset(libraries)
+    checksums = dict.fromkeys(modules, 0)
+    for name in modules:
         places = f"resources/{name}.py", f"resources/{name}/__init__.py"
-        own_files |= dict.fromkeys([name], next((c for file, c in scripts.items() if file.endswith(places)), 0))
-    every = frozenset(symbols), frozenset(needed), own_files, frozenset(libraries)
-    return Code(wanted | modules, offered | modules, *every)
-
-
-def _is_of_fmi1(elf: ElfLibrary, identifiers: Iterable[str]) -> bool:
-    return any(f"{identifier}_fmiGetVersion" in elf.defined for identifier in identifiers)
-
-
-def _is_library(name: str) -> bool:
-    """Return whether a file of an FMU is a library that this system can load."""
-    if not LIBRARY.fullmatch(name):
-        return False
-    folder = PLATFORM.findall(name)
-    return not folder or any(word in folder[-1] for word in _words_of_platform())
-
-
-def _words_of_platform() -> tuple[str, ...]:
-    """Return words in the folders of this system's libraries, of FMI 1.0, 2.0 and 3.0."""
-    return {"Windows": ("win", "windows"), "Darwin": ("darwin",)}.get(platform.system(), ("linux",))
+        checksums[name] = next((info.CRC for info in files if info.filename.endswith(places)), 0)
+    contents = {f"Python module {name}": content for name, content in modules.items()}
+    return Code(wanted | contents, offered | contents, *found, checksums)
 
 
 def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
@@ -138,7 +126,7 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
     data = [entry for top, part in parts.items() if top not in modules for entry in part]
     if not any(n.endswith(".py") for part in modules.values() for n, _ in part):
         return {}
-    return {f"Python module {top}": repr(sorted([*part, *data])) for top, part in modules.items()}
+    return {top: repr(sorted([*part, *data])) for top, part in modules.items()}
 
 
 # -- FMUs of one process ---------------------------------------------------------------------------
@@ -171,7 +159,10 @@ def claim(path: Path) -> list[str]:
                     "rename the module in the FMU"
                 )
     brought = code.needed & {name for name, _ in code.libraries}
-    for file in _libraries_of_process() if brought else ():
+    maps = []
+    with suppress(OSError):  # none except on Linux
+        maps = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines() if brought]
+    for file in sorted({parts[5] for parts in maps if len(parts) == 6 and ".so" in parts[5]}):
         name, digest = _soname_and_digest(file)
         if name in brought and (name, digest) not in code.libraries:
             warnings.append(
@@ -179,15 +170,6 @@ def claim(path: Path) -> list[str]:
                 "FMU therefore uses; rename the FMU's library, or link it statically"
             )
     return [*map(CheckWarning, warnings)]
-
-
-def _libraries_of_process() -> list[str]:
-    """Return the files of the libraries that this process has loaded; none except on Linux."""
-    try:
-        maps = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines()]
-    except OSError:
-        return []
-    return sorted({parts[5] for parts in maps if len(parts) == 6 and ".so" in parts[5]})
 
 
 @lru_cache(1024)
@@ -233,9 +215,9 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
     A process that replaces the allocator (LD_PRELOAD), an FMU that has an allocator and one that needs Python's library
     share the symbols of the process.
     """
-    handle, folder = None, os.getcwd()
+    handle = None
     if sys.platform == "linux" and _needs_own_symbols(code_of(path)):
-        library = library.resolve()
+        library, folder = library.resolve(), os.getcwd()
         os.chdir(library.parent)  # as FMPy does
         with suppress(OSError):  # FMPy's load reports it.
             handle = ctypes.CDLL(str(library), mode=os.RTLD_NOW | os.RTLD_LOCAL | os.RTLD_DEEPBIND)._handle
@@ -250,9 +232,7 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
 
 
 def _needs_own_symbols(code: Code) -> bool:
-    if sys.platform != "linux":
-        return False
-    if not hasattr(os, "RTLD_DEEPBIND") or "LD_PRELOAD" in os.environ:
+    if sys.platform != "linux" or not hasattr(os, "RTLD_DEEPBIND") or "LD_PRELOAD" in os.environ:
         return False
     if code.symbols & ALLOCATORS or any(name.startswith("libpython") for name in code.needed):
         return False

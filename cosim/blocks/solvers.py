@@ -35,7 +35,7 @@ FAILURES = {  # CVODE's error codes with remedies
 }
 
 
-def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str] | None = None, **settings: Any) -> Any:
+def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str], **settings: Any) -> Any:
     """Return the named solver; by default CVODE, else solve_ivp.
 
     solve_ivp replaces CVODE on platforms for which FMPy has none. Both have the same interface:
@@ -90,18 +90,16 @@ class CompiledRates(ctypes.Structure):
     )
 
     @classmethod
-    def of(
-        cls, fmu: Any, states: int, data: int, start: float, symbol: Callable[[str], str] | None
-    ) -> CompiledRates | None:
-        """Return the derivatives of an FMU; None without states or compiler, or if its calls are logged.
+    def of(cls, fmu: Any, states: int, data: int, start: float, symbol: Callable[[str], str]) -> CompiledRates | None:
+        """Return the derivatives of an FMU; None without states or compiler.
 
         Args:
             data: Offset of the pointer to the numbers within the content of a vector.
-            symbol: Name of an FMI function → its name in the library; None for a library that is not loaded by FMPy.
+            symbol: Name of an FMI function → its name in the library.
         """
-        if not states or symbol is None or getattr(fmu, "fmiCallLogger", None) is not None:
-            return None
         try:
+            if not states:
+                return None
             rates_function()
         except (NoCompiler, CompilerFailed):
             return None
@@ -113,16 +111,6 @@ class CompiledRates(ctypes.Structure):
         version = next(number for number in "123" if hasattr(fmu, f"fmi{number}SetTime"))
         rates.names = [f"fmi{version}{name}" for name in names]
         return rates
-
-    def error(self) -> tuple[Exception | None, bool]:
-        """Return the reason for which CVODE could not use the last point, if any, and whether a call failed."""
-        from fmpy.fmi1 import FMICallException
-
-        if not self.refusals:
-            return None, False
-        if self.status:
-            return FMICallException(function=self.names[self.call], status=self.status), self.status != DISCARD
-        return SolverFailed(FAILURES[-3], (self.place, self.rate)), False
 
 
 @cache
@@ -141,7 +129,7 @@ def cvode(
     tolerance: float,
     single_steps: bool = False,
     max_steps: int | None = None,
-    symbol: Callable[[str], str] | None = None,
+    symbol: Callable[[str], str],
 ) -> Any:
     """Return FMPy's CVODE for an FMU, whose derivatives C calls if there is a compiler.
 
@@ -155,6 +143,7 @@ def cvode(
     """
     from fmpy.fmi1 import FMICallException
     from fmpy.sundials import CVodeSolver
+    from fmpy.sundials.libraries import sundials_core as core
     from fmpy.sundials.libraries import sundials_cvode as library
     from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
 
@@ -249,21 +238,25 @@ def cvode(
 
         def _raise(self) -> None:
             """Raise the reason for which CVODE did not reach the target."""
-            if compiled is not None:
-                self._take(compiled)
+            if compiled is not None and compiled.refusals:
+                error: Exception = SolverFailed(FAILURES[-3], (compiled.place, compiled.rate))
+                if compiled.status:
+                    error = FMICallException(function=compiled.names[compiled.call], status=compiled.status)
+                if compiled.status not in (0, DISCARD):
+                    raise error
+                self.refusals += [error] * compiled.refusals
             if self.failed is not None:
                 raise self.failed
             if len(self.refusals) >= REFUSALS:
                 raise self.refusals[-1]
-            raise SolverFailed(_failure(self.error_info, most))
-
-        def _take(self, rates: CompiledRates) -> None:
-            """Store what the compiled derivatives met."""
-            error, is_failure = rates.error()
-            if is_failure:
-                self.failed = error
-            elif error is not None:
-                self.refusals += [error] * rates.refusals
+            if self.error_info is None:
+                raise SolverFailed("CVODE failed")
+            number, _, _, text = self.error_info
+            reason = FAILURES.get(number) or f"CVODE failed (code {number}): {' '.join(text.split())}"
+            if number == TOO_MUCH_WORK:
+                other = ", or take solver: solve_ivp"
+                reason = TOO_MANY_SOLVER_STEPS.format(solver="CVODE", count=most, other=other)
+            raise SolverFailed(reason)
 
         def _refuse(self, error: FMICallException) -> int:
             if error.status == DISCARD:
@@ -290,37 +283,13 @@ def cvode(
     )
     if compiled is not None:
         integrator.compiled = compiled  # lives as long as the solver
-        _set_user_data(integrator, compiled)
-    _silence(integrator)
-    return integrator
-
-
-def _set_user_data(integrator: Any, data: ctypes.Structure) -> None:
-    """Let CVODE pass a structure to the compiled derivatives."""
-    from fmpy.sundials.libraries import sundials_cvode
-
-    pointer = ctypes.c_void_p(ctypes.addressof(data))
-    sundials_cvode.CVodeSetUserData(ctypes.c_void_p(integrator.cvode_mem), pointer)
-
-
-def _silence(integrator: Any) -> None:
-    """Suppress the messages that CVODE prints itself; `_failure` reports its errors."""
-    from fmpy.sundials.libraries import sundials_core
-
+        library.CVodeSetUserData(integrator.memory, ctypes.c_void_p(ctypes.addressof(compiled)))
+    # CVODE prints nothing itself; `_raise` reports its errors.
     logger = ctypes.c_void_p()
-    if sundials_core.SUNContext_GetLogger(integrator.sunctx, ctypes.byref(logger)) == 0 and logger:
+    if core.SUNContext_GetLogger(integrator.sunctx, ctypes.byref(logger)) == 0 and logger:
         for name in ("SUNLogger_SetErrorFilename", "SUNLogger_SetWarningFilename"):
-            getattr(sundials_core, name)(logger, os.devnull.encode())
-
-
-def _failure(report: tuple[int, str, str, str] | None, max_steps: int = MAX_STEPS) -> str:
-    """Return CVODE's reason without source locations."""
-    if report is None:
-        return "CVODE failed"
-    number, _, _, text = report
-    if number == TOO_MUCH_WORK:
-        return TOO_MANY_SOLVER_STEPS.format(solver="CVODE", count=max_steps, other=", or take solver: solve_ivp")
-    return FAILURES.get(number) or f"CVODE failed (code {number}): {' '.join(text.split())}"
+            getattr(core, name)(logger, os.devnull.encode())
+    return integrator
 
 
 def _not_finite(values: Any) -> tuple[int, float] | None:
@@ -376,7 +345,7 @@ class SolveIvp:
         self._first_step, self._longest = longest, longest or self.whole
         self._nominal = (ctypes.c_double * max(1, self.states))(1.0)
         if self.states:
-            nominals(self.fmu, self._pointer(self._nominal), self.states)
+            nominals(self.fmu, ctypes.cast(self._nominal, DOUBLES), self.states)
 
     def step(self, t: float, target: float) -> tuple[bool, list[int], float]:
         """Integrate by one step towards the target, or just beyond the first state event."""
@@ -398,8 +367,14 @@ class SolveIvp:
         self._steps += 1
         self.is_first, self.last_step = False, radau.t - t
         if self._signs(radau.t, radau.y) != before:
-            time = self._time_after_crossing(before, t, radau.t, radau.dense_output())
-            return True, [int(z > 0) - int(old) for old, z in zip(before, self._z, strict=False)], time
+            end, solution = radau.t, radau.dense_output()
+            while t < (middle := 0.5 * (t + end)) < end:  # to the first time at which signs are found changed
+                if self._signs(middle, solution(middle)) == before:
+                    t = middle
+                else:
+                    end = middle
+            self._signs(end, solution(end))
+            return True, [int(z > 0) - int(old) for old, z in zip(before, self._z, strict=False)], float(end)
         if radau.status == "running" and self._steps == self.max_steps:
             raise SolverFailed(TOO_MANY_SOLVER_STEPS.format(solver="solve_ivp", count=self._steps, other=""))
         self._set(radau.t, radau.y)
@@ -410,35 +385,25 @@ class SolveIvp:
         from scipy.integrate import Radau
 
         if self.states:
-            self.fmu.getContinuousStates(self._pointer(self._x), self.states)
+            self.fmu.getContinuousStates(ctypes.cast(self._x, DOUBLES), self.states)
         x = list(self._x) if self.states else [0.0]
         scale = [self.tolerance * abs(n) for n in self._nominal]
         settings = {"rtol": self.tolerance, "atol": scale, "max_step": self._longest}
         first = None if self._first_step is None else min(self._first_step, target - t)
         self._radau, self._steps = Radau(self._rates, t, x, target, first_step=first, **settings), 0
 
-    def _time_after_crossing(self, before: list[bool], t: float, end: float, solution: Any) -> float:
-        """Return the first time at which signs are found changed, by bisection; set the FMU to it."""
-        while t < (middle := 0.5 * (t + end)) < end:
-            if self._signs(middle, solution(middle)) == before:
-                t = middle
-            else:
-                end = middle
-        self._signs(end, solution(end))
-        return float(end)
-
     def _signs(self, t: float, x: Any) -> list[bool]:
         """Return whether each event indicator is positive; set the FMU to the point."""
         self._set(t, x)
         if self.indicators:
-            self.fmu.getEventIndicators(self._pointer(self._z), self.indicators)
+            self.fmu.getEventIndicators(ctypes.cast(self._z, DOUBLES), self.indicators)
         return [z > 0 for z in self._z][: self.indicators]
 
     def _set(self, t: float, x: Any) -> None:
         self.fmu.setTime(t)
         if self.states:
             self._x[:] = [float(v) for v in x]
-            self.fmu.setContinuousStates(self._pointer(self._x), self.states)
+            self.fmu.setContinuousStates(ctypes.cast(self._x, DOUBLES), self.states)
 
     def _rates(self, t: float, x: Any) -> list[float]:
         """Return the derivatives; NaN if the FMU discards. Radau then tries a shorter step."""
@@ -447,7 +412,7 @@ class SolveIvp:
         try:
             self._set(t, x)
             if self.states:
-                self._derivatives(self._pointer(self._dx), self.states)
+                self._derivatives(ctypes.cast(self._dx, DOUBLES), self.states)
         except FMICallException as error:
             if error.status != DISCARD:
                 raise
@@ -455,7 +420,3 @@ class SolveIvp:
             return [math.nan] * len(self._dx)
         self.discarded, self.derivative = None, _not_finite(self._dx)
         return list(self._dx)
-
-    @staticmethod
-    def _pointer(values: Any) -> Any:
-        return ctypes.cast(values, DOUBLES)

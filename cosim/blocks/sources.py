@@ -18,8 +18,8 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.times import rounding, roundings
 from cosim.base.units import computed_in
-from cosim.blocks.component import Row, RowComponent, Signal
-from cosim.blocks.profile import Profile, ProfileFunction, profile_function
+from cosim.blocks.component import Component, Row, Signal
+from cosim.blocks.profile import Profile, ProfileFunction
 from cosim.blocks.stepping import Slot
 from cosim.storage.table import Table, read_columns, source_of
 
@@ -27,7 +27,7 @@ TEXTS = {"String", "Binary"}
 WHOLE = re.compile(r"[-+]?\d+")
 
 
-class SourceBlock(RowComponent):
+class SourceBlock(Component):
     """Signals as functions of time; their `over` equals single calls at ordered times."""
 
     def __init__(
@@ -115,7 +115,7 @@ def reference(name: str, profiles: Mapping[str, Profile], step: float = 0.0) -> 
     signals = {}
     for signal, profile in profiles.items():
         unit, factor = computed_in(profile.unit)
-        signals[signal] = (unit, profile_function(profile, factor, step))
+        signals[signal] = (unit, ProfileFunction(profile, factor, step))
     return SourceBlock(name, signals)
 
 

@@ -139,18 +139,13 @@ def library() -> Any:
     return run
 
 
-def move(function: Any, exchange: Exchange, row: Row, finite: int = 0) -> Move:
-    """Return a get or set call for C.
-
-    Args:
-        finite: Number of leading values that must be finite.
-    """
+def move(function: Any, exchange: Exchange, row: Row) -> Move:
+    """Return a get or set call for C."""
     kind, place = exchange.kind, ctypes.addressof(row) + 8 * exchange.places.start
-    values = place if kind.ctype is ctypes.c_double else ctypes.addressof(exchange.buffer)
+    references, count, values, scalars = exchange.arguments
     bounds = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
-    pointer, references = ctypes.cast(function, c_void_p), ctypes.addressof(exchange.vrs)
-    count, number = len(exchange.vrs), TYPES[kind.ctype]
-    return Move(pointer, references, count, exchange.count, values, place, *bounds, finite, number)
+    pointer = ctypes.cast(function, c_void_p)
+    return Move(pointer, references, count, scalars, values, place, *bounds, exchange.finite, TYPES[kind.ctype])
 
 
 def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets: Sequence[Move], time: float) -> Slot:
@@ -192,30 +187,8 @@ def transfer(row: Row, origin: int, to: int, links: Sequence[ConvertedLink] = ()
     return result
 
 
-def link(
-    kind: LinkKind,
-    window: tuple[int, int] = (0, 0),
-    *,
-    a: float = 0.0,
-    b: float = 0.0,
-    values: Any = None,
-    marks: Any = None,
-    past: Any = None,
-    count: int = 0,
-) -> ConvertedLink:
-    """Return a link; buffers are referenced, not copied.
-
-    Args:
-        values: Buffer of doubles, like `past`.
-        marks: Buffer of bytes.
-    """
-    result = ConvertedLink(kind, *window, a, b, _address(values), _address(marks), _address(past), count)
-    result.keeping = values, marks, past
-    return result
-
-
-def _address(buffer: Any) -> int | None:
-    """Return the address of a buffer."""
+def address_of(buffer: Any) -> int | None:
+    """Return the address of a buffer, which is referenced and not copied; None for an empty one."""
     return None if not buffer else ctypes.addressof(ctypes.c_char.from_buffer(buffer))
 
 
@@ -257,7 +230,7 @@ class Loop:
         self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), next=first)
         plan.slot, plan.hold = ctypes.addressof(self.slots), ctypes.addressof(hold)
         plan.row, plan.table = ctypes.addressof(row), table.ctypes.data
-        plan.counter, plan.doing, plan.asked = _address(counter), _address(doing), _address(asked)
+        plan.counter, plan.doing, plan.asked = address_of(counter), address_of(doing), address_of(asked)
 
     def prepare(self, slot: int, values: Array, since: int) -> None:
         """Set prepared values of a slot of version 0, without copying.

@@ -11,6 +11,7 @@ from typing import Any
 
 from cosim.base.errors import Fault, FmuError, InputError, refuse
 from cosim.blocks.description import (
+    PARTS,
     platform_of,
     platforms_among,
     read_description,
@@ -107,6 +108,13 @@ def summaries(paths: Sequence[Path]) -> list[Summary]:
 
 def summary_of(path: Path, description: Any) -> Summary:
     """Return the summary of a described FMU."""
+    platforms = platforms_of(path)
+    capabilities: dict[str, dict[str, Any]] = {}
+    for way, attribute in PARTS.items():
+        if (part := getattr(description, attribute, None)) is not None:
+            values = {field.name: getattr(part, field.name) for field in type(part).__attrs_attrs__}
+            is_set = {name: value for name, value in values.items() if value and isinstance(value, (bool, int, float))}
+            capabilities[way] = is_set
     return Summary(
         file=str(path),
         name=description.modelName or path.stem,
@@ -114,9 +122,9 @@ def summary_of(path: Path, description: Any) -> Summary:
         tool=description.generationTool or "",
         description=" ".join((description.description or "").split()),
         ways=list(ways(description)),
-        capabilities=_capabilities(description),
-        platforms=platforms_of(path),
-        runs_here=platform_of(description) in platforms_of(path),
+        capabilities=capabilities,
+        platforms=platforms,
+        runs_here=platform_of(description) in platforms,
         experiment=experiment_of(description),
         states=state_names(description),
         variables=[_variable(v) for v in description.modelVariables],
@@ -133,18 +141,6 @@ def experiment_of(description: Any) -> dict[str, float]:
         with suppress(AttributeError, TypeError, ValueError):
             numbers[key] = float(getattr(description.defaultExperiment, attribute))
     return numbers
-
-
-def _capabilities(description: Any) -> dict[str, dict[str, Any]]:
-    """Return each interface's set flags and numbers."""
-    parts = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
-    parts["scheduled-execution"] = getattr(description, "scheduledExecution", None)
-    return {way: _flags(part) for way, part in parts.items() if part is not None}
-
-
-def _flags(part: Any) -> dict[str, Any]:
-    values = {field.name: getattr(part, field.name) for field in type(part).__attrs_attrs__}
-    return {name: value for name, value in values.items() if value and isinstance(value, (bool, int, float))}
 
 
 def platforms_of(path: Path) -> list[str]:

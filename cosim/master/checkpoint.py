@@ -155,8 +155,7 @@ class Keeper:
         try:
             for name, memories in state.get("links", {}).items():
                 for link, memory in zip(master.copying.links[name], memories, strict=True):
-                    if hasattr(link, "restore"):
-                        link.restore(memory)
+                    link.restore(memory)
             for component in master.components:
                 master.announce(component)
                 component.restore(state["components"][component.name])
@@ -196,10 +195,7 @@ class Keeper:
             can_save = hasattr(component, "checkpoint") and not master.system.reruns
             components[component.name] = component.checkpoint() if can_save else None
         master.doing[0] = NOTHING
-        links = {
-            name: [link.save(k) if hasattr(link, "save") else None for link in chain]
-            for name, chain in master.copying.links.items()
-        }
+        links = {name: [link.save(k) for link in chain] for name, chain in master.copying.links.items()}
         if master.inbox is not None:
             changes += master.inbox.changes
         for name in (ROWS, BESIDE):

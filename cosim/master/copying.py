@@ -6,7 +6,8 @@ from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from cosim.blocks.faults import Addition, LinkFunction
+from cosim.blocks.faults import LinkFunction
+from cosim.blocks.stepping import LinkKind
 from cosim.system.system import System
 from cosim.system.wiring import Transfer, through
 
@@ -37,7 +38,7 @@ class Copying:
         for transfer in transfers:
             if transfer.name not in self._entries:
                 chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
-                noise = next((link.samples for link in chain if isinstance(link, Addition)), None)
+                noise = next((link.values for link in chain if link.kind is LinkKind.ADDED), None)
                 ends: tuple[int, tuple[Any, ...]] = 0, (transfer.source, transfer.target)
                 if not transfer.plain:
                     origin, goal = (self.beside if beside else self.row for beside in transfer.beside)

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.base.errors import SimulationError
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
+from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import Copies, copy_values
@@ -64,7 +64,7 @@ class Part:
         self.row, self.inputs = master.row, slice(first, first + len(component.inputs))
         self.time, self.lead, self.ahead = master.system.start, 0.0, 0
         self.has_events = isinstance(component, EventFmu)
-        self.exchange: ModelExchange2 | None = component.calls if takes_parts and is_exchange(component) else None
+        self.exchange: ModelExchange | None = component.calls if takes_parts and is_exchange(component) else None
         self.may_return: bool = component.may_return if self.has_events else self.exchange is not None
         self.rank = LAST
         if not takes_parts:

@@ -264,7 +264,7 @@ def simulate(
                 here.progress.made[0] += 1
     except SimulationError as error:
         stop = error
-    counts, made = block.event_counts, len(inputs)
+    counts, made = block.calls.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
     parts = (np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made]))
     known, acting, found = parts

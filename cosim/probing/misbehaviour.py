@@ -93,7 +93,7 @@ def outputs_again(way: Way, fmu: Fmu, course: Course) -> Array:
 
     block, row = fmu.opened_by(way, course)
     with closing(block):
-        library, _ = library_of(fmu.place, block.description, block.calls.identifier) or (None, "")
+        library, _ = library_of(fmu.place, block.description, block.calls.about.modelIdentifier) or (None, "")
         kept = ctypes.CDLL(str(library))
         run_along(block, row, course)
     table, _ = outputs_by(way, fmu, course)

@@ -18,9 +18,8 @@ from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refu
 from cosim.base.times import rounding, roundings
 from cosim.base.units import Conversion, conversion
 from cosim.blocks.component import Signal
-from cosim.blocks.description import takes_any_step
-from cosim.blocks.fmu import FmuBlock, read_description
-from cosim.blocks.restartable import RestartableFmu
+from cosim.blocks.description import read_description, takes_any_step
+from cosim.blocks.fmu import FmuBlock, RestartableFmu
 from cosim.fmi.sampled import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows

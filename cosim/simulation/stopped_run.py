@@ -30,7 +30,7 @@ from cosim.base.scratch import lock_file
 from cosim.base.times import rounding, roundings
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import LONGEST, ModelExchange2
+from cosim.blocks.model_exchange import LONGEST, ModelExchange
 from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
 from cosim.master.remote import IN_USE, read_state
@@ -105,7 +105,7 @@ class StoppedRun:
     def solver_steps(self, system: System) -> dict[str, float]:
         """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
         calls = {s.component.name: s.component.calls for s in system.stages if isinstance(s.component, FmuBlock)}
-        exchanged = {name: each for name, each in calls.items() if isinstance(each, ModelExchange2)}
+        exchanged = {name: each for name, each in calls.items() if isinstance(each, ModelExchange)}
         start = self._first.start_time
         stop = start + self._first.step * self._first.steps  # as the master computes it
         return {n: (stop - start) / LONGEST for n, each in exchanged.items() if each.longest is None}

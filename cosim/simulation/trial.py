@@ -12,8 +12,7 @@ from cosim.base.errors import Fault, FmuError, InputError, refuse
 from cosim.base.messages import CheckWarning, with_severity
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
-from cosim.blocks.description import takes_any_step
-from cosim.blocks.fmu import read_description
+from cosim.blocks.description import read_description, takes_any_step
 from cosim.blocks.guard import validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker

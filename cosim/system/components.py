@@ -11,10 +11,10 @@ from typing import Any
 from cosim.base.errors import FmuError, InputError
 from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
-from cosim.blocks.description import read_description, state_names, ways
-from cosim.blocks.fixes import COUNT, Fixes, Sensor
+from cosim.blocks.description import matches, read_description, state_names, ways
+from cosim.blocks.fixes import COUNT, Fixes, fix_outputs
 from cosim.blocks.fmi_types import element_names, kinds_of
-from cosim.blocks.fmu import FmuBlock, matches
+from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock, playback, reference
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
@@ -84,8 +84,7 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None
         signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
-    sensor = Sensor(component.rate, component.latency, component.dropout, signals)
-    collisions = [n for n in signals if n in sensor.outputs()]
+    collisions = [n for n in signals if n in fix_outputs(signals)]
     for signal in collisions:
         other = "the output that counts the fixes" if signal == COUNT else "an output with the fixes of another signal"
         message = f'"{signal}" is already the name of {other}; give the signal another name'
@@ -97,7 +96,10 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
             f"{fastest:g} Hz, or a shorter step"
         )
         diagnosis.note(("components", name, "rate"), message)
-    return None if too_fast or collisions else Fixes(name, sensor, scenario.step, scenario.seed)
+    if too_fast or collisions:
+        return None
+    rates = component.rate, component.latency, component.dropout
+    return Fixes(name, *rates, signals, step=scenario.step, seed=scenario.seed)
 
 
 def _fmu(

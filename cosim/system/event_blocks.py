@@ -14,7 +14,7 @@ from cosim.blocks.component import Component
 from cosim.blocks.description import Way, takes_any_step, ways
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.scheduled import ScheduledFmu
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
@@ -118,7 +118,7 @@ def _timings(
 
 def is_exchange(component: Component) -> bool:
     """Return whether model exchange steps a component."""
-    return isinstance(component, FmuBlock) and isinstance(component.calls, ModelExchange2)
+    return isinstance(component, FmuBlock) and isinstance(component.calls, ModelExchange)
 
 
 def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:

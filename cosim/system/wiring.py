@@ -13,10 +13,10 @@ from cosim.base.messages import with_prefix
 from cosim.base.times import whole_steps
 from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
-from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, gaussian, points, stream
+from cosim.blocks.faults import LinkFunction, fault_function, gaussian, points, stream
 from cosim.blocks.fmi_types import input_aliases, is_compatible, negative
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.stepping import ConvertedLink, LinkKind, link
+from cosim.blocks.stepping import LinkKind
 from cosim.scenario.scenario import (
     Connection,
     Disturbance,
@@ -97,10 +97,11 @@ class Transfer:
         """Return the value's conversions in order: unit, noise, faults, sign of an alias."""
         chain: list[LinkFunction] = []
         if self.factor != 1.0 or self.offset != 0.0:
-            chain.append(Scaling(self.factor, self.offset))
+            chain.append(LinkFunction(LinkKind.AFFINE, a=self.factor, b=self.offset))
         if self.noise is not None:
             rng = stream(seed, self.of or self.name)
-            chain.append(Addition(gaussian(rng, self.noise.variance, self.noise.bias, count)))
+            samples = gaussian(rng, self.noise.variance, self.noise.bias, count)
+            chain.append(LinkFunction(LinkKind.ADDED, values=samples))
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.of or self.name} {fault.kind} {number}")
@@ -108,26 +109,23 @@ class Transfer:
             settings = {"value": fault.value, "probability": fault.probability, "delay": delay}
             chain.append(fault_function(fault.kind, window, count, rng, **settings))  # type: ignore[arg-type]
         if self.sign != (1.0, 0.0):
-            chain.append(Scaling(*self.sign))
+            chain.append(LinkFunction(LinkKind.AFFINE, a=self.sign[0], b=self.sign[1]))
         if self.items is not None:
             chain.append(_Checked(self, start, step))
         return tuple(chain)
 
 
-class _Checked:
+class _Checked(LinkFunction):
     """A check that a value is an item of the target enumeration."""
 
     def __init__(self, transfer: Transfer, start: float, step: float) -> None:
+        super().__init__(LinkKind.ITEMS, values=array("d", (transfer.items or {}).values()))
         self.transfer, self.start, self.step = transfer, start, step
 
     def __call__(self, k: int, v: Any) -> Any:
         if k:  # Values may be undefined until initialization ends.
             self.transfer.check_item(v, self.start + k * self.step)
         return v
-
-    def link(self) -> ConvertedLink:
-        items = array("d", (self.transfer.items or {}).values())
-        return link(LinkKind.ITEMS, values=items, count=len(items))
 
 
 def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:

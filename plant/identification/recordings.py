@@ -14,7 +14,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.text import counted
 from cosim.base.units import factor
 from cosim.blocks.description import read_description
-from cosim.blocks.restartable import RestartableFmu
+from cosim.blocks.fmu import RestartableFmu
 from cosim.storage.table import DECIMAL_COMMA, Column, Faults, Use, read_table
 from cosim.storage.yaml_file import did_you_mean
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
