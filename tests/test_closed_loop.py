@@ -40,7 +40,7 @@ def figure_6_2(limit: float, craft: Hovercraft, duration: float = 10.0) -> dict[
     for _ in range(round(duration / H) + 1):
         y = dict(zip(NAMES, stepper.output(moment.t, moment.state, ()), strict=True))
         a = sum(y[f"thrust_{side}"] * math.sin(y[f"tilt_{side}_actual"]) for side in ("right", "left")) / craft.mass
-        u = feedback(gain, (y["x"], y["vx"], y["psi"], y["psi_dot"], a), (0.0,) * 5, limit)
+        u = feedback(gain, (y["x"], y["vx"], y["psi"], y["psi_dot"], a), limit)
         rows.append(list(y.values()))
         commands.append(max(map(abs, u)))
         moment = stepper.step(moment, (craft.duty_nominal, craft.duty_nominal, *u), H)

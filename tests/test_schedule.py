@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.base.times import MOST, steps_in, whole_steps
-from cosim.blocks.coupling import OWN, Algorithm, Plan
+from cosim.blocks.coupling import DEFAULT, OWN, Algorithm, Plan
 from cosim.blocks.faults import fault_function, points
 from cosim.simulation import criteria
 from cosim.system.schedule import schedule
@@ -45,7 +45,7 @@ def scenario(step: float = 0.1, steps: int = 10, connections: Any = (), **more: 
 @pytest.mark.parametrize(
     ("plan", "place", "words"),
     [
-        (order_by_dependencies, "connections", "(order: [a, b]) or algorithm: jacobi"),
+        (DEFAULT.plan, "connections", "(order: [a, b]) or algorithm: jacobi"),
         (lambda components, edges, order: Plan(("a",), (False,) * len(edges)), "algorithm", "third steps a; it must"),
     ],
 )

@@ -24,21 +24,12 @@ from cosim.verbs.options import ARGS, options_of
 from cosim.verbs.terminal import LAST, MANNER, say, say_error, say_usage, warn
 
 VERSION = "--version"  # needs no verb
-_app = typer.Typer(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
-
-
 def _show_version(value: bool) -> None:
     if value:
         say(f"cosim {__version__} (FMU co-simulation; not the command of the Open Simulation Platform)")
         raise typer.Exit
 
 
-@_app.callback()
 def main(
     version: Annotated[
         bool, typer.Option(VERSION, callback=_show_version, is_eager=True, help="Show the version and exit.")
@@ -59,20 +50,25 @@ _python_shows = warnings.showwarning
 warnings.showwarning = _show_warning
 
 
-def _register(chosen: str = "") -> None:
-    """Register all verbs.
+def _command_line(chosen: str = "") -> typer.Typer:
+    """Return the command line with all verbs.
 
     Args:
         chosen: Only verb with options, because those of the others need imports; a verb of cosim is registered alone.
     """
-    _app.registered_commands.clear()  # of another command line in this process
-    if chosen == VERSION:
-        return
-    for name, verb in verbs(chosen if chosen in VERBS and VERBS[chosen].command else ""):
+    line = typer.Typer(
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+    )
+    line.callback()(main)
+    for name, verb in () if chosen == VERSION else verbs(chosen if chosen in VERBS and VERBS[chosen].command else ""):
         if verb.command and (command := attempt(name, verb.command)) is not None:
             run = _with_options(command, verb) if chosen in {"", name} else lambda: None
             text, group = ARGS.sub("\n", getdoc(command) or ""), verb.group or "Other packages"
-            _app.command(name, help=text, rich_help_panel=group)(run)
+            line.command(name, help=text, rich_help_panel=group)(run)
+    return line
 
 
 def _with_options(command: Callable[..., Any], verb: Verb) -> Callable[..., None]:
@@ -94,9 +90,8 @@ def __getattr__(name: str) -> Any:
     """Return `app`, the command line with all verbs."""
     if name != "app":
         raise AttributeError(name)
-    _register()
-    globals()["app"] = _app
-    return _app
+    globals()["app"] = app = _command_line()
+    return app
 
 
 def entry() -> None:
@@ -120,8 +115,8 @@ def _run() -> int:
         with suppress(FileNotFoundError):  # the current folder may be removed
             check_text([os.getcwd()])
         check_text([*sys.argv[1:], os.environ.get("TMPDIR", "")])
-        _register(sys.argv[1] if len(sys.argv) > 1 else "-h")
-        return int(_app(standalone_mode=False) or 0)
+        line = _command_line(sys.argv[1] if len(sys.argv) > 1 else "-h")
+        return int(line(standalone_mode=False) or 0)
     except CosimError as error:
         return say_error(error)
     except MemoryError:
