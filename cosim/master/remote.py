@@ -170,7 +170,7 @@ def _simulate_here(
     control = Control(system, exchange, counters)
     feed = Feed(observers, system, steps, h, control, rows.table)
     if start is not None:
-        rows.beside.extend(start.exact)  # type: ignore[attr-defined]
+        rows.beside.extend(start.exact)
         rows = replace(rows, given=start.count, keeper=Keeper(Path(), rows.asked, [0], start=start))
 
     def give(done: int) -> None:

@@ -248,7 +248,7 @@ def simulate(
             x, u = block.current_point()
             x[[*first]] = [*first.values()]
             block.move(float(course.time[0]), x, u)
-            block.restart_solver(float(course.time[0]))
+            block.calls.solver.reset(float(course.time[0]))
         for k, t in enumerate(course.time.tolist()):
             put_row(block, row, course, k)
             x, u = block.current_point()

@@ -40,7 +40,8 @@ from cosim.terms.alike import experiments_for
 from cosim.terms.code import term_code
 from cosim.terms.fmu_model import FmuModel, fmu_model
 from cosim.terms.language import Force, with_place
-from cosim.wrapping.wrap import CannotWrap, wrap
+from cosim.wrapping.wrap import wrap
+from cosim.wrapping.wrapped_description import CannotWrap
 
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
