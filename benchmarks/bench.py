@@ -21,9 +21,9 @@ from benchmarks.bench_library import library_figures
 from benchmarks.bench_native import native_figures
 from controller.loop import Loop
 from controller.settings import Settings
-from cosim.base.arrays import Array
-from cosim.base.errors import Interrupted
 from cosim.blocks.faults import gaussian, stream
+from cosim.core.arrays import Array
+from cosim.core.errors import Interrupted
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native.compiler import compiler
 from cosim.isolation import worker

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.files.results import Results
 from cosim.fmi.native.compiler import compiler
 from cosim.master.master import simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.results import Results
 from cosim.system.system import build_system
 from examples.coupling.build import HERE, build_all
 

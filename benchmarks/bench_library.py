@@ -17,24 +17,24 @@ import fmpy
 import numpy as np
 
 from benchmarks.bench_native import Seconds
-from cosim.blocks.description import read_description
+from cosim.estimation.kernel.generate import generate
+from cosim.estimation.kernel.kernel import Filtered
+from cosim.estimation.kernel.library_kernel import LibraryKernel, LibraryOf
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.fmu_subject import FmuSubject
+from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.fmi.building.build_native import build_native
+from cosim.fmi.description import read_description
 from cosim.fmi.native.compiler import compiler, load_library
-from cosim.kernel.generate import generate
-from cosim.kernel.kernel import Filtered
-from cosim.kernel.library_kernel import LibraryKernel, LibraryOf
-from cosim.loading.build_native import build_native
+from cosim.fmi.wrapping.wrap import wrap
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.model.quantities import Parameter
 from cosim.probing.places import probe_structure
-from cosim.subject.fmu_subject import FmuSubject
-from cosim.subject.model_subject import ModelSubject
 from cosim.terms.code import TermCode
 from cosim.terms.fmu_model import FmuModel, fmu_model
-from cosim.wrapping.wrap import wrap
 
 STEP, ROWS, CALLS, ROUNDS = 0.01, 2000, 20_000, 9
 EQUAL = 1e-3  # largest difference of the innovations of both kernels, relative to the noise

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from cosim.fmi.building.build_native import build_native
 from cosim.fmi.native.compiler import compiler, load_library
-from cosim.loading.build_native import build_native
 from cosim.master.master import PROGRESS_EVERY, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import System, build_system

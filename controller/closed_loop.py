@@ -15,9 +15,9 @@ import numpy as np
 
 from controller.loop import Loop
 from controller.settings import Settings
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
 from cosim.blocks.profile import Change, Profile, ProfileFunction
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
 from cosim.experiment.rigs import (
     FASTEST,
     SLOWEST,
@@ -30,9 +30,9 @@ from cosim.experiment.rigs import (
     played_lines,
     trial_of,
 )
+from cosim.files.csv_source import write_columns
 from cosim.fmi.fmu_build import build
 from cosim.model import Model, Values
-from cosim.storage.csv_source import write_columns
 from fmus.recipes import controller_recipe
 
 REFERENCE_BAND = (0.05, 0.5)  # [Hz]

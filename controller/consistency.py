@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from controller import monte_carlo
-from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.settings import Count, Seed
+from cosim.core.arrays import Array
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.settings import Count, Seed
 
 LEVEL = 0.95
 SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from controller.consistency import CONSISTENT, ConsistencyRow, by_case, common_verdict, headline, worst
-from cosim.base.text import counted, percent, plain
-from cosim.base.version import __version__
+from cosim.core.text import counted, percent, plain
+from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.base.settings import Seed
-from cosim.storage.files import write_json, write_text
-from cosim.storage.folders import new_run, remove_earlier
+from cosim.core.settings import Seed
+from cosim.files.files import write_json, write_text
+from cosim.files.folders import new_run, remove_earlier
 from cosim.verbs.terminal import progress_bar, say, say_json, show, table
 
 VERB, FILES = "cosim consistency", ("consistency.json", "report.html")

@@ -38,10 +38,10 @@ from controller.synthesis import (
     pole_faults,
     roll_numbers_of,
 )
-from cosim.base.errors import Fault, refuse
+from cosim.core.errors import Fault, refuse
+from cosim.files.artefact import Checking
+from cosim.files.yaml_file import InUnit, NotNegative, Part, Positive, PositiveSeconds, YamlFile
 from cosim.model import Model, parameters_of
-from cosim.storage.artefact import Checking
-from cosim.storage.yaml_file import InUnit, NotNegative, Part, Positive, PositiveSeconds, YamlFile
 from plant.hovercraft import Hovercraft
 
 Controller = Literal[

@@ -22,9 +22,9 @@ def __getattr__(name: str) -> Any:
         return list(_functions())
     if name.startswith("_") or (place := _functions().get(name)) is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from cosim.base.notebook import shows_progress
-    from cosim.base.registry import resolve
-    from cosim.base.settings import check_arguments
+    from cosim.core.notebook import shows_progress
+    from cosim.core.registry import resolve
+    from cosim.core.settings import check_arguments
 
     globals()[name] = shows_progress(check_arguments(resolve(place)))
     return globals()[name]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from cosim.base.program import as_program, ending_at_once
+from cosim.core.program import as_program, ending_at_once
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ sys.path[:0] = [str(DOCS), str(DOCS.parent)]
 
 from reference import PAGES  # noqa: E402
 
-from cosim.base.version import __version__  # noqa: E402
+from cosim.core.version import __version__  # noqa: E402
 
 project = "cosim"
 author = "The cosim authors"

@@ -11,9 +11,9 @@ from typing import Any
 import typer.main
 
 import cosim.model
-from cosim.base.registry import resolve
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.page import Compared
+from cosim.core.registry import resolve
 from cosim.refinement.refined_result import Refined
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals

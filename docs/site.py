@@ -15,7 +15,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from cosim.base.version import __version__
+from cosim.core.version import __version__
 
 DOCS = Path(__file__).resolve().parent
 ROOT, MADE, SITE = DOCS.parent, DOCS / "_made", DOCS / "_site"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from types import ModuleType
 
-from cosim.base.registry import resolve
+from cosim.core.registry import resolve
 from cosim.fmi.documentation import docstrings_html, model_text
 from cosim.fmi.fmu_build import Recipe, about_model, sort_values
 from cosim.fmi.model_description import Description
@@ -131,8 +131,8 @@ def extended_recipe() -> Recipe:
 
 def jacobians() -> str:
     """Return ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a cached Python module."""
+    from cosim.files.cache import fingerprint, load_or_make
     from cosim.model.symbolic.linearize import printed_jacobians
-    from cosim.storage.cache import fingerprint, load_or_make
     from plant.hovercraft import Hovercraft
 
     code = fingerprint(("cosim.model", "cosim.model.symbolic", "plant", "plant.effects"))

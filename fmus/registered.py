@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cosim.base.registry import ModelEntry, Page, Verb
-from cosim.storage.artefact import Artefact
+from cosim.core.registry import ModelEntry, Page, Verb
+from cosim.files.artefact import Artefact
 
 LAWS = {  # controllers with other laws and the same ports
     "controller-pole.fmu": "fmus.recipes:poles_recipe",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import refuse
+from cosim.core.errors import refuse
 from cosim.model import Stepper
 from cosim.model.namespaces import arrays
 from plant.bench import Bench

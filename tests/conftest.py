@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from cosim.base.program import collect_seldom
+from cosim.core.program import collect_seldom
+from cosim.fmi.building.build_native import build_native
 from cosim.fmi.fmu_build import Recipe, build
 from cosim.fmi.native import compiler as c_compiler
 from cosim.fmi.native.compiler import compiler
 from cosim.isolation import process
-from cosim.loading.build_native import build_native
 from fmus.recipes import controller_recipe, plant_recipe
 
 try:

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.storage.folders import INTERRUPTED, state_of
+from cosim.files.folders import INTERRUPTED, state_of
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 

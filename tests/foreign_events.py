@@ -115,7 +115,7 @@ def cosims(path: Path, start: float, step: float, steps: int, **component: Any) 
 
 def compare(path: Path, description: Any) -> str:
     """Return the comparison of an FMU with event mode as a sentence."""
-    from cosim.blocks.fmi_types import element_names
+    from cosim.fmi.fmi_types import element_names
 
     start, step, steps = plan(description)
     results = cosims(path, start, step, steps, interface="co-simulation", event_mode=True)

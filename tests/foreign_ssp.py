@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import CosimError, InputError
+from cosim.core.errors import CosimError, InputError
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.workflow import run
 from cosim.ssp.package import open_package

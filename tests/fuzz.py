@@ -32,8 +32,8 @@ import yaml
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from cosim.base.errors import CosimError
-from cosim.base.scratch import process_folder
+from cosim.core.errors import CosimError
+from cosim.core.scratch import process_folder
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.verbs.cli import entry
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from cosim.authoring.export import export_ssp
-from cosim.base.errors import CosimError
+from cosim.core.errors import CosimError
 from cosim.simulation.workflow import run
 from tests.hosts_fmpy import description_of
 

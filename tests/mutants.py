@@ -55,7 +55,7 @@ ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "mutants"
 FROZEN = ROOT / "tests" / "mutants_frozen.jsonl"
 ROOMS = {  # rooms of the frozen list → files, the first that matches; elsewhere a room is a folder
-    "units": ("cosim/base/units.py",),
+    "units": ("cosim/core/units.py",),
     "sources": ("cosim/blocks/sources.py", "cosim/blocks/profile.py"),
     "blocks": ("cosim/blocks/*.py",),
     "master": ("cosim/master/*.py",),

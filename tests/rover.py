@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from tests.logs import write_log
 
 STEP, FINE = 0.02, 10  # [s], and steps of the truth to a row

@@ -10,13 +10,13 @@ from typing import Any
 import jsonschema
 
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.interface import Workplace
 from cosim.logs.log import Log
 from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
-from cosim.subject.interface import Workplace
 from tests.blind.truth import write
 from tests.blind.truth_study import Study
 from tests.verdicts import contradictions

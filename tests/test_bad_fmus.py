@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.base.errors import InputError, TimedOut
 from cosim.calibration.fit_record import Record
 from cosim.calibration.fit_study import request_of
 from cosim.calibration.workflow import fit
+from cosim.core.errors import InputError, TimedOut
+from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.refinement.study import read_study
-from cosim.subject.fmu_subject import FmuSubject
 from tests.blind.fmu_build import WAYS, build
 from tests.test_refine_fmu import NOISE, RESISTANCE, run_motor, write_study
 

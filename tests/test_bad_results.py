@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.version import __version__
-from cosim.storage.kinds import MANIFEST, kind_of
-from cosim.storage.results import read_results
+from cosim.core.version import __version__
+from cosim.files.kinds import MANIFEST, kind_of
+from cosim.files.results import read_results
 from cosim.verbs.cli import app
 from tests.test_first_steps import told
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from cosim.loading.build import build
+from cosim.fmi.building.build import build
 from cosim.model import Stepper
 from cosim.model.namespaces import SCALAR
 from plant.bench import Bench

@@ -26,7 +26,7 @@ FINE = 20  # steps of the truth in a row
 
 def motor_study(folder: Path, rig: str, study: str) -> Path:
     """A motor that lacks nothing, on a multisine that its rig holds or ramps between rows, and how a study takes it."""
-    from cosim.loading.file import load_model
+    from cosim.fmi.building.file import load_model
 
     (folder / "motor.py").write_text(MOTOR)
     model = load_model("motor.py:Motor", folder).model

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from cosim.base.errors import SimulationError
 from cosim.blocks.component import EarlyEnd
+from cosim.core.errors import SimulationError
 from cosim.isolation import watch
 from cosim.isolation.limits import Limits
 from cosim.isolation.rows import CALLS, Progress

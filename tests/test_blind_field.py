@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.loading.file import load_model
+from cosim.fmi.building.file import load_model
 from cosim.model import Model, Stepper
 from tests.blind import field_score, field_study
 from tests.blind.field_rig import Entry, Rig, Run, fly

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import pytest
 
+from cosim.estimation.subject.base_parameters import base_parameters
+from cosim.estimation.subject.candidates import values_of_special_case
+from cosim.estimation.subject.model_subject import ModelSubject, neutral_values
 from cosim.model import Equations, Model, Namespace, parameter
-from cosim.subject.base_parameters import base_parameters
-from cosim.subject.candidates import values_of_special_case
-from cosim.subject.model_subject import ModelSubject, neutral_values
 from plant.hovercraft import Hovercraft
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError, SimulationError
-from cosim.base.times import first_point
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError, SimulationError
+from cosim.core.times import first_point
 from cosim.master.inbox import Control
 from cosim.master.observer import ObservedRun, Observer
 from tests.deeds import deeds_fmu, deeds_scenario

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import entry
 from tests.conftest import ROOT

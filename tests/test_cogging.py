@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from cosim.estimation.posing import build_problem
+from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.refinement.search import periods
 from cosim.refinement.study import read_study
-from cosim.subject.candidates import Candidate, Free
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 

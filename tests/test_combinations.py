@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files.results import Results
 from cosim.isolation.limits import Limits
 from cosim.master.master import simulate
 from cosim.master.own_process import in_own_processes
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.results import Results
 from cosim.system.system import build_system
 from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
 from tests.instants import CONSTANT, instants_fmu

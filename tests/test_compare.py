@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compare_runs
 from cosim.comparison.several import RunSource
 from cosim.comparison.workflow import compare
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.files.artefact import kind_by_keys
+from cosim.files.results import Results
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.artefact import kind_by_keys
-from cosim.storage.results import Results
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 

@@ -12,11 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.base.errors import CriterionMissed, InputError
 from cosim.comparison.page import comparison_page
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
+from cosim.core.errors import CriterionMissed, InputError
+from cosim.files.results import Results
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.results import Results
 from cosim.verbs.cli import app
 
 TIME = np.linspace(0, 1, 101)

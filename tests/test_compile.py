@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.base.errors import CosimError, FmuError, InputError
+from cosim.core.errors import CosimError, FmuError, InputError
 from cosim.fmi.native.compiler import compiler
 from cosim.verbs.cli import app
 from tests.bounce1 import bounce_fmu, library

@@ -15,11 +15,11 @@ from scipy.integrate import solve_ivp
 import cosim
 from cosim.estimation.fit import Slopes
 from cosim.estimation.problem import Scored
+from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.fmi.native.compiler import load_library
 from cosim.logs.log import read_log
 from cosim.probing.places import probe_places
 from cosim.refinement.decision.constancy import constancy
-from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.code import term_code
 from cosim.terms.language import RatioFactor
 from tests.blind.fmu_build import build

@@ -19,7 +19,7 @@ from controller.consistency import (
     independent_times,
 )
 from controller.monte_carlo import CASES, FlightCase, squares_of
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.verbs.cli import app
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.pages.formulas import Formula, derivative, integral, lowpass
 from cosim.pages.rows import TIME, Recording
 

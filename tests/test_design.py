@@ -15,9 +15,9 @@ import cosim
 from controller.design_model import design_model
 from controller.settings import GAINS, Settings
 from controller.synthesis import numbers_of
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.fmi.building.build_native import build_native
 from cosim.fmi.fmu_build import build
-from cosim.loading.build_native import build_native
 from cosim.sweeps.store import TABLE, read_table
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
 from cosim.blocks.derivatives import DifferentiableFmu
-from cosim.blocks.description import read_description
-from cosim.kernel.kernel import Data
+from cosim.core.arrays import Array
+from cosim.estimation.kernel.kernel import Data
+from cosim.estimation.subject.fmu_subject import FmuSubject
+from cosim.fmi.description import read_description
+from cosim.fmi.wrapping.wrap import wrap
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.places import probe_structure
-from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.code import term_code
-from cosim.wrapping.wrap import wrap
 from tests.blind import fmu_build
 from tests.blind.fmu_build import PLANTS, build
 from tests.native import NEEDS_COMPILER

@@ -17,8 +17,8 @@ from types import ModuleType
 import pytest
 import typer.main
 
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.fmi.fmu_build import build
-from cosim.subject.model_subject import ModelSubject
 from cosim.verbs import verbs
 from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
-from cosim.loading.file import load_model
 from cosim.model import Stepper
 from cosim.refinement.workflow import refine
 from tests.hosts_fmpy import Instance

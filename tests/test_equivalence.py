@@ -12,14 +12,14 @@ import pytest
 from cosim.estimation.fit import initial_fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.interface import Subject
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
 from cosim.refinement.decision import equivalence
 from cosim.refinement.decision.equivalence import act_alike
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.interface import Subject
-from cosim.subject.model_subject import ModelSubject
 from tests.test_refine_fmu import NOISE, run_motor, study_of_way
 
 

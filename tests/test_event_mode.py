@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
 from cosim.blocks.compiling import compiling
 from cosim.blocks.event_mode import EventFmu
+from cosim.core.errors import InputError
+from cosim.files.results import Results
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from cosim.storage.results import Results
 from cosim.system.system import System, build_system
 from tests.bounce1 import bounce_fmu
 from tests.conftest import ROOT

@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 from cosim.estimation.fit import Fit
 from cosim.estimation.plateaus import with_flat_directions
 from cosim.estimation.problem import Scored
+from cosim.estimation.subject.candidates import Free
 from cosim.refinement.decision.evidence import (
     BY_CHANCE,
     _variance_with_logs,
@@ -19,7 +20,6 @@ from cosim.refinement.decision.evidence import (
     gain_per_scatter,
     refuting_deviations,
 )
-from cosim.subject.candidates import Free
 from tests.cases import some
 
 BLOCKS, ROWS = 30, 100

@@ -18,7 +18,7 @@ from types import MappingProxyType, ModuleType
 import numpy as np
 import pytest
 
-from cosim.loading.file import load_model
+from cosim.fmi.building.file import load_model
 from cosim.model import SCALAR, Model
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
 from cosim.blocks import solvers
+from cosim.core.arrays import Array
+from cosim.files.results import Results
 from cosim.fmi.native.compiler import NoCompiler
 from cosim.logs.log import Log
 from cosim.master.master import StoppedRun, simulate
 from cosim.residuals.drive import Drive
 from cosim.residuals.workflow import replay
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.results import Results
 from cosim.system.system import build_system
 from tests.blind.fmu_build import build
 from tests.decay import DEEDS, decay_fmu

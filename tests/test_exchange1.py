@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cosim.files.results import Results
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.results import Results
 from cosim.system.system import build_system
 from cosim.verbs.cli import app
 from tests.bounce1 import bounce_fmu

@@ -18,8 +18,9 @@ from typer.testing import CliRunner
 
 from controller.loop import Loop
 from controller.settings import Settings
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.estimation.posing import build_problem
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.chosen_input import Excitation
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
@@ -28,7 +29,6 @@ from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Attribution
 from cosim.simulation.workflow import run
-from cosim.subject.model_subject import ModelSubject
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 from tests.blind.truth import VARIANCE

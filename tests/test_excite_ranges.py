@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from controller.closed_loop import ClosedLoop
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 

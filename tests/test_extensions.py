@@ -42,11 +42,11 @@ REGISTERED = '''
 from pathlib import Path
 
 from acme import tank
-from cosim.base.registry import ModelEntry, Page, Verb
+from cosim.core.registry import ModelEntry, Page, Verb
 from cosim.fmi.fmu_build import model_recipe
 from cosim.report.html_tables import Row
 from cosim.simulation.report.component_page import ComponentPage
-from cosim.storage.artefact import Artefact
+from cosim.files.artefact import Artefact
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")
 PAGE = Page(frozenset({"inflow", "level"}), "acme.registered:subject")
@@ -224,8 +224,8 @@ def rooms(tmp_path: Path) -> Path:
 def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names(
     alone: Path, rooms: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
+    from cosim.fmi.building.file import load_model
     from cosim.fmi.fmu_build import build
-    from cosim.loading.file import load_model
 
     (rooms / "tank.py").write_text(MODEL, encoding="utf-8")
     build(load_model("tank.py:Tank", rooms).recipe(), rooms / "tank.fmu")

@@ -18,7 +18,9 @@ import pytest
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.posing import NO_SETTINGS, build_problem, coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
-from cosim.loading.file import load_model, read_model
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.fmi.building.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Model
 from cosim.refinement.decision.evidence import (
@@ -34,8 +36,6 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.study import read_study
-from cosim.subject.candidates import Candidate
-from cosim.subject.model_subject import ModelSubject
 from tests.ferry import ferry_study
 from tests.logs import write_log
 from tests.rail import MODEL, NOISE, SHEET, Rows, rail_log, rail_study, white

@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.authoring.matching import Port, match_ports, text
-from cosim.base.errors import CosimError
 from cosim.blocks.component import Signal
-from cosim.storage.results import read_results
+from cosim.core.errors import CosimError
+from cosim.files.results import read_results
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from cosim.verbs.run_verb import run

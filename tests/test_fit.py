@@ -14,13 +14,13 @@ import pytest
 from scipy.signal import lfilter
 
 import cosim
-from cosim.base.errors import InputError, SimulationError, TimedOut
 from cosim.calibration import fit_record, fitted_fmu, simulations
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.simulations import Logs
 from cosim.calibration.vary import candidates
+from cosim.core.errors import InputError, SimulationError, TimedOut
+from cosim.files.kinds import kind_of
 from cosim.residuals.drive import Drive, log_of_fmu
-from cosim.storage.kinds import kind_of
 from tests.cases import some
 from tests.fit_head_to_head import CASES, Bench, by_cosim, by_scipy
 from tests.logs import write_log

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cosim.authoring.export import export_ssp
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files.results import Results
 from cosim.master.master import simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.results import Results
 from cosim.system.system import build_system
 
 LEVEL = """name: level

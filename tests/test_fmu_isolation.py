@@ -164,8 +164,8 @@ def test_three_hundred_instances_come_and_go(plant_fmu: Path, controller_fmu: Pa
 FOREIGN = """
 import atexit, ctypes, json, sys
 from pathlib import Path
-from cosim.base.scratch import process_folder
-from cosim.blocks.description import read_description
+from cosim.core.scratch import process_folder
+from cosim.fmi.description import read_description
 from cosim.blocks.fmu import FmuBlock
 at_exit, register = [], atexit.register
 atexit.register = lambda function: at_exit.append(register(function))

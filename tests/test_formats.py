@@ -16,12 +16,12 @@ import pytest
 from scipy.io import savemat
 
 import cosim
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
 from cosim.blocks.sources import playback
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.files.results import Results, read_results
+from cosim.files.table import read_columns, read_header, source_of
 from cosim.simulation.run_signals import Run
-from cosim.storage.results import Results, read_results
-from cosim.storage.table import read_columns, read_header, source_of
 from tests.conftest import ROOT
 from tests.full_disk import full_disk
 from tests.test_first_steps import told as asked

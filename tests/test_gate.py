@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
 from cosim.model import Equations, Model, Namespace, Quantity

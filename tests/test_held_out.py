@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from cosim.estimation.posing import build_problem
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Stepper
 from cosim.refinement.decision.evidence import held_out_gains
 from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
-from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import OUTPUTS, Hovercraft
 from tests.logs import IMU, NOISE, POSITION, STEP, log_of, times
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
-from cosim.loading.file import load_model
 from cosim.logs.log import Log, read_log
 from cosim.model import Stepper
 from cosim.residuals import starts

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from cosim.base.errors import InputError
-from cosim.loading.build import build
-from cosim.loading.file import read_model
+from cosim.core.errors import InputError
+from cosim.files.csv_source import write_table
+from cosim.fmi.building.build import build
+from cosim.fmi.building.file import read_model
 from cosim.model.namespaces import arrays
-from cosim.storage.csv_source import write_table
 from cosim.verbs.check_verb import check as check_files
 from plant.identification.recordings import COLUMNS, runs_of
 from plant.identification.thrust import dead_end

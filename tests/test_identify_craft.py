@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
-from cosim.loading.file import read_model
+from cosim.core.errors import InputError
+from cosim.fmi.building.file import read_model
 from cosim.model import Stepper
 from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import SimulationError
+from cosim.core.errors import SimulationError
 from cosim.simulation.workflow import run
 from tests.small_exchange import small_fmu
 

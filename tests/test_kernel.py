@@ -14,22 +14,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.data import data_of
+from cosim.estimation.kernel import backend
+from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.c_filter import CompiledKernel
+from cosim.estimation.kernel.generate import Generated, generate
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Layout, single_steps, steps_one_by_one
+from cosim.estimation.kernel.settling import settling
 from cosim.estimation.posing import start_state
+from cosim.estimation.subject.model_subject import ModelSubject, neutral_values
+from cosim.files.cache import cache_path
+from cosim.fmi.building.file import own_model
 from cosim.fmi.native.compiler import compiler
-from cosim.kernel import backend
-from cosim.kernel.backend import kernel
-from cosim.kernel.c_filter import CompiledKernel
-from cosim.kernel.generate import Generated, generate
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, single_steps, steps_one_by_one
-from cosim.kernel.settling import settling
-from cosim.loading.file import own_model
 from cosim.model import Equations, Model, Namespace, Stepper
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
-from cosim.storage.cache import cache_path
-from cosim.subject.model_subject import ModelSubject, neutral_values
 from plant.effects.actuator import ActuatorDelay
 from plant.hovercraft import Hovercraft
 from tests.cases import some
@@ -279,8 +279,9 @@ def cut(file: Path) -> None:
 
 
 SIMULATE = (
-    "import sys, pickle, numpy as np; from cosim.kernel.c_filter import CompiledKernel; from cosim.kernel.kernel"
-    " import Data; g, p = pickle.load(sys.stdin.buffer); u = np.ones((5, 1)); d = Data(0.02, 0.0, u, np.nan * u, 4);"
+    "import sys, pickle, numpy as np; from cosim.estimation.kernel.c_filter import CompiledKernel; "
+    "from cosim.estimation.kernel.kernel import Data; "
+    "g, p = pickle.load(sys.stdin.buffer); u = np.ones((5, 1)); d = Data(0.02, 0.0, u, np.nan * u, 4);"
     "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(3), np.zeros(0)).states).all())"
 )
 

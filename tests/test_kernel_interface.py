@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.fit import fit
+from cosim.estimation.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
+from cosim.estimation.subject.candidates import Free
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
-from cosim.subject.candidates import Free
-from cosim.subject.model_subject import ModelSubject
 
 STEP, TAU, NOISE = 0.1, 1.6, 0.02
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.errors import CosimError
-from cosim.storage.artefact import artefacts
-from cosim.storage.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
-from cosim.storage.yaml_file import YamlFile
+from cosim.core.errors import CosimError
+from cosim.files.artefact import artefacts
+from cosim.files.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
+from cosim.files.yaml_file import YamlFile
 from cosim.verbs.cli import app
 
 SHORT = 400  # characters that are read before one gives up

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cosim.base.linear_algebra import least_squares, likely_least_squares
+from cosim.core.linear_algebra import least_squares, likely_least_squares
 
 
 def test_what_the_rows_determine_is_as_without_a_prior() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import structure
 from cosim.linearization.workflow import linearize

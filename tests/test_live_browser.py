@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cosim.storage.results import read_results
+from cosim.files.results import read_results
 from tests.live_pages import live_command, slow_scenario
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.fmi.native.compiler import compiler
 from cosim.verbs.check_verb import check as check_files
 from tests.decay import DESCRIPTION, library

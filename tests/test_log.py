@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
-from cosim.base.units import factor
+from cosim.core.errors import InputError
+from cosim.core.units import factor
+from cosim.files import csv_source
 from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
-from cosim.storage import csv_source
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.logs import MOVING, fly, measured, times, write_log
 

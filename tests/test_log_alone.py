@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.logs import log_check
 from tests.test_first_steps import told as asked
 

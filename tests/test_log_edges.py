@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
 from cosim.logs.gate import gate

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError, SimulationError
-from cosim.base.messages import CheckNote, CheckWarning, Note
+from cosim.core.errors import InputError, SimulationError
+from cosim.core.messages import CheckNote, CheckWarning, Note
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import undeclared

@@ -14,7 +14,7 @@ import pytest
 import typer.main
 from typer.testing import CliRunner
 
-from cosim.storage.folders import name_of, name_of_file, runs_named
+from cosim.files.folders import name_of, name_of_file, runs_named
 from cosim.verbs.cli import app, entry
 from tests.cart import cart_fmu
 from tests.deeds import deeds_scenario

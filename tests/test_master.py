@@ -12,13 +12,13 @@ import pytest
 
 from controller.loop import Loop
 from controller.settings import Settings
-from cosim.base.errors import SimulationError
+from cosim.core.errors import SimulationError
+from cosim.files.results import Results
+from cosim.files.table import read_columns
 from cosim.master.master import simulate
 from cosim.model import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from cosim.storage.results import Results
-from cosim.storage.table import read_columns
 from cosim.system.system import build_system
 from plant.hovercraft import Hovercraft
 from tests.misbehaving import misbehaving_fmu
@@ -168,7 +168,7 @@ def test_an_fmu_without_a_library_for_this_platform_does_not_load(project: Path,
             if not name.startswith("binaries/"):
                 part.writestr(name, whole.read(name))
     shutil.move(lame, project / "build" / "plant.fmu")
-    from cosim.base.errors import FmuError
+    from cosim.core.errors import FmuError
 
     with pytest.raises(FmuError, match="does not load"):
         results_of(project)

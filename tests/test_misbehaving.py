@@ -18,15 +18,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import Crashed, DiskFull, InputError, SimulationError
-from cosim.base.scratch import LOCK
+from cosim.core.errors import Crashed, DiskFull, InputError, SimulationError
+from cosim.core.scratch import LOCK
+from cosim.files.folders import STARTED
+from cosim.files.table import read_columns
 from cosim.isolation.worker import PROGRESS
 from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.workflow import replay
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
-from cosim.storage.folders import STARTED
-from cosim.storage.table import read_columns
 from cosim.verbs.check_verb import check as check_files
 from tests.cases import some
 from tests.conftest import ROOT
@@ -377,11 +377,11 @@ def test_a_limit_that_is_none_is_refused_at_its_place(tmp_path: Path, value: str
 
 STOPPED_AGAIN = """
 import os, signal, sys, time
-import cosim.storage.results, cosim.storage.table
+import cosim.files.results, cosim.files.table
 from cosim.verbs.cli import entry
-from cosim.storage.results import Results
+from cosim.files.results import Results
 from cosim.sweeps.store import Database
-from cosim.base.program import as_program
+from cosim.core.program import as_program
 
 def stopping(what):
     def again(*arguments, **more):

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from cosim.files.results import Results
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.results import Results
 from cosim.system.system import build_system
 from tests.decay import DEEDS, decay_fmu
 from tests.slider import slider_fmu

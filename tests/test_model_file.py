@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.errors import Fault, InputError
-from cosim.blocks.description import read_description
-from cosim.loading.declared import make_model
-from cosim.loading.file import own_model, read_model
-from cosim.loading.source import ModelText
+from cosim.core.errors import Fault, InputError
+from cosim.fmi.building.declared import make_model
+from cosim.fmi.building.file import own_model, read_model
+from cosim.fmi.building.source import ModelText
+from cosim.fmi.description import read_description
 from cosim.simulation.trial import check_fmu
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app

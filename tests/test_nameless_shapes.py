@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.estimation.kernel.nameless import bump, rise
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.kernel.nameless import bump, rise
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
-from cosim.subject.model_subject import ModelSubject
 from tests.logs import write_log
 
 STEP, ROWS, NOISE = 0.02, 900, 5e-4

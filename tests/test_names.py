@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pythonfmu.builder import FmuBuilder
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.fmi.fmu_build import build
 from cosim.residuals.replay_settings import start_values
 from cosim.residuals.workflow import replay

@@ -16,11 +16,11 @@ from fmpy.validation import validate_fmu
 
 from controller.loop import Loop
 from controller.settings import Settings
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.fmi.building.build_native import build_native
 from cosim.fmi.native.compiler import can_cross, compiler, glibc_floor, this_platform
 from cosim.fmi.state import MEMORY as MEMORY_PART
 from cosim.fmi.state import STATE, own_of, with_memory
-from cosim.loading.build_native import build_native
 from cosim.model import Model, Stepper, parameters_of
 from plant.hovercraft import Hovercraft
 from tests.hosts_fmpy import Instance, description_of
@@ -122,7 +122,7 @@ def test_a_decay_ends_at_zero_natively_and_as_a_subnormal_number_in_python(nativ
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["drive_train.py:DriveTrain", "tanks.py:Tanks", "quarter_car.py:QuarterCar"])
 def test_a_native_model_of_ones_own_is_the_one_in_python(name: str, tmp_path: Path) -> None:
-    from cosim.loading.file import load_model
+    from cosim.fmi.building.file import load_model
 
     model = load_model(str(PLANTS / name), Path()).model
     (built,) = build_native(tmp_path, str(PLANTS / name))

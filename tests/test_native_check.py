@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.estimation.kernel.backend import kernel
+from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.file import load_model
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.printing import ModelPrinter
 from cosim.fmi.ports import model_ports
-from cosim.kernel.backend import kernel
-from cosim.loading.build_native import build_native
-from cosim.loading.file import load_model
 from cosim.model import Model
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER

@@ -12,7 +12,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from cosim.loading.build_native import build_native
+from cosim.fmi.building.build_native import build_native
 from cosim.model import SCALAR
 from plant.hovercraft import Hovercraft
 from tests.cases import some
@@ -242,7 +242,7 @@ def test_an_effect_that_counts_substeps_is_for_co_simulation_alone(tmp_path: Pat
     text = MODEL.replace("\n\n@dataclass(frozen=True, kw_only=True)\nclass Tank(Model):", COUNTING)
     (tmp_path / "tank.py").write_text(text.replace("(Leak, Draw)", "(Slow, Leak, Draw)"), encoding="utf-8")
     (built,) = build_native(tmp_path, f"{tmp_path}/tank.py:Tank")
-    from cosim.loading.file import load_model
+    from cosim.fmi.building.file import load_model
 
     model, rows = load_model(f"{tmp_path}/tank.py:Tank", Path()).model, [(0.02 + 0.01 * (k % 9),) for k in range(60)]
     exact = by_python(model, rows, {"slow.time": 4.0}, 0.5)

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.errors import InputError
-from cosim.blocks.description import read_description
-from cosim.loading.build import build
+from cosim.core.errors import InputError
+from cosim.fmi.building.build import build
+from cosim.fmi.description import read_description
 from cosim.simulation.workflow import run
 from cosim.verbs.cli import app
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
-from cosim.loading.file import load_model, without_execution
+from cosim.core.errors import InputError
+from cosim.fmi.building.file import load_model, without_execution
 from cosim.sweeps.workflow import sweep as run_sweep
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.graph_verb import graph_of

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
 from cosim.blocks.faults import gaussian, stream
 from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.blocks.sources import playback
+from cosim.core.errors import InputError
 from cosim.master.master import simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system

@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
-from cosim.base.notebook import shows_progress
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
 from cosim.comparison.page import drawn
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.core.notebook import shows_progress
+from cosim.files.results import Results
 from cosim.refinement.refined_result import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
 from cosim.simulation.run_files import RecordedRun
 from cosim.simulation.run_signals import Signals
-from cosim.storage.results import Results
 from tests.test_python import turning
 
 PEAK = 123_457  # row of a single high value

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
+from cosim.files.results import read_results
 from cosim.master.observer import ObservedRun, Observer
-from cosim.storage.results import read_results
 from tests.deeds import deeds_scenario
 
 

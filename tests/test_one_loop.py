@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import cosim
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from tests.random_systems import build_fmus, random_system, with_component, write
 
 EVENTS = {"fmu": "clocked.fmu"}  # has event mode, so that all are stepped from event to event

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.base.errors import FmuError
+from cosim.core.errors import FmuError
+from cosim.fmi.wrapping.wrap import wrap
 from cosim.model.quantities import Parameter
 from cosim.sweeps.store import TABLE, read_table, signal_of
 from cosim.terms.code import TermCode
-from cosim.wrapping.wrap import wrap
 from tests.amplifier import (
     with_class,
     with_data,

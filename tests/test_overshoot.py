@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from controller.synthesis import numbers_of
-from cosim.loading.file import read_model
+from cosim.fmi.building.file import read_model
 from cosim.model import Stepper
 from cosim.refinement.workflow import refine
 from plant.bench import Bench

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cosim.experiment.ranges import inputs_to_limit
-from cosim.loading.file import read_model
+from cosim.fmi.building.file import read_model
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
 from cosim.verbs.check_verb import check as check_files

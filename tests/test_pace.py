@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.isolation.rows import WAITING
 from cosim.master.observer import ObservedRun, Observer
 from cosim.master.pacing import Pacer

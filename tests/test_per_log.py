@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.estimation.expected import expected_value, fit_for_held_out
 from cosim.estimation.fit import Fit, fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own, own_parameters, spread
 from cosim.estimation.posing import build_problem, halve_log
 from cosim.estimation.problem import Settings
-from cosim.loading.file import load_model
+from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.fmi.building.file import load_model
 from cosim.logs.log import read_log
 from cosim.refinement.proof.measure import final_log_parameters
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
-from cosim.subject.model_subject import ModelSubject
 from tests.logs import fly, measured, times, write_log
 from tests.studies import replayed
 from tests.tank import AREA, LEAK, MODEL, NOISE, OUTLET, STEP

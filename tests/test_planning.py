@@ -12,10 +12,10 @@ import pytest
 
 from cosim.authoring import parts
 from cosim.authoring.parts import times_of
+from cosim.files.results import Results
 from cosim.scenario.scenario import Criterion
 from cosim.scenario.start_values import Misfit, convert_value, with_elements
 from cosim.simulation.criteria import evaluate
-from cosim.storage.results import Results
 from cosim.sweeps.sampling import drawn_rows, saltelli_base
 
 # -- how long and how finely ------------------------------------------------------------------------

@@ -11,9 +11,9 @@ import pytest
 
 from cosim.estimation.posing import build_problem
 from cosim.estimation.predictability import predictable_horizon
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
-from cosim.subject.model_subject import ModelSubject
 
 STEP, ROWS = 0.02, 1000
 

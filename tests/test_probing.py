@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.blocks.description import Way
+from cosim.fmi.description import Way
 from cosim.fmi.native.compiler import compiler
 from cosim.logs.log import Log
 from cosim.probing.log_runs import moved_within

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files.yaml_file import YamlFile
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals
-from cosim.storage.yaml_file import YamlFile
 from cosim.verbs.schema_verb import schema_of
 from tests.conftest import ROOT
 from tests.test_first_steps import told

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.errors import CosimError, InputError
+from cosim.core.errors import CosimError, InputError
 from tests.typed import typed_fmu
 
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.fit import fit, initial_fit
 from cosim.estimation.posing import build_problem
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import read_log
 from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
 from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.model_subject import ModelSubject
 from tests.logs import write_log
 
 STEP, ROWS = 0.02, 701

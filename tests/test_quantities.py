@@ -12,10 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.base.errors import InputError
-from cosim.base.units import parse, read_quantity, square_unit
 from cosim.blocks.component import Signal
-from cosim.loading.file import read_model
+from cosim.core.errors import InputError
+from cosim.core.units import parse, read_quantity, square_unit
+from cosim.fmi.building.file import read_model
 from cosim.logs.log import read_log
 from cosim.refinement.study import StudyFile, read_study
 from cosim.scenario.scenario_file import ScenarioFile

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.simulation.run_signals import Run
 from cosim.simulation.workflow import run
 from cosim.system.recording import _is_meant

@@ -18,13 +18,17 @@ import jsonschema
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError, SimulationError
-from cosim.blocks.description import read_description
+from cosim.core.errors import InputError, SimulationError
+from cosim.estimation.kernel.kernel import DISTURBANCE, MEMORY
 from cosim.estimation.posing import build_problem
+from cosim.estimation.subject import fmu_replayer
+from cosim.estimation.subject.fmu_replayer import FmuReplayer
+from cosim.estimation.subject.interface import Workplace
+from cosim.estimation.subject.model_subject import ModelSubject, neutral_values
+from cosim.fmi.building.file import load_model, read_model
+from cosim.fmi.description import read_description
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native import compiler
-from cosim.kernel.kernel import DISTURBANCE, MEMORY
-from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
@@ -38,10 +42,6 @@ from cosim.refinement.workflow import refine
 from cosim.residuals.drive import Drive, StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, windows
-from cosim.subject import fmu_replayer
-from cosim.subject.fmu_replayer import FmuReplayer
-from cosim.subject.interface import Workplace
-from cosim.subject.model_subject import ModelSubject, neutral_values
 from cosim.verbs.check_verb import check as check_files
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft

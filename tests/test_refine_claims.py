@@ -11,9 +11,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from cosim.base.linear_algebra import square_roots
+from cosim.core.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.refinement.decision import judgement
 from cosim.refinement.decision.claims import (
     Claims,
@@ -33,7 +34,6 @@ from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm
 from cosim.refinement.workflow import refine
-from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.blind import arm
 

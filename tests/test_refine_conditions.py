@@ -13,10 +13,10 @@ import pytest
 from cosim.estimation.fit import inverse
 from cosim.estimation.posing import build_problem
 from cosim.estimation.sensor_noise import noise_warnings, sensor_noise
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.excite import excite
 from cosim.logs.log import read_log
 from cosim.refinement.study import read_study
-from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log
 from tests.studies import holds, named, proven, study_of

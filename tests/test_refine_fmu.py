@@ -15,14 +15,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import cosim
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.estimation.fit import initial_fit
+from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel, processor_time
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import first_noise, sensor_noise
+from cosim.estimation.subject.fmu_subject import FmuSubject
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
-from cosim.kernel.remote_kernel import RemoteLibraryKernel, processor_time
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.refinement.record import effects
@@ -30,8 +32,6 @@ from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.workflow import failure_warnings
 from cosim.residuals.drive import Drive, log_of_fmu
-from cosim.subject.fmu_subject import FmuSubject
-from cosim.subject.model_subject import ModelSubject
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 from tests.slider import slider_fmu, slider_log

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from cosim.estimation.fit import Fit
+from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.refinement.decision.claims import Claims, MovedParameter
 from cosim.refinement.proof import replay_check
 from cosim.refinement.proof.measure import Floor
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.candidates import Candidate, Free
 
 
 def hypothesis(estimates: Mapping[str, tuple[float, float]]) -> Hypothesis:

@@ -19,7 +19,8 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
-from cosim.loading.file import BASE, LoadedModel
+from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.fmi.building.file import BASE, LoadedModel
 from cosim.model import Stepper
 from cosim.refinement.decision.claims import Claims, judge
 from cosim.refinement.decision.judgement import decide
@@ -39,7 +40,6 @@ from cosim.refinement.workflow import refine
 from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.residuals.windows import Replay
-from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.logs import IMU, fly, log_of, measured, times, write_log
 from tests.seen import faults

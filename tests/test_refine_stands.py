@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.estimation.fit import Fit
 from cosim.estimation.posing import build_problem, coarsen
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.excite import excite
-from cosim.loading.file import load_model
+from cosim.fmi.building.file import load_model
 from cosim.logs.log import read_log
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.sentences import sentence
@@ -21,8 +23,6 @@ from cosim.refinement.proof.replay_check import check_claim
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.workflow import refine
 from cosim.simulation.workflow import run
-from cosim.subject.candidates import Candidate
-from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.studies import holds, named, study_of
 from tests.studies import proven as flown

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from cosim.base.errors import Terminated
+from cosim.core.errors import Terminated
+from cosim.estimation.subject import model_subject
+from cosim.files.files import delay_stops, scratch_folder
 from cosim.refinement import workflow
-from cosim.storage.files import delay_stops, scratch_folder
-from cosim.subject import model_subject
 from cosim.verbs.cli import entry
 from tests.test_refine_conditions import motor_study
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files.results import read_results
+from cosim.files.table import read_columns
 from cosim.logs.log import Log, read_log
 from cosim.residuals import drive as drive_module
 from cosim.residuals import starts
@@ -20,8 +22,6 @@ from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import chains, window_rows
 from cosim.residuals.workflow import write_replay
 from cosim.simulation.workflow import run
-from cosim.storage.results import read_results
-from cosim.storage.table import read_columns
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 from tests.cart import cart_fmu
 from tests.logs import (

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
+from cosim.files.results import Results
 from cosim.report.charts import Charts, decimals_of
 from cosim.report.panels import Panel, Trace
 from cosim.simulation.report import write_figures, write_report
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import judged_panels, signal_panels
-from cosim.storage.results import Results
 from fmus.report.figures_of_run import belief, reference_steps, responses, saturation
 from fmus.report.lines import state_panels
 from fmus.report.roles import find_crafts

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from cosim.files.results import Results
 from cosim.report.charts import Abscissa, Charts, decimals_of
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.template import render
 from cosim.simulation.report import write_report
-from cosim.storage.results import Results
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

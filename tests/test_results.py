@@ -17,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.base.errors import CosimError, InputError
+from cosim.core.errors import CosimError, InputError
 from cosim.verbs.cli import app
 from tests.conftest import ROOT
 from tests.deeds import deeds_scenario

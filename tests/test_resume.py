@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 
 import cosim
-from cosim.base.arrays import Array
-from cosim.base.errors import CosimError, InputError, Interrupted, SimulationError
-from cosim.base.messages import Note
-from cosim.base.version import __version__
+from cosim.core.arrays import Array
+from cosim.core.errors import CosimError, InputError, Interrupted, SimulationError
+from cosim.core.messages import Note
+from cosim.core.version import __version__
+from cosim.files.state_file import pack, unpack
 from cosim.master.observer import ObservedRun, Observer
 from cosim.simulation.workflow import run
-from cosim.storage.state_file import pack, unpack
 from tests.conftest import ROOT
 from tests.instants import CONSTANT, instants_fmu
 from tests.walker import walker_fmu, walker_scenario

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from cosim.history.entries import entries
+from cosim.files.run_entries import entries
 from tests.deeds import deeds_scenario
 from tests.test_misbehaving import listening
 
 STOPPED = """
 import os, sys
-from cosim.base.program import as_program
-from cosim.storage.results import Results
+from cosim.core.program import as_program
+from cosim.files.results import Results
 from cosim.verbs.cli import entry
 
 write = Results.write

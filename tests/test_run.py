@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files.table import read_columns
 from cosim.simulation.report import write_pages
 from cosim.simulation.workflow import run
-from cosim.storage.table import read_columns
 from tests.warm import cosim
 
 ROOT = Path(__file__).parent.parent

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files.yaml_file import YamlFile
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.yaml_file import YamlFile
 from cosim.system.system import build_system
 
 ROOT = Path(__file__).parent.parent

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.times import MOST, steps_in, whole_steps
 from cosim.blocks.coupling import DEFAULT, OWN, Algorithm, Plan
 from cosim.blocks.faults import fault_function, points
+from cosim.core.times import MOST, steps_in, whole_steps
 from cosim.simulation import criteria
 from cosim.system.schedule import schedule
 from cosim.system.wiring import Transfer

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loading.file import load_model
+from cosim.fmi.building.file import load_model
 from cosim.logs.log import Log, read_log
 from cosim.model import Stepper
 from cosim.refinement.proof.measure import Evidence

@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.past_readings import lagged, lagged_table
-from cosim.kernel.backend import kernel
-from cosim.kernel.kernel import Data
 from cosim.model import Equations, Lag, Model, Quantity, parameter
 
 STEP, TIME, ROWS = 0.05, 0.4, 400

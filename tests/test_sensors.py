@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.past_readings import lagged, past_reading
 from cosim.estimation.posing import build_problem
+from cosim.files.csv_source import write_table
+from cosim.fmi.building.file import load_model, own_model
 from cosim.fmi.fmu_build import build
-from cosim.kernel.backend import kernel
-from cosim.kernel.kernel import Data
-from cosim.loading.file import load_model, own_model
 from cosim.logs.log import read_log
 from cosim.model import Model, SensorError, Stepper
 from cosim.model.namespaces import SCALAR, arrays
@@ -30,7 +31,6 @@ from cosim.refinement.report.effect_plots import compare_effects
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import windows
-from cosim.storage.csv_source import write_table
 from plant.effects.sensor_errors import (
     HOVER_THRUST,
     SENSORS,

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from starlette.responses import FileResponse
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.pages.server import MAX_BODY, Handler, Json, ServedPage, html_response, open_page
 
 CONTENT = bytes(range(256)) * 4

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.scratch import LOCK, scratch, sweep
+from cosim.core.scratch import LOCK, scratch, sweep
 from cosim.fmi.native.compiler import compiler
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
@@ -123,7 +123,7 @@ def test_a_fork_does_not_remove_the_folder_of_its_parent(tmp_path: Path) -> None
 PLANTED = """
 import os, sys
 from pathlib import Path
-import cosim.storage.cache as cache
+import cosim.files.cache as cache
 from cosim.fmi.native.compiler import compiler, load_library
 print(load_library("int answer(void) { return 42; }").answer())
 print(cache.cache_folder())

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from cosim.estimation.fit import Fit
+from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.refinement.decision.claims import Claims, NotExcluded
 from cosim.refinement.decision.special_cases import not_excluded
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.candidates import Candidate, Free
 
 LEVEL = Free("coulomb_at_w.level", 0.0, 9.0, 0.1, neutral=0.0)
 RICH = (

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
-from cosim.loading.build import build
-from cosim.loading.file import load_model
-from cosim.loading.own_run import predicted_outputs
-from cosim.loading.substep import with_substep
+from cosim.core.arrays import Array
+from cosim.fmi.building.build import build
+from cosim.fmi.building.file import load_model
+from cosim.fmi.building.own_run import predicted_outputs
+from cosim.fmi.building.substep import with_substep
 from cosim.logs.log import Log, read_log
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.refinement.study import read_study

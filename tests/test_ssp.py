@@ -17,10 +17,10 @@ from fmpy.ssp.ssd import read_ssd, read_ssv
 
 from cosim import check
 from cosim.authoring.export import export_ssp
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files import archive as archive_rules
+from cosim.files.results import Results
 from cosim.simulation.workflow import run
-from cosim.storage import archive as archive_rules
-from cosim.storage.results import Results
 from tests.lag import bound, component, connection, lag_fmu, real, ssp
 from tests.test_fmu_hosts import AGREEMENT, LIBRARIES, MISSING, ROOT
 from tests.typed import typed_fmu

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
 from cosim.logs.log import Log
 from cosim.residuals import starts
 from cosim.residuals.drive import as_columns

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cosim.base.errors import InputError, SimulationError
+from cosim.core.errors import InputError, SimulationError
 from cosim.simulation.workflow import run
 from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
 

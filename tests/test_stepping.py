@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import yaml
 
-from cosim.base.errors import InputError, Interrupted
 from cosim.blocks.coupling import OWN
-from cosim.blocks.description import read_description
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.errors import InputError, Interrupted
+from cosim.files.results import Results
+from cosim.fmi.description import read_description
 from cosim.isolation.rows import Rows
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.results import Results
 from cosim.system.system import build_system
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.posing import build_problem
-from cosim.kernel.backend import kernel
-from cosim.kernel.kernel import Data
-from cosim.loading.build import build as build_fmus
-from cosim.loading.file import LoadedModel, own_model, read_model, write_model
-from cosim.loading.substep import with_substep
+from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.fmi.building.build import build as build_fmus
+from cosim.fmi.building.file import LoadedModel, own_model, read_model, write_model
+from cosim.fmi.building.substep import with_substep
 from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Stepper, Values, parameter
 from cosim.model.duals import DualNamespace, jacobian
 from cosim.model.namespaces import SCALAR
 from cosim.model.rosenbrock import step
 from cosim.model.symbolic.linearize import linearize
-from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.logs import replay
 from tests.motor import motor_log

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from cosim.base.version import __version__
+from cosim.core.version import __version__
+from cosim.files.state_file import pack
 from cosim.master.checkpoint import FORMAT
 from cosim.pages.tables import ColumnTypes, open_rows
-from cosim.storage.state_file import pack
 from tests.warm import cosim
 
 TIMES = [k / 10 for k in range(11)]

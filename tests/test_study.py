@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files import csv_source
+from cosim.files.yaml_file import REMOVED_KEYS
 from cosim.refinement.study import read_study
-from cosim.storage import csv_source
-from cosim.storage.yaml_file import REMOVED_KEYS
 from tests.logs import MOVING, fly, measured, times, write_log
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.refinement.study import read_study
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app

@@ -16,18 +16,18 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
-from cosim.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.estimation.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
+from cosim.estimation.subject.base_parameters import base_parameter
+from cosim.estimation.subject.candidates import Candidate, effect
+from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model import Quantity, parameter
 from cosim.model.quantities import Parameter
 from cosim.refinement.record import schema
 from cosim.refinement.study import study_of
 from cosim.residuals.windows import Replay
-from cosim.subject.base_parameters import base_parameter
-from cosim.subject.candidates import Candidate, effect
-from cosim.subject.interface import Replayer, Start, Subject, Workplace
 from tests.logs import write_log
 
 STEP, MASS, VISCOUS, FORCE, SOFT, NOISE = 0.05, 2.0, 0.8, 0.9, 0.05, 1e-3

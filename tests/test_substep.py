@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.base import linear_algebra
-from cosim.base.errors import InputError
+from cosim.core import linear_algebra
+from cosim.core.errors import InputError
 from cosim.estimation.posing import build_problem
-from cosim.loading.build import build as build_fmus
-from cosim.loading.file import LoadedModel, load_model
-from cosim.loading.substep import MAX_CHOSEN, with_substep
+from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.fmi.building.build import build as build_fmus
+from cosim.fmi.building.file import LoadedModel, load_model
+from cosim.fmi.building.substep import MAX_CHOSEN, with_substep
 from cosim.logs.log import read_log
 from cosim.model import Model
 from cosim.refinement.workflow import refine
-from cosim.subject.model_subject import ModelSubject
 from tests.logs import replay
 from tests.motor import motor_file, motor_log
 

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.errors import InputError, SweepFailed, SweepStopped
+from cosim.core.errors import InputError, SweepFailed, SweepStopped
+from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
-from cosim.loading.file import load_model
 from cosim.simulation.workflow import run
 from cosim.sweeps.reading import read_sweep
 from cosim.sweeps.run_statistics import sensitivity

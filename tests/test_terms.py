@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from cosim.fmi.building.file import own_terms
 from cosim.fmi.native.compiler import load_library
-from cosim.loading.file import own_terms
 from cosim.model.namespaces import SCALAR
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.terms.catalogue import (

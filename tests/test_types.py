@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
+from cosim.files.results import Results
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
-from cosim.storage.results import Results
 from cosim.system.system import System, build_system
 from cosim.verbs.check_verb import check as check_files
 from tests.lag import lag_fmu

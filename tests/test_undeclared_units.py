@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.base.errors import InputError
-from cosim.base.units import SYMBOLS, coherent, parse
 from cosim.blocks.component import Signal
 from cosim.blocks.sources import playback
+from cosim.core.errors import InputError
+from cosim.core.units import SYMBOLS, coherent, parse
+from cosim.files.results import read_results
+from cosim.files.table import read_columns
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
 from cosim.logs.model_comparison import scales
-from cosim.storage.results import read_results
-from cosim.storage.table import read_columns
 from tests.typed import typed_fmu
 
 NO_UNIT = [Signal("inflow")], [Signal("level")]  # a tank, as PythonFMU describes one

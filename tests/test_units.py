@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from cosim.base.units import SYMBOLS, alternatives, factor, parse, unit_definitions
+from cosim.core.units import SYMBOLS, alternatives, factor, parse, unit_definitions
 
 BASE = {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}  # FMI 2.0, 2.2.2
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
-from cosim.loading.file import load_model
 from cosim.verbs import verbs
 from tests.tank import MODEL, tank_log
 from tests.test_identify_craft import at_rest, protocol

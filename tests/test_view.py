@@ -21,9 +21,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from typer.testing import CliRunner
 
-from cosim.base.errors import InputError
-from cosim.base.scratch import process_folder
-from cosim.history.entries import entries
+from cosim.core.errors import InputError
+from cosim.core.scratch import process_folder
+from cosim.files.results import Results
+from cosim.files.run_entries import entries
 from cosim.pages import tables
 from cosim.pages.layouts import Layouts
 from cosim.pages.rows import TIME, Recording, Store
@@ -31,7 +32,6 @@ from cosim.pages.runs import RunPlace, ViewedRun, find_runs, open_runs
 from cosim.pages.server import ServedPage
 from cosim.pages.tables import ColumnTypes, open_rows
 from cosim.pages.view_page import view_page
-from cosim.storage.results import Results
 from cosim.verbs.cli import app
 
 RNG = np.random.default_rng

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.logs.log import Log
 from cosim.logs.model_comparison import delay, delays, scales
 from cosim.residuals import windows

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base import scratch
-from cosim.base.errors import Crashed, SimulationError
+from cosim.core import scratch
+from cosim.core.errors import Crashed, SimulationError
 from cosim.isolation.limits import BYTES, Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (

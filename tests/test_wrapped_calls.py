@@ -15,7 +15,7 @@ from fmpy.fmi1 import FMICallException
 
 from cosim.fmi.native import compiler
 from cosim.fmi.native.compiler import NoCompiler
-from cosim.wrapping.wrap import CannotWrap, wrap
+from cosim.fmi.wrapping.wrap import CannotWrap, wrap
 from tests.hosts_fmpy import Instance
 from tests.native import NEEDS_COMPILER
 from tests.slider import slider_fmu

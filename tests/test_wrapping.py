@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.wrapping.wrap import CannotWrap, wrap
+from cosim.fmi.wrapping.wrap import CannotWrap, wrap
 from tests.native import NEEDS_COMPILER
 from tests.wrapped import (
     EXCHANGE,

@@ -15,7 +15,7 @@ import numpy as np
 
 from controller.design_model import discrete_model, measurement_matrix
 from controller.settings import Settings
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
 from plant.identification.thrust import least_degree

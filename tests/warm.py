@@ -30,10 +30,10 @@ import controller
 import cosim as cosim_package
 import fmus
 import plant
-from cosim.base.registry import names
+from cosim.core.registry import names
+from cosim.files.archive import unpack
 from cosim.fmi.native import compiler
 from cosim.isolation import process
-from cosim.storage.archive import unpack
 
 ROOT = Path(__file__).resolve().parent.parent
 FOREIGN = (

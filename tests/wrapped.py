@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from cosim.fmi.building.build_native import build_native
 from cosim.fmi.native.compiler import compiler
-from cosim.loading.build_native import build_native
 from cosim.model.quantities import Parameter
 from cosim.terms.code import HOOKS, Hook, TermCode
 from tests.slider import slider_fmu

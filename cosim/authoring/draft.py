@@ -9,11 +9,11 @@ from pathlib import Path
 from cosim.authoring.draft_text import scenario_text, write_sound
 from cosim.authoring.matching import Match, Matches, Port, match_ports, text
 from cosim.authoring.parts import DraftPart, parts_of, times_of
-from cosim.base.drafts import draft_of
-from cosim.base.errors import InputError
 from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm
-from cosim.blocks.description import no_library, platform_of
 from cosim.blocks.summary import platforms_of
+from cosim.core.drafts import draft_of
+from cosim.core.errors import InputError
+from cosim.fmi.description import no_library, platform_of
 
 MAX_SINGLE_STEPS = 1_000_000  # steps of a single FMU's run, requested by its own times
 MAX_PORTS = 6  # inputs and outputs in a message

@@ -11,10 +11,10 @@ from typing import Any
 
 from cosim.authoring.matching import Matches, text
 from cosim.authoring.parts import DraftPart, Times
-from cosim.base.errors import Fault, InputError
-from cosim.base.text import NOT_IN_YAML, as_yaml, counted
 from cosim.blocks.coupling import DEFAULT, Algorithm
-from cosim.blocks.description import unit_of
+from cosim.core.errors import Fault, InputError
+from cosim.core.text import NOT_IN_YAML, as_yaml, counted
+from cosim.fmi.description import unit_of
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import settable
 from cosim.system.system import System, build_system

@@ -9,23 +9,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Note
-from cosim.base.scratch import temporary_folder
-from cosim.base.settings import Names
-from cosim.base.units import computed_in
 from cosim.blocks.coupling import algorithms
-from cosim.blocks.description import enumeration_items, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import ProfileFunction
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.messages import Note
+from cosim.core.scratch import temporary_folder
+from cosim.core.settings import Names
+from cosim.core.units import computed_in
+from cosim.files.files import FilePath, named_path
+from cosim.files.table import read_columns
+from cosim.fmi.description import enumeration_items, ways
 from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
-from cosim.storage.files import FilePath, named_path
-from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
 from cosim.system.wiring import assumed_conversion
 

@@ -11,7 +11,7 @@ from functools import cache
 from types import MappingProxyType
 
 from cosim.blocks.component import Signal
-from cosim.blocks.fmi_types import is_compatible
+from cosim.fmi.fmi_types import is_compatible
 
 WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 IGNORED_WORDS = {"in", "out", "input", "output", "signal", "value"}

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from cosim.authoring.matching import Port
-from cosim.base.errors import InputError
-from cosim.base.messages import Note
-from cosim.base.times import difference
 from cosim.blocks.component import Signal
-from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.summary import experiment_of, read_fmus
+from cosim.core.errors import InputError
+from cosim.core.messages import Note
+from cosim.core.times import difference
+from cosim.fmi.description import takes_any_step
 from cosim.fmi.sampled import sampled_by
 from cosim.system.event_blocks import default_block
 

@@ -14,23 +14,23 @@ import numpy as np
 from cosim.authoring.draft_text import scenario_text, write_sound
 from cosim.authoring.matching import Match, Matches, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, parts_of, times_of
-from cosim.base.arrays import Array
-from cosim.base.drafts import draft_of
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Note
-from cosim.base.text import split_assignment
-from cosim.base.times import difference
-from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
 from cosim.blocks.coupling import DEFAULT
 from cosim.blocks.sources import read_recording
 from cosim.blocks.summary import experiment_of, read_fmus
+from cosim.core.arrays import Array
+from cosim.core.drafts import draft_of
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.messages import Note
+from cosim.core.text import split_assignment
+from cosim.core.times import difference
+from cosim.core.units import computed_in
+from cosim.files.files import FilePath, check_writable
+from cosim.files.folders import new_run
+from cosim.files.kinds import LOG, check_given
+from cosim.files.yaml_file import short
+from cosim.files.yaml_nodes import Document, NotYaml
 from cosim.simulation.workflow import Outcome, WriteReport, run
-from cosim.storage.files import FilePath, check_writable
-from cosim.storage.folders import new_run
-from cosim.storage.kinds import LOG, check_given
-from cosim.storage.yaml_file import short
-from cosim.storage.yaml_nodes import Document, NotYaml
 
 MAX_STEPS = 1_000_000  # requested by the FMU's own times
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
 
-from cosim.base.errors import FmuError
-from cosim.storage.archive import DESCRIPTION
+from cosim.core.errors import FmuError
+from cosim.files.archive import DESCRIPTION
 
 ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
 PERIODIC = ("constant", "fixed", "tunable")

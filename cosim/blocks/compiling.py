@@ -13,8 +13,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cosim.base.errors import FmuError
-from cosim.blocks.description import CPP, C, library_file
+from cosim.core.errors import FmuError
+from cosim.fmi.description import CPP, C, library_file
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
 SOURCES = "sources"

@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection, Mapping, MutableSequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.errors import SimulationError
-from cosim.base.units import SI, definition_of
+from cosim.core.errors import SimulationError
+from cosim.core.units import SI, definition_of
 
 Row = ctypes.Array[ctypes.c_double]
 PUT, ADVANCE, GET = range(3)  # calls counted in `doing`

@@ -20,9 +20,9 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError
 from pydantic_core.core_schema import no_info_plain_validator_function, str_schema
 
-from cosim.base.messages import CheckWarning
-from cosim.base.registry import ALGORITHMS, load, names
 from cosim.blocks.component import Component
+from cosim.core.messages import CheckWarning
+from cosim.core.registry import ALGORITHMS, load, names
 
 Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
 Components = Mapping[str, Component]

@@ -3,71 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import zipfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.blocks.description import declares_slopes, unit_of
-from cosim.blocks.fmi_types import element_names, is_negated
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import DOUBLES, derivatives_of
-from cosim.storage.archive import DESCRIPTION
-
-REALS = ("Real", "Float64")
-
-
-def states_of(description: Any) -> list[Any]:
-    """Return the continuous states, ordered as the derivatives.
-
-    The list is empty if the FMU does not declare them.
-    """
-    states = [unknown.variable.derivative for unknown in description.derivatives]
-    return [] if None in states else states
-
-
-def hides_states(description: Any) -> bool:
-    """Return whether a description has a number of states without names, as in FMI 1.0; the library may name them."""
-    return bool(description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives))
-
-
-def name_states(path: Path, description: Any, references: Sequence[int]) -> None:
-    """Add derivatives of named states to an FMI 1.0 description.
-
-    Aliases share a value reference, and a negated alias has the opposite sign. Therefore the variable itself is used.
-    """
-    from fmpy.model_description import ModelVariable, Unknown
-
-    root = ElementTree.fromstring(zipfile.ZipFile(path).read(DESCRIPTION))
-    aliases = {v.get("name") for v in root.iter("ScalarVariable") if v.get("alias", "noAlias") != "noAlias"}
-    variables = {v.valueReference: v for v in description.modelVariables if v.type == "Real" and v.name not in aliases}
-    for k, reference in enumerate(references, 1):
-        state = variables.get(reference) or ModelVariable(name=f"state[{k}]", valueReference=reference, type="Real")
-        rate = ModelVariable(name=f"der({state.name})", type="Real")
-        rate.derivative = state
-        description.derivatives.append(Unknown(variable=rate))
-
-
-def reals(description: Any, causality: str) -> list[Any]:
-    """Return real outputs, or continuous real inputs."""
-    variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
-    return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
-
-
-def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
-    """Return the element names of variables."""
-    return tuple(name for v in variables for name in element_names(v))
-
-
-def units_of(variables: Sequence[Any]) -> dict[str, str]:
-    """Return element names with units."""
-    return {name: unit_of(v) for v in variables for name in element_names(v)}
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
+from cosim.fmi.description import declares_slopes, reals, scalars, states_of
+from cosim.fmi.fmi_types import is_negated
 
 
 class DifferentiableFmu(FmuBlock):

@@ -17,14 +17,14 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import SimulationError, Terminated
 from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
-from cosim.blocks.description import Way, takes_any_step
 from cosim.blocks.fmi import STEPS, Calls, Listen, end_of
-from cosim.blocks.fmi_types import Exchange, clocks_of, element_names
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.variable_access import Ports
+from cosim.core.errors import SimulationError, Terminated
+from cosim.fmi.description import Way, takes_any_step
+from cosim.fmi.fmi_types import Exchange, clocks_of, element_names
 
 NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
 TICK_NOW = 1e-9  # fraction of an interval within which a tick is due

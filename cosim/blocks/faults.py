@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.times import first_point, last_point
 from cosim.blocks.stepping import ConvertedLink, LinkKind, address_of
+from cosim.core.times import first_point, last_point
 
 AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS = LinkKind
 

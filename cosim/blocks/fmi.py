@@ -13,9 +13,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd
-from cosim.blocks.description import PARTS, Way
+from cosim.core.messages import Note
+from cosim.fmi.description import PARTS, Way
 
 DISCARD = 2
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind

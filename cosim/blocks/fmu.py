@@ -13,24 +13,24 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
-from cosim.base.errors import FmuError
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, Component, Row, in_turn
-from cosim.blocks.description import (
-    Way,
-    declares_slopes,
-    matches,
-    slips_of,
-    ways,
-)
 from cosim.blocks.fmi import STEPS, Calls, end_of
-from cosim.blocks.fmi_types import element_names
 from cosim.blocks.instance import Instance
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
 from cosim.blocks.values import Values
 from cosim.blocks.variable_access import Ports
+from cosim.core.errors import FmuError
+from cosim.fmi.description import (
+    Way,
+    declares_slopes,
+    matches,
+    slips_of,
+    ways,
+)
+from cosim.fmi.fmi_types import element_names
 from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 

@@ -11,20 +11,20 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import CallFailed, DiskFull, FmuError, Terminated
-from cosim.base.scratch import process_folder
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EarlyEnd
-from cosim.blocks.description import C_CODE, library_of, no_library, platform_of, platforms_among
 from cosim.blocks.fmi import DISCARD, Calls, Step
-from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.shared_code import claim, own_symbols_first
+from cosim.core.drafts import is_full
+from cosim.core.errors import CallFailed, DiskFull, FmuError, Terminated
+from cosim.core.scratch import process_folder
+from cosim.files.archive import unpack
+from cosim.fmi.description import C_CODE, library_of, no_library, platform_of, platforms_among
+from cosim.fmi.guard import without_wrapping
 from cosim.fmi.lifetime import let_go_at_exit
 from cosim.fmi.sampled import sampled_by
-from cosim.storage.archive import unpack
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, FATAL = 1, 4

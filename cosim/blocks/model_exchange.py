@@ -14,10 +14,10 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
-from cosim.base.errors import SimulationError
-from cosim.blocks.description import Way
 from cosim.blocks.fmi import Calls, Step, end_of
 from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, solver
+from cosim.core.errors import SimulationError
+from cosim.fmi.description import Way
 
 EVENTS_NOT_SEPARATED = (
     "its events follow each other within {span:.2g} s, too fast for the solver to separate them: event indicator "

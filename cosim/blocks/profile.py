@@ -8,9 +8,9 @@ import math
 import numpy as np
 from pydantic import Field, field_validator
 
-from cosim.base.arrays import Array
-from cosim.base.times import rounding, roundings
-from cosim.storage.yaml_file import Amount, Part, PositiveAmount, Seconds
+from cosim.core.arrays import Array
+from cosim.core.times import rounding, roundings
+from cosim.files.yaml_file import Amount, Part, PositiveAmount, Seconds
 
 
 class Change(Part):

@@ -11,9 +11,9 @@ import os
 from collections.abc import Collection
 from typing import Any
 
-from cosim.blocks.description import Way
 from cosim.blocks.event_mode import INITIALIZATION, EventCalls, EventFmu
 from cosim.blocks.fmi import Calls, Listen
+from cosim.fmi.description import Way
 
 
 class ScheduledCalls(EventCalls):

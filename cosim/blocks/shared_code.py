@@ -19,10 +19,10 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from zlib import crc32
 
-from cosim.base.errors import FmuError
-from cosim.base.messages import CheckNote, CheckWarning
 from cosim.blocks.elf import ElfLibrary, read_elf
-from cosim.storage.archive import DAMAGES, DESCRIPTION
+from cosim.core.errors import FmuError
+from cosim.core.messages import CheckNote, CheckWarning
+from cosim.files.archive import DAMAGES, DESCRIPTION
 
 # files of this system's libraries, and words in their folders, of FMI 1.0, 2.0 and 3.0
 ENDING, WORDS = {"Windows": (r"\.dll", ("win", "windows")), "Darwin": (r"\.dylib|\.so", ("darwin",))}.get(

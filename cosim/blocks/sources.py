@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
-from cosim.base.times import rounding, roundings
-from cosim.base.units import computed_in
 from cosim.blocks.component import Component, Row, Signal
 from cosim.blocks.profile import Profile, ProfileFunction
 from cosim.blocks.stepping import Slot
-from cosim.storage.table import Table, read_columns, source_of
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.core.times import rounding, roundings
+from cosim.core.units import computed_in
+from cosim.files.table import Table, read_columns, source_of
 
 TEXTS = {"String", "Binary"}
 WHOLE = re.compile(r"[-+]?\d+")

@@ -19,9 +19,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cosim.base.arrays import Array
 from cosim.blocks.component import Row
-from cosim.blocks.fmi_types import Exchange
+from cosim.core.arrays import Array
+from cosim.fmi.fmi_types import Exchange
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 SOURCE = Path(__file__).with_name("stepping.c")

@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.blocks.description import (
+from cosim.core.errors import Fault, FmuError, InputError, refuse
+from cosim.files.kinds import FMU, check_given
+from cosim.fmi.description import (
     PARTS,
     platform_of,
     platforms_among,
@@ -20,7 +21,6 @@ from cosim.blocks.description import (
     unit_of,
     ways,
 )
-from cosim.storage.kinds import FMU, check_given
 
 
 @dataclass(frozen=True)

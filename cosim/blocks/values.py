@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from cosim.base.errors import NotFinite, SimulationError
 from cosim.blocks.component import PUT, Row
-from cosim.blocks.fmi_types import Exchange, element_names, elements, input_aliases, negative
 from cosim.blocks.instance import Instance
 from cosim.blocks.stepping import Move, Plan, StopReason, move
 from cosim.blocks.variable_access import Ports
+from cosim.core.errors import NotFinite, SimulationError
+from cosim.fmi.fmi_types import Exchange, element_names, elements, input_aliases, negative
 
 
 class Values:

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 from cosim.blocks.component import Row, Signal
-from cosim.blocks.description import enumeration_items, is_difference, unit_definition, unit_of
-from cosim.blocks.fmi_types import Exchange, element_names, is_negated, kinds_of
+from cosim.fmi.description import enumeration_items, is_difference, unit_definition, unit_of
+from cosim.fmi.fmi_types import Exchange, element_names, is_negated, kinds_of
 
 
 class Ports:

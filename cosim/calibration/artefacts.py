@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import FIT_STUDY, Artefact
+from cosim.files.artefact import FIT_STUDY, Artefact
 
 ARTEFACTS = (
     Artefact(

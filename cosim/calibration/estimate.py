@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.errors import InputError, SimulationError
 from cosim.calibration.identifiability import Choice, Combination, find_combination, screen
 from cosim.calibration.intervals import Covariance, covariance
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
 from cosim.calibration.simulations import Logs, Unknown
 from cosim.calibration.vary import Parameter
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import InputError, SimulationError
 from cosim.logs.channel_noise import noise_level
 from cosim.residuals.windows import horizons
 

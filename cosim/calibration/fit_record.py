@@ -12,10 +12,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
-from cosim.base.version import __version__
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.replay_proof import Part
 from cosim.calibration.vary import Parameter
+from cosim.core.version import __version__
 from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cosim.base.text import amount, counted, join_names, plain, size
 from cosim.calibration.fit_record import Outcome
+from cosim.core.text import amount, counted, join_names, plain, size
 from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import FREE_RUN
 

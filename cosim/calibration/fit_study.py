@@ -10,13 +10,13 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.errors import Fault, InputError, refuse
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.files.artefact import kind_by_keys
+from cosim.files.files import FilePath
+from cosim.files.kinds import FIT_STUDY, LOG, STUDY, check_form, check_given, kind_of, refuse_other
+from cosim.files.yaml_file import YamlFile
 from cosim.isolation.limits import Limits, read_limits
 from cosim.refinement.study import FileName, LogLists
-from cosim.storage.artefact import kind_by_keys
-from cosim.storage.files import FilePath
-from cosim.storage.kinds import FIT_STUDY, LOG, STUDY, check_form, check_given, kind_of, refuse_other
-from cosim.storage.yaml_file import YamlFile
 
 FMU_SUFFIX = ".fmu"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.storage.folders import content_of
+from cosim.files.folders import content_of
 
 if TYPE_CHECKING:
     import pandas
@@ -85,7 +85,7 @@ class Fitted:
         return f"{self.sentence}\n  {values}".rstrip()
 
     def _repr_html_(self) -> str:
-        from cosim.base.notebook import heading, table
+        from cosim.core.notebook import heading, table
 
         rows = [
             (

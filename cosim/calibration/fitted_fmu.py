@@ -11,10 +11,10 @@ from xml.parsers import expat
 
 import numpy as np
 
-from cosim.base.drafts import draft_of
-from cosim.base.errors import FmuError, SimulationError
+from cosim.core.drafts import draft_of
+from cosim.core.errors import FmuError, SimulationError
+from cosim.files.archive import DESCRIPTION, description_of
 from cosim.residuals.drive import Drive
-from cosim.storage.archive import DESCRIPTION, description_of
 
 START = re.compile(rb"(\sstart\s*=\s*)(\"[^\"]*\"|'[^']*')")
 TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags, Rows
-from cosim.base.linear_algebra import least_squares, orthonormal
-from cosim.base.text import join_names, plain
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
+from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.linear_algebra import least_squares, orthonormal
+from cosim.core.text import join_names, plain
 
 CHANGES = (0.01, 0.1)  # of a screened parameter, relative to its scale
 NO_EFFECT = 1e-9  # change of every output, relative to its spread, that is rounding

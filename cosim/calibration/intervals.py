@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.linear_algebra import pseudo_inverse
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import pseudo_inverse
 
 MOST_LAGS = 30  # order of an autoregression
 FEW = 8  # values for each lag

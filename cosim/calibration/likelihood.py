@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.linear_algebra import solution
 from cosim.calibration.simulations import Logs, Unknown
+from cosim.core.arrays import Array, Flags
+from cosim.core.linear_algebra import solution
 
 SMALLEST = 1e-8  # least standard deviation of a residual, relative to the spread of its channel
 STEP, SMALL, TINY = 1e-2, 1e-3, 1e-4  # steps of differences, relative to the scale of an unknown

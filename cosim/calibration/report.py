@@ -7,11 +7,11 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from cosim.base.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
-from cosim.base.version import __version__
 from cosim.blocks.compiling import permission
 from cosim.calibration.fit_record import Outcome, ParameterEntry, Record, StartEntry
 from cosim.calibration.replay_proof import Part
+from cosim.core.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
+from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import Panel, Trace

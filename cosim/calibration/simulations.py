@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
 from cosim.calibration.vary import Parameter
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive
 from cosim.residuals.starts import first_start, sigma_of, start_parameters
 from cosim.residuals.windows import free_run, self_started

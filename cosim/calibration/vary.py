@@ -9,14 +9,14 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cosim.base.errors import Fault, refuse
-from cosim.base.text import split_assignment
-from cosim.base.units import split_quantity
-from cosim.blocks.description import unit_of
+from cosim.core.errors import Fault, refuse
+from cosim.core.text import split_assignment
+from cosim.core.units import split_quantity
+from cosim.files.yaml_file import did_you_mean, short
+from cosim.fmi.description import unit_of
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.probing.log_runs import limits_of
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
-from cosim.storage.yaml_file import did_you_mean, short
 
 NOT_VARIED = '--vary "{text}" is none of NAME, NAME=20% and NAME=LOW..HIGH, as in mass=0.3..2'
 

@@ -11,11 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
-from cosim.base.messages import Note
-from cosim.base.text import join_names
 from cosim.blocks.compiling import permission
-from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.calibration.estimate import Estimate, Report
 from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
 from cosim.calibration.fit_sentences import verdict, warnings
@@ -24,6 +20,13 @@ from cosim.calibration.fitted_fmu import why_no_copy
 from cosim.calibration.replay_proof import Part, prove
 from cosim.calibration.simulations import Logs, OutOfTime
 from cosim.calibration.vary import Parameter, candidates, read_vary
+from cosim.core.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
+from cosim.core.messages import Note
+from cosim.core.text import join_names
+from cosim.files.artefact import Checking
+from cosim.files.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
+from cosim.files.folders import remove_earlier
+from cosim.fmi.description import read_description, unit_definition, unit_of
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
@@ -37,9 +40,6 @@ from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.replay_settings import start_values
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
-from cosim.storage.artefact import Checking
-from cosim.storage.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
-from cosim.storage.folders import remove_earlier
 
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 

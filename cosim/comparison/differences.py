@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
-from cosim.base.text import amount, counted
-from cosim.base.times import rounding
-from cosim.base.units import Conversion, conversion, definition_of
 from cosim.blocks.component import Signal
 from cosim.comparison import signals
 from cosim.comparison.intermediate_rows import surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.core.text import amount, counted
+from cosim.core.times import rounding
+from cosim.core.units import Conversion, conversion, definition_of
+from cosim.files.results import is_rounded
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.results import is_rounded
 
 if TYPE_CHECKING:
     import pandas

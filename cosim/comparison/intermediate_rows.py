@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.base.arrays import Array, Rows
+from cosim.core.arrays import Array, Rows
 
 
 @dataclass(frozen=True)

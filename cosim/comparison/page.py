@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, far_beyond
-from cosim.base.notebook import heading, table
-from cosim.base.text import amount, counted, written
-from cosim.base.version import __version__
 from cosim.comparison import differences, several
 from cosim.comparison.differences import MAX_LISTED, criteria_of, sentence
 from cosim.comparison.signals import Difference, format_share, format_size
-from cosim.history.inputs import input_text
+from cosim.core.arrays import Array, far_beyond
+from cosim.core.notebook import heading, table
+from cosim.core.text import amount, counted, written
+from cosim.core.version import __version__
+from cosim.files.run_inputs import input_text
 from cosim.report.cell.cell import cell_of, rows_to_show
 from cosim.report.charts import Charts
 from cosim.report.panels import Panel, Trace, display_unit
@@ -53,8 +53,8 @@ class Drawn:
         Raises:
             KeyError: A signal has no curves.
         """
+        from cosim.files.yaml_file import did_you_mean
         from cosim.simulation.report.figures import sheet
-        from cosim.storage.yaml_file import did_you_mean
 
         for name in names:
             if name not in self.drawable:

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.text import counted
 from cosim.comparison.differences import Compared, Comparison, compare_runs, criteria_of, describe_largest
 from cosim.comparison.signals import Difference, format_share, format_size
-from cosim.history.inputs import DifferingInput, differing_inputs, labels_of
+from cosim.core.arrays import Array
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.text import counted
+from cosim.files.folders import replay_record
+from cosim.files.results import Results, is_rounded
+from cosim.files.run_inputs import DifferingInput, differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.folders import replay_record
-from cosim.storage.results import Results, is_rounded
 
 if TYPE_CHECKING:
     import pandas

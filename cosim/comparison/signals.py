@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import amount, plain
-from cosim.base.units import Conversion
 from cosim.comparison.intermediate_rows import RowsBetween
+from cosim.core.arrays import Array
+from cosim.core.text import amount, plain
+from cosim.core.units import Conversion
+from cosim.files.table import as_text
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.table import as_text
 
 SAME_TIME = 1e-9  # fraction of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back

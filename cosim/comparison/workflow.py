@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from cosim.base.arrays import far_beyond
-from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compare_runs, is_one_run
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several, label_runs
-from cosim.storage.files import FilePath, check_writable, write_json, write_text
-from cosim.storage.folders import new_run, remove_earlier
+from cosim.core.arrays import far_beyond
+from cosim.core.errors import InputError
+from cosim.files.files import FilePath, check_writable, write_json, write_text
+from cosim.files.folders import new_run, remove_earlier
 
 FILES = ("comparison.json", "report.html")
 LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.kernel.kernel import Data, Layout
+from cosim.core.arrays import Array, Rows
+from cosim.estimation.kernel.kernel import Data, Layout
+from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
-from cosim.subject.interface import Subject
 
 UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
 JITTER = 0.01  # share of a row from which rows are not equally spaced

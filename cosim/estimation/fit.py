@@ -13,14 +13,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.linear_algebra import least_squares, pseudo_inverse
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import least_squares, pseudo_inverse
+from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel, processor_time
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
-from cosim.kernel.remote_kernel import RemoteLibraryKernel, processor_time
+from cosim.estimation.subject.candidates import Free
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.subject.candidates import Free
 
 ITERATIONS = 30
 CONVERGED, NEARLY = 0.02, 0.3  # NLL improvement of the last iteration; the same for a fit that only ranks

@@ -13,7 +13,7 @@ import numpy as np
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit, fit
 from cosim.estimation.problem import Problem
-from cosim.subject.candidates import Free
+from cosim.estimation.subject.candidates import Free
 
 FIRST, GROWTH = 2.0, 1.5  # rows of the first fit, in multiples of those that are not scored; their growth
 

@@ -13,7 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.core.arrays import Array, Rows
 
 SMALLEST, QUIET, PLAIN, LARGEST = 1e-3, 0.02, 0.04, 3.0
 GRID = np.arange(-60.0, 40.0, 4.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 
 
 def past_reading(sensor: Any, time: Array, values: Array, measured: Array | None = None) -> Array:

@@ -13,8 +13,8 @@ from dataclasses import replace
 
 from cosim.estimation.fit import CONVERGED, Fit
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import Free
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.subject.candidates import Free
 
 DOUBLINGS_FROM, HALVINGS = 0.01, 5  # search for the end of a plateau: first distance in sizes, and bisections
 FURTHEST = 1e4  # distance in sizes from which a plateau has no end

@@ -9,16 +9,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.data import count_unscored, data_of
+from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of
-from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
+from cosim.estimation.subject.candidates import Free
+from cosim.estimation.subject.interface import Subject
+from cosim.estimation.subject.start_state import first_measured, start_state
 from cosim.logs.log import Log, slowness
-from cosim.subject.candidates import Free
-from cosim.subject.interface import Subject
-from cosim.subject.start_state import first_measured, start_state
 
 FEW = 2  # steps of co-simulation between rows while a search ranks candidates
 SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model

@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import initial_fit
+from cosim.estimation.kernel.kernel import CONSTANT, DISTURBANCE, Data
 from cosim.estimation.problem import Problem
-from cosim.kernel.kernel import CONSTANT, DISTURBANCE, Data
 
 FAR, NEAR = 100.0, 10.0  # growth of a start error from which a horizon is too long; growth within the shorter horizon
 EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4

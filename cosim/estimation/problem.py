@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Flags, Rows
 from cosim.estimation.data import UNSCORED, count_unscored
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, run_all
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.readings import Readings, readings_of
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, run_all
+from cosim.estimation.subject.candidates import Free
 from cosim.logs.log import slowness
-from cosim.subject.candidates import Free
 
 RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log, and least rows, for the range of the process noise
 TOO_QUIET, UNKNOWN = 0.1, 1e-4  # share of a stated standard deviation below which no sensor lies; without statement

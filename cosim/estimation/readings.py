@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Flags, Rows
 
 NEAR = 4  # readings on each side for a slope
 ON_GRID = 0.99  # share of steps between readings that marks quantisation

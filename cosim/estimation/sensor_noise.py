@@ -7,13 +7,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.text import join_names, plain, written
+from cosim.core.arrays import Array, Flags
+from cosim.core.text import join_names, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
-from cosim.subject.interface import Subject
 
 OFF = 1.5  # ratio from which the noise differs from the model's; accuracy is about 10 %
 STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of the test; limit on squared innovations

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.fit import initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.base.text import counted
+from cosim.core.text import counted
 from cosim.experiment.question import Question
 from cosim.experiment.rigs import OpenLoop, Trial
 from cosim.experiment.separation import Pair

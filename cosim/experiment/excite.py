@@ -15,20 +15,20 @@ from shutil import copyfile
 
 import numpy as np
 
-from cosim.base import registry
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
-from cosim.base.settings import Count, ModelName, Names, PositiveSeconds, Seed
+from cosim.core import registry
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.estimation.posing import build_problem
 from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, RigAxis, Trial
 from cosim.experiment.separation import Separation
+from cosim.files.csv_source import write_columns
+from cosim.files.files import FilePath, check_writable, write_text
+from cosim.files.folders import new_run, remove_earlier
 from cosim.logs.log import slowness
-from cosim.storage.csv_source import write_columns
-from cosim.storage.files import FilePath, check_writable, write_text
-from cosim.storage.folders import new_run, remove_earlier
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less

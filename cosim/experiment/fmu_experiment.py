@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import Fault, refuse
-from cosim.blocks.description import read_description
+from cosim.core.errors import Fault, refuse
 from cosim.estimation.data import data_of
+from cosim.estimation.subject.fmu_subject import FmuSubject
+from cosim.estimation.subject.model_subject import neutral_values
+from cosim.estimation.subject.start_state import start_state
 from cosim.experiment.ranges import limits_and_ranges
 from cosim.experiment.rigs import OpenLoop, Ranges, Signals, Trial, clip
+from cosim.fmi.description import read_description
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log
@@ -23,9 +26,6 @@ from cosim.probing.places import probe_places
 from cosim.probing.prober import quantities
 from cosim.residuals.drive import model_signals
 from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.subject.fmu_subject import FmuSubject
-from cosim.subject.model_subject import neutral_values
-from cosim.subject.start_state import start_state
 from cosim.terms.fmu_model import FmuModel, fmu_model
 from cosim.terms.language import Term, with_place
 

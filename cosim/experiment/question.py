@@ -10,25 +10,25 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.errors import Fault, InputError, refuse
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.fmu_subject import FmuSubject
+from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
 from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges, logged_ranges
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, typical_rival
-from cosim.loading.file import LoadedModel, load_model
-from cosim.loading.refined import names_refine
-from cosim.loading.substep import with_substep
+from cosim.files.folders import newest_run
+from cosim.files.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given, kind_by_form
+from cosim.files.yaml_file import YamlFile, did_you_mean
+from cosim.fmi.building.file import LoadedModel, load_model
+from cosim.fmi.building.refined import names_refine
+from cosim.fmi.building.substep import with_substep
 from cosim.logs.log import read_log
 from cosim.model.model import Model
 from cosim.refinement.decision.judgement import SIGNIFICANT
 from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
-from cosim.storage.folders import newest_run
-from cosim.storage.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given, kind_by_form
-from cosim.storage.yaml_file import YamlFile, did_you_mean
-from cosim.subject.candidates import Candidate
-from cosim.subject.fmu_subject import FmuSubject
-from cosim.subject.model_subject import ModelSubject
 
 NOTHING = "nothing"
 FMU_SUFFIX = ".fmu"

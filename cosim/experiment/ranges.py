@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.base.units import NUMBER, conversion
+from cosim.core.units import NUMBER, conversion
+from cosim.estimation.subject.interface import Subject
 from cosim.experiment.rigs import Ranges
+from cosim.files.yaml_file import did_you_mean
 from cosim.logs.log import Log
 from cosim.model.model import Model
-from cosim.storage.yaml_file import did_you_mean
-from cosim.subject.interface import Subject
 
 LIMIT = re.compile(rf"(?P<name>[^=]+)=\s*(?P<number>{NUMBER})\s*(?P<unit>.*)")
 RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NUMBER})\s*(?P<unit>.*)")

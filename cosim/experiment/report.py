@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import append_unit, counted, display, plain
-from cosim.base.version import __version__
+from cosim.core.text import append_unit, counted, display, plain
+from cosim.core.version import __version__
 from cosim.experiment.chosen_input import MIN_SEPARATION, Excitation
 from cosim.experiment.separation import Pair
 from cosim.report.charts import Charts

@@ -1,6 +1,6 @@
 """Rigs that play experiments: signals on a few axes, and the model's response.
 
-Any model can be played in open loop; an unstable one registers its own rig (`cosim.base.registry`).
+Any model can be played in open loop; an unstable one registers its own rig (`cosim.core.registry`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.logs.log import Log
 from cosim.model.integrate import Stepper
 from cosim.model.model import Model, Values

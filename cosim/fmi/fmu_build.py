@@ -17,9 +17,9 @@ from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 
-from cosim.base.drafts import draft_of
-from cosim.base.scratch import temporary_folder
-from cosim.base.version import __version__
+from cosim.core.drafts import draft_of
+from cosim.core.scratch import temporary_folder
+from cosim.core.version import __version__
 from cosim.fmi.documentation import ASSETS, documentation, model_text
 from cosim.fmi.model_description import Description, complete
 from cosim.fmi.ports import Value, with_starts

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
-from cosim.base.units import DISPLAY, unit_definitions
+from cosim.core.units import DISPLAY, unit_definitions
 from cosim.fmi.ports import Port
 from cosim.fmi.sampled import AUTHOR, FRAME, TOOL
 from cosim.model.traits import Traits

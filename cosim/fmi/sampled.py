@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
+from cosim.files.archive import BadArchive, description_of
 from cosim.model.planar import PlanarFrame
 from cosim.model.traits import Traits
-from cosim.storage.archive import BadArchive, description_of
 
 TOOL, AUTHOR = "cosim", "The cosim authors"
 FRAME = ("x", "y", "heading", "forward", "right")

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ValidationError
 
-from cosim.base.errors import Fault, InputError
-from cosim.base.messages import with_prefix
-from cosim.base.units import read_quantity, split_quantity
-from cosim.storage.yaml_file import Part
+from cosim.core.errors import Fault, InputError
+from cosim.core.messages import with_prefix
+from cosim.core.units import read_quantity, split_quantity
+from cosim.files.yaml_file import Part
 
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
 LOADING = 60.0  # default limit of loading [s] with other time limits

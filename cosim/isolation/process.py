@@ -18,9 +18,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from cosim.base.errors import Crashed, SimulationError, Terminated
-from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.shared_code import SharedCode
+from cosim.core.errors import Crashed, SimulationError, Terminated
+from cosim.core.scratch import ScratchFolder, scratch
+from cosim.files.cache import cache_environment
+from cosim.files.files import delay_stops
 from cosim.isolation.rows import NOTHING, OTHER, Progress, mapped_progress
 from cosim.isolation.watch import READING_PAUSE, Clock, Watch, how_ended
 from cosim.isolation.worker import (
@@ -35,8 +37,6 @@ from cosim.isolation.worker import (
     send,
     transfer_fault,
 )
-from cosim.storage.cache import cache_environment
-from cosim.storage.files import delay_stops
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 
 # Current call: number of the component times CALLS, plus one of these.
 CALLS = 4

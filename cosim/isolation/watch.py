@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from cosim.base.errors import SimulationError, TimedOut
+from cosim.core.errors import SimulationError, TimedOut
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import ProcessTree
 from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, WAITING, Progress

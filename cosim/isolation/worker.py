@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from zlib import crc32
 
-from cosim.base.errors import CosimError, InputError
-from cosim.base.program import collect_seldom
-from cosim.base.scratch import remove
+from cosim.core.errors import CosimError, InputError
+from cosim.core.program import collect_seldom
+from cosim.core.scratch import remove
 from cosim.isolation.rows import Progress, mapped_progress
 
 HEAD = struct.Struct("!4sIQ")  # mark, checksum and size of a message

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import MISSING, counted, plain
+from cosim.core.arrays import Array
+from cosim.core.text import MISSING, counted, plain
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Pole, Structure
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 
 MIN_COUPLING = 1e-9  # smallest entry of a matrix that couples, relative to its largest entry
 MAX_RATE_AT_REST = 1e-6  # [state unit/s]

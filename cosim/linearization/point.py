@@ -11,20 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError, SimulationError, refuse
-from cosim.base.scratch import temporary_folder
-from cosim.base.text import as_yaml
-from cosim.base.times import rounding, roundings
-from cosim.base.units import read_quantity
+from cosim.core.arrays import Array
+from cosim.core.errors import Fault, InputError, SimulationError, refuse
+from cosim.core.scratch import temporary_folder
+from cosim.core.text import as_yaml
+from cosim.core.times import rounding, roundings
+from cosim.core.units import read_quantity
+from cosim.files.results import Results
+from cosim.files.yaml_file import did_you_mean, short
 from cosim.linearization.linear_model import Point
 from cosim.linearization.sources import EquationSource, Source
 from cosim.model.integrate import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.packaged import is_ssp
 from cosim.simulation.workflow import run
-from cosim.storage.results import Results
-from cosim.storage.yaml_file import did_you_mean, short
 
 MAX_OUTPUT_DIFFERENCE = 1e-6  # between model and component, relative to the output's range
 MAX_NAMES = 8  # missing signals in a message

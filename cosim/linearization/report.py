@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import counted, plain, split_sentence, written
-from cosim.base.version import __version__
+from cosim.core.arrays import Array
+from cosim.core.text import counted, plain, split_sentence, written
+from cosim.core.version import __version__
 from cosim.linearization.descriptions import headline, number, pole_rows
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Pole, poles

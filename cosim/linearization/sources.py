@@ -12,31 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
-from cosim.base.units import read_quantity
 from cosim.blocks.compiling import permission, with_permission
-from cosim.blocks.derivatives import (
-    DifferentiableFmu,
-    hides_states,
-    name_states,
-    reals,
-    scalars,
-    slopes_at,
-    states_of,
-    units_of,
-)
-from cosim.blocks.description import ways
+from cosim.blocks.derivatives import DifferentiableFmu, slopes_at
+from cosim.core.arrays import Array
+from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.core.units import read_quantity
+from cosim.files.yaml_file import did_you_mean, short
+from cosim.fmi.building.file import LoadedModel
+from cosim.fmi.description import hides_states, name_states, reals, scalars, states_of, units_of, ways
 from cosim.isolation import worker as here
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.linearization.linear_model import Linear, Point
-from cosim.loading.file import LoadedModel
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
-from cosim.storage.yaml_file import did_you_mean, short
 
 MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
 NAME = "fmu"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.linearization.linear_model import Linear
 
 POLE_TOLERANCE = 1e-6  # distance of equal poles, relative to the fastest pole

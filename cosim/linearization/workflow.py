@@ -10,10 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from cosim.authoring.single import start_pairs
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.registry import BASE, is_model
-from cosim.base.settings import Given, Names, Positive, texts
 from cosim.blocks.compiling import compiling
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.registry import BASE, is_model
+from cosim.core.settings import Given, Names, Positive, texts
+from cosim.files.files import FilePath, check_writable, named_path, write_text
+from cosim.files.folders import new_run, remove_earlier
+from cosim.files.kinds import CODE, FMU, MODEL, check_given, kind_of
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.building.file import LoadedModel, load_model, named_model
+from cosim.fmi.building.refined import names_refine, refined_file
 from cosim.linearization.linear_model import missing_states, select
 from cosim.linearization.linear_model import residualize as residualize_states
 from cosim.linearization.point import AT, move, points_along, read_at
@@ -28,12 +34,6 @@ from cosim.linearization.sources import (
 )
 from cosim.linearization.system_structure import structure
 from cosim.linearization.write import FILES, Outcome, write
-from cosim.loading.file import LoadedModel, load_model, named_model
-from cosim.loading.refined import names_refine, refined_file
-from cosim.storage.files import FilePath, check_writable, named_path, write_text
-from cosim.storage.folders import new_run, remove_earlier
-from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
-from cosim.storage.yaml_file import did_you_mean
 
 
 def linearize(

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.drafts import draft_of
-from cosim.base.version import __version__
+from cosim.core.arrays import Array
+from cosim.core.drafts import draft_of
+from cosim.core.version import __version__
+from cosim.files.files import write_json, write_text
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Structure
-from cosim.storage.files import write_json, write_text
 
 FILES = ("linear.json", "linear.mat", "linear.py")
 GROUPS = ("states", "inputs", "outputs")

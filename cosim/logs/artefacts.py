@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import LOG, Artefact
+from cosim.files.artefact import LOG, Artefact
 
 ARTEFACTS = (
     Artefact(

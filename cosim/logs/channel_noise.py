@@ -7,7 +7,7 @@ from itertools import permutations
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 
 NORMAL_95 = 1.96  # standard deviations within which 95 % of a normal distribution lie
 APART = 1.5  # multiple of the usual span of five readings beyond which readings are no neighbours

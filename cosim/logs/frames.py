@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.linear_algebra import least_squares
-from cosim.base.text import amount, counted, plain
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import least_squares
+from cosim.core.text import amount, counted, plain
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log

@@ -8,8 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError
-from cosim.base.text import amount, counted, percent, plain
+from cosim.core.errors import Fault, InputError
+from cosim.core.text import amount, counted, percent, plain
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.frames import frame_findings

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.core.arrays import Array, Rows
 from cosim.logs.log import Log
 
 SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.errors import Fault, refuse
-from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.blocks.component import Signal
+from cosim.core.arrays import Array, Rows
+from cosim.core.errors import Fault, refuse
+from cosim.core.units import Conversion, alternatives, assume_si, conversion
+from cosim.files.table import Column, Faults, Table, Use, read_table
+from cosim.files.yaml_file import closest, did_you_mean, short
 from cosim.model.quantities import Quantity
-from cosim.storage.table import Column, Faults, Table, Use, read_table
-from cosim.storage.yaml_file import closest, did_you_mean, short
 
 FAST, USUAL = 0.001, 0.05  # [s] row spacings from and up to which fixed times apply; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts

@@ -10,20 +10,20 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.base.registry import BASE, is_model
-from cosim.base.text import counted
-from cosim.base.units import assume_si, parse
-from cosim.loading.file import LoadedModel, load_model
-from cosim.loading.own_run import predicted_outputs
-from cosim.loading.substep import substep_notes, with_substep
+from cosim.core.registry import BASE, is_model
+from cosim.core.text import counted
+from cosim.core.units import assume_si, parse
+from cosim.files.artefact import Checking
+from cosim.files.table import Column, Use, read_header
+from cosim.fmi.building.file import LoadedModel, load_model
+from cosim.fmi.building.own_run import predicted_outputs
+from cosim.fmi.building.substep import substep_notes, with_substep
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import LogReader, first_rows, read_log
 from cosim.logs.model_comparison import output_findings
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.model.traits import Traits
-from cosim.storage.artefact import Checking
-from cosim.storage.table import Column, Use, read_header
 
 ROWS = 1000  # first rows of a log in which the model's outputs are predicted
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.correlation import correlation_at_lags
-from cosim.base.text import amount, plain
-from cosim.base.units import factor
+from cosim.core.arrays import Array
+from cosim.core.correlation import correlation_at_lags
+from cosim.core.text import amount, plain
+from cosim.core.units import factor
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log

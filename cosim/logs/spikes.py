@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Flags, Rows
 from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.log import Log
 

@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.base.text import amount
-from cosim.base.units import alternatives, factor
+from cosim.core.text import amount
+from cosim.core.units import alternatives, factor
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 

@@ -19,10 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import far_beyond
-from cosim.base.errors import Interrupted, Signalled, SimulationError
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.arrays import far_beyond
+from cosim.core.errors import Interrupted, Signalled, SimulationError
+from cosim.files.state_file import pack, unpack
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -33,7 +34,6 @@ from cosim.master.initialization import Initialization
 from cosim.master.loops import PROBES, Member, members_of
 from cosim.master.master import Master
 from cosim.master.own_process import in_own_processes
-from cosim.storage.state_file import pack, unpack
 from cosim.system.system import System
 
 SWEEPS = 3  # exchanges of values before the measurement

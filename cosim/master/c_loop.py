@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.blocks.component import without_step
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, called_slot, library, transfer
 from cosim.blocks.stepping import Transfer as CTransfer
+from cosim.core.arrays import Array
 from cosim.master.inbox import MOST_IN_C
 from cosim.system.event_blocks import is_exchange
 from cosim.system.system import System

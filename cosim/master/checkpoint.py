@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import Interrupted, SimulationError
-from cosim.base.messages import Note
+from cosim.core.arrays import Array
+from cosim.core.errors import Interrupted, SimulationError
+from cosim.core.messages import Note
+from cosim.files.state_file import pack, sync, unpack, write_durable
 from cosim.isolation import worker as here
 from cosim.isolation.rows import GET, NOTHING, exact_line, read_exact
 from cosim.master.inbox import Change
-from cosim.storage.state_file import pack, sync, unpack, write_durable
 from cosim.system.system import System
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.blocks.description import takes_any_step
+from cosim.core.arrays import Array
+from cosim.fmi.description import takes_any_step
 from cosim.system.schedule import Stage
 from cosim.system.system import System
 from cosim.system.wiring import Transfer

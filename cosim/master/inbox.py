@@ -19,7 +19,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, refuse
+from cosim.core.errors import Fault, refuse
 from cosim.isolation.rows import WAITING, Progress
 from cosim.scenario.start_values import Misfit
 from cosim.system.events import Targets, Variable

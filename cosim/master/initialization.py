@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import NotFinite, SimulationError
 from cosim.blocks.component import EarlyEnd
+from cosim.core.arrays import Array
+from cosim.core.errors import NotFinite, SimulationError
 from cosim.isolation.rows import GET, PUT
 from cosim.master.copying import copy_values
 from cosim.master.loops import MOST_DIFFERENCES, SHIFT, LoopSolver, is_lost

@@ -22,16 +22,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import SimulationError
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange
 from cosim.blocks.sources import SourceBlock
+from cosim.core.errors import SimulationError
+from cosim.files.results import Results
 from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import Copies, copy_values
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Policy
-from cosim.storage.results import Results
 from cosim.system.event_blocks import is_exchange, takes_part_of_step
 from cosim.system.schedule import Stage
 

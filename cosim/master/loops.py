@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import NotFinite, SimulationError
-from cosim.base.times import first_point
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.arrays import Array
+from cosim.core.errors import NotFinite, SimulationError
+from cosim.core.times import first_point
 from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import copy_values
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding

@@ -22,14 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.drafts import is_full
-from cosim.base.errors import CallFailed, DiskFull, NotFinite, SimulationError, Terminated, stop_error
-from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NEVER, NotCompiled
+from cosim.core.arrays import Array
+from cosim.core.drafts import is_full
+from cosim.core.errors import CallFailed, DiskFull, NotFinite, SimulationError, Terminated, stop_error
+from cosim.core.messages import Note
+from cosim.files.files import hold_stops
+from cosim.files.results import Results
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
@@ -41,8 +43,6 @@ from cosim.master.instants import Instants
 from cosim.master.loops import LoopSolver
 from cosim.master.pacing import Pacer
 from cosim.master.policies import Active, ControlledSteps, EqualSteps, HalvedSteps, Policy, Round
-from cosim.storage.files import hold_stops
-from cosim.storage.results import Results
 from cosim.system.schedule import Stage
 from cosim.system.system import System
 from cosim.system.wiring import Transfer

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import Fault, SimulationError, refuse
+from cosim.core.arrays import Array
+from cosim.core.errors import Fault, SimulationError, refuse
 from cosim.master.inbox import Control, targets_of
 from cosim.system.system import System
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from cosim.blocks.component import Component, Row, Signal
 from cosim.blocks.event_mode import EventFmu
-from cosim.blocks.fmi_types import Exchange
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance
 from cosim.blocks.values import Values as InstanceValues
+from cosim.fmi.fmi_types import Exchange
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker

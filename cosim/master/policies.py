@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
 from cosim.isolation.rows import GET
 from cosim.master.checkpoint import NOT_RESTORED
 from cosim.master.copying import Noisy, Plain, Through

@@ -13,11 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
-from cosim.base.messages import Note, with_prefix
-from cosim.base.scratch import lock_file, scratch, temporary_folder
 from cosim.blocks.component import EarlyEnd
+from cosim.core.drafts import is_full
+from cosim.core.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
+from cosim.core.messages import Note, with_prefix
+from cosim.core.scratch import lock_file, scratch, temporary_folder
+from cosim.files.files import hold_stops
+from cosim.files.results import Results
+from cosim.files.state_file import write_durable
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -39,9 +42,6 @@ from cosim.master.inbox import Change, Control, Inbox
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import MAX_CHARACTERS, Feed, Observer
 from cosim.master.own_process import in_own_processes
-from cosim.storage.files import hold_stops
-from cosim.storage.results import Results
-from cosim.storage.state_file import write_durable
 from cosim.system.recording import RecordedPart, take_signals
 from cosim.system.system import System
 

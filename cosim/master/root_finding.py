@@ -20,7 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 
 SLOW = 0.25  # ratio of successive residuals, above which the slopes are computed again
 SHORTEST = 2.0**-10  # smallest share of a Newton step

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
+from cosim.files.artefact import Artefact
 
 ARTEFACTS = (
     Artefact(

@@ -13,9 +13,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
-from cosim.base.text import counted
+from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.core.text import counted
 from cosim.pages.rows import TIME, Recording
 from cosim.pages.runs import ViewedRun
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.storage.files import open_bytes, parse_json, write_json
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.files.files import open_bytes, parse_json, write_json
 
 SCHEMA_VERSION = 1
 LONGEST = 80  # characters of a name

@@ -15,8 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.storage.results import is_rounded
+from cosim.core.arrays import Array, Rows
+from cosim.files.results import is_rounded
 
 FACTOR, LEVELS = 16, 3
 GROUP: int = FACTOR**LEVELS  # rows whose columns stand together in a file

@@ -9,16 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Note
-from cosim.history.entries import Entry, entries
-from cosim.history.selection import Selected, select_groups
+from cosim.core.drafts import is_full
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.messages import Note
+from cosim.files.folders import manifest_in, replay_record, run_name, status_in, warnings_on
+from cosim.files.kinds import LOG, check_given, refuse_folder
+from cosim.files.results import rows_in
+from cosim.files.run_entries import Entry, entries
+from cosim.files.run_selection import Selected, select_groups
 from cosim.pages.rows import Recording
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
-from cosim.storage.folders import manifest_in, replay_record, run_name, status_in, warnings_on
-from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import rows_in
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 MAX_RUNS = 20  # shown without names

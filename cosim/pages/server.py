@@ -34,10 +34,10 @@ from starlette.responses import JSONResponse, RedirectResponse, Response, Stream
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from cosim.base.errors import CosimError, InputError
-from cosim.base.messages import Note, printable_json
-from cosim.base.scratch import process_folder
-from cosim.storage.files import parse_json
+from cosim.core.errors import CosimError, InputError
+from cosim.core.messages import Note, printable_json
+from cosim.core.scratch import process_folder
+from cosim.files.files import parse_json
 
 ADDRESS = "127.0.0.1"
 MAX_BODY = 1 << 16  # [bytes]

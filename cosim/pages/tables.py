@@ -20,19 +20,19 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import compute, csv, parquet
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import InputError
-from cosim.base.messages import printable
-from cosim.base.scratch import process_folder
-from cosim.base.units import factor
+from cosim.core.drafts import is_full
+from cosim.core.errors import InputError
+from cosim.core.messages import printable
+from cosim.core.scratch import process_folder
+from cosim.core.units import factor
+from cosim.files.cache import cache_folder, load_or_make
+from cosim.files.csv_source import CSV, read_heading
+from cosim.files.files import open_bytes, scratch_folder
+from cosim.files.folders import content_of
+from cosim.files.parquet_source import PARQUET, heading_of
+from cosim.files.results import INTEGER, Results, is_rounded, read_results
+from cosim.files.table import is_time, source_of
 from cosim.pages.rows import TIME, Recording, Store
-from cosim.storage.cache import cache_folder, load_or_make
-from cosim.storage.csv_source import CSV, read_heading
-from cosim.storage.files import open_bytes, scratch_folder
-from cosim.storage.folders import content_of
-from cosim.storage.parquet_source import PARQUET, heading_of
-from cosim.storage.results import INTEGER, Results, is_rounded, read_results
-from cosim.storage.table import is_time, source_of
 
 FOLDER, ABOUT, TEXTS, VERSION = "view", "about.json", "texts.arrow", 5
 UNUSED = 30 * 86_400.0  # [s] from which a conversion is removed

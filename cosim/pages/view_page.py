@@ -15,18 +15,18 @@ from starlette.background import BackgroundTask
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.errors import InputError
-from cosim.base.scratch import process_folder
-from cosim.base.version import __version__
+from cosim.core.arrays import Array, Rows
+from cosim.core.errors import InputError
+from cosim.core.scratch import process_folder
+from cosim.core.version import __version__
+from cosim.files.csv_source import cell_text, write_table
+from cosim.files.files import parse_json
 from cosim.pages.formulas import Definition, Derivations
 from cosim.pages.layouts import Layouts, check_layouts
 from cosim.pages.rows import TIME, Picture
 from cosim.pages.runs import LOOK, ViewedRun
 from cosim.pages.server import Handler, Json, ServedPage
 from cosim.report.template import render
-from cosim.storage.csv_source import cell_text, write_table
-from cosim.storage.files import parse_json
 
 TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
 MAX_WIDTH, MAX_POINTS = 8192, 20_000  # pixel columns of a picture, points of a plane

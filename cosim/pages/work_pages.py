@@ -15,11 +15,11 @@ import numpy as np
 from starlette.requests import Request
 from starlette.responses import Response
 
-from cosim.base.arrays import Array
-from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, SweepStopped, Terminated
-from cosim.base.messages import Note
-from cosim.base.scratch import process_folder
-from cosim.base.version import __version__
+from cosim.core.arrays import Array
+from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, SweepStopped, Terminated
+from cosim.core.messages import Note
+from cosim.core.scratch import process_folder
+from cosim.core.version import __version__
 from cosim.master.inbox import Control
 from cosim.master.observer import ObservedRun, Observer
 from cosim.pages.rows import Store

@@ -9,10 +9,9 @@ from itertools import permutations
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.errors import SimulationError
-from cosim.blocks.derivatives import reals, scalars
-from cosim.blocks.description import takes_any_step
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import SimulationError
+from cosim.fmi.description import reals, scalars, takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
 from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters

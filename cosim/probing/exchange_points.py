@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.errors import SimulationError
-from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars
+from cosim.blocks.derivatives import DifferentiableFmu
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import SimulationError
+from cosim.fmi.description import reals, scalars
 from cosim.probing.log_runs import SAME, Course, Fmu, Run, simulate
 
 POINTS = 40  # points over all logs

@@ -8,9 +8,9 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import FmuError, InputError, SimulationError
-from cosim.blocks.derivatives import states_of
+from cosim.core.arrays import Array
+from cosim.core.errors import FmuError, InputError, SimulationError
+from cosim.fmi.description import states_of
 from cosim.probing.exchange_points import (
     CONSTANT,
     PLACES,

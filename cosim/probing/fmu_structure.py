@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cosim.base.arrays import Flags
-from cosim.blocks.description import Way
+from cosim.core.arrays import Flags
+from cosim.fmi.description import Way
 from cosim.model.quantities import Quantity
 from cosim.terms.language import RatioFactor
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
 from cosim.probing.exchange_points import CONSTANT, LARGE, PLACES, SMALL, Points, reactions
 from cosim.probing.fmu_structure import Connection, Damping, Pair, ProbedParameter
 from cosim.probing.log_runs import SAME, Course

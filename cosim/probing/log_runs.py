@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, states_of
-from cosim.blocks.description import Way
+from cosim.blocks.derivatives import DifferentiableFmu
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
+from cosim.fmi.description import Way, reals, scalars, states_of
 from cosim.isolation import worker as here
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
 from cosim.logs.log import Log

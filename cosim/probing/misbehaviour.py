@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import FmuError, SimulationError
-from cosim.blocks.description import Way, library_of, ways
+from cosim.core.arrays import Array
+from cosim.core.errors import FmuError, SimulationError
+from cosim.fmi.description import Way, library_of, ways
 from cosim.isolation.memory import resident
 from cosim.probing.log_runs import SAME, Course, Fmu, begin, outputs_by, put_row, run_along, sine_course, step_row
 from cosim.probing.own_step import excited_course

@@ -11,10 +11,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import FmuError, SimulationError
-from cosim.blocks.derivatives import reals
-from cosim.blocks.description import state_names, ways
+from cosim.core.arrays import Array
+from cosim.core.errors import FmuError, SimulationError
+from cosim.fmi.description import reals, state_names, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
 from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, outputs_by, sine_course

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.blocks.derivatives import REALS
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
+from cosim.fmi.description import REALS
 from cosim.probing.fmu_structure import ProbedParameter, StartValue
 from cosim.probing.log_runs import SAME, Course, Fmu
 from cosim.probing.prober import Job, Prober, quantities

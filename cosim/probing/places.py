@@ -8,8 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cosim.base.errors import FmuError, InputError, SimulationError
-from cosim.blocks.description import Way, read_description, ways
+from cosim.core.errors import FmuError, InputError, SimulationError
+from cosim.fmi.description import Way, read_description, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity

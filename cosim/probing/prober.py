@@ -10,19 +10,19 @@ from typing import Any, Self
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.errors import Fault, refuse
-from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import permission, with_permission
-from cosim.blocks.description import read_description, unit_of
-from cosim.blocks.fmi_types import element_names
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import Fault, refuse
+from cosim.core.scratch import temporary_folder
+from cosim.files.archive import unpack
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import read_description, unit_of
+from cosim.fmi.fmi_types import element_names
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.model.quantities import Quantity
 from cosim.probing.log_runs import Fmu, limits_of
-from cosim.storage.archive import unpack
-from cosim.storage.yaml_file import did_you_mean
 
 Job = Callable[..., Any]
 JOBS = ("exchange_points", "co_simulation", "log_runs", "misbehaviour")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import ANSWER, STUDY, Artefact
+from cosim.files.artefact import ANSWER, STUDY, Artefact
 
 ARTEFACTS = (
     Artefact(

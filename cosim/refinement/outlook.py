@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.messages import Note
-from cosim.base.text import counted, join_names
-from cosim.loading.file import is_execution_allowed
+from cosim.core.messages import Note
+from cosim.core.text import counted, join_names
+from cosim.estimation.subject.fmu_subject import FmuSubject
+from cosim.files.artefact import Checking
+from cosim.files.yaml_file import YamlFile
+from cosim.fmi.building.file import is_execution_allowed
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Pair, Structure
 from cosim.refinement.study import FMU_SUFFIX, Study, keys_of, read_parts_of_fmu, read_study
-from cosim.storage.artefact import Checking
-from cosim.storage.yaml_file import YamlFile
-from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.language import with_place
 
 FEWEST_STEPPED = 2  # estimation logs in co-simulation, where the filter has no process noise inside the FMU

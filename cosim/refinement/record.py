@@ -11,13 +11,16 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
-from cosim.base.text import join_names
-from cosim.base.version import __version__
+from cosim.core.text import join_names
+from cosim.core.version import __version__
 from cosim.estimation.expected import expected_value
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.base_parameters import kind_within
+from cosim.estimation.subject.candidates import Candidate, Kind
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
 from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
@@ -25,9 +28,6 @@ from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
-from cosim.subject.base_parameters import kind_within
-from cosim.subject.candidates import Candidate, Kind
-from cosim.subject.interface import Subject
 
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 

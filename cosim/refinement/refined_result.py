@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.loading.refined import ANSWER, REFINED
-from cosim.storage.folders import content_of
+from cosim.files.folders import content_of
+from cosim.fmi.building.refined import ANSWER, REFINED
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from cosim.subject.interface import Subject
+    from cosim.estimation.subject.interface import Subject
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,7 +91,7 @@ class Refined:
         return f"{self.verdict}: {self.sentence}"
 
     def _repr_html_(self) -> str:
-        from cosim.base.notebook import heading, table
+        from cosim.core.notebook import heading, table
 
         rows = [
             (f"{effect['name']}.{name}", f"{p['value']:.5g}", p["unit"], " … ".join(f"{end:.5g}" for end in p["ci95"]))

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import Part
 from cosim.refinement.search.hypotheses import Attribution
 from cosim.refinement.study import Study
-from cosim.subject.interface import Subject
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,24 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag, ValidationError
 
-from cosim.base.arrays import Rows
-from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.messages import with_prefix
-from cosim.base.registry import BASE
-from cosim.base.text import counted, plain
-from cosim.base.units import has_unit, read_quantity
+from cosim.core.arrays import Rows
+from cosim.core.errors import Fault, InputError, NotExecuted, refuse
+from cosim.core.messages import with_prefix
+from cosim.core.registry import BASE
+from cosim.core.text import counted, plain
+from cosim.core.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
+from cosim.estimation.subject.fmu_subject import FmuSubject
+from cosim.estimation.subject.interface import Subject
+from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.files.artefact import kind_by_keys
+from cosim.files.files import FilePath
+from cosim.files.kinds import STUDY, check_form, refuse_other
+from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
+from cosim.fmi.building.file import LoadedModel, load_model, own_terms
+from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
-from cosim.loading.file import LoadedModel, load_model, own_terms
-from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
@@ -34,13 +41,6 @@ from cosim.probing.places import probe_places
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
-from cosim.storage.artefact import kind_by_keys
-from cosim.storage.files import FilePath
-from cosim.storage.kinds import STUDY, check_form, refuse_other
-from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
-from cosim.subject.fmu_subject import FmuSubject
-from cosim.subject.interface import Subject
-from cosim.subject.model_subject import ModelSubject
 
 MISSING_LOG = "{log}: no such file beside the study; its logs are named from there"
 

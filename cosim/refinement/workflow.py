@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import Fault, TimedOut, refuse
-from cosim.base.text import counted, join_names, plain
-from cosim.base.units import unit_of_rate
+from cosim.core.errors import Fault, TimedOut, refuse
+from cosim.core.text import counted, join_names, plain
+from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import Fit, initial_fit
+from cosim.estimation.kernel.nameless import RATE
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
@@ -26,9 +27,22 @@ from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, noise_warnings, sensor_noise
 from cosim.estimation.start_states import with_likely_starts
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.interface import Subject, Workplace
+from cosim.files.files import (
+    FilePath,
+    check_writable,
+    delay_stops,
+    hold_stops,
+    named_path,
+    one_stop,
+    release_stops,
+    scratch_folder,
+    write_json,
+)
+from cosim.files.folders import remove_earlier
+from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
-from cosim.kernel.nameless import RATE
-from cosim.loading.refined import ANSWER, NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.constancy import check_constancy
@@ -70,20 +84,6 @@ from cosim.refinement.search.input_hold import Between, between_rows, late_input
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study, read_study
-from cosim.storage.files import (
-    FilePath,
-    check_writable,
-    delay_stops,
-    hold_stops,
-    named_path,
-    one_stop,
-    release_stops,
-    scratch_folder,
-    write_json,
-)
-from cosim.storage.folders import remove_earlier
-from cosim.subject.candidates import Candidate
-from cosim.subject.interface import Subject, Workplace
 
 DELIVERED = {"refined": "after", "nearest": "nearest"}  # name of written files → variant
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication

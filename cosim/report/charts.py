@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.messages import printable_json
+from cosim.core.arrays import Array, Rows
+from cosim.core.messages import printable_json
 from cosim.report.panels import Panel, Trace, extent
 
 MAX_CELLS = 6_000_000  # values in a page; beyond, every n-th row

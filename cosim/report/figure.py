@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.base.scratch import process_folder
+from cosim.core.scratch import process_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import display
+from cosim.core.arrays import Array
+from cosim.core.text import display
 
 OTHERS_PER_PANEL = 6
 WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.base.messages import printable
+from cosim.core.messages import printable
 
 TEMPLATES = Path(__file__).with_name("templates")
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import plain, size
+from cosim.core.text import plain, size
 from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.gate import ORDER, refuse_faults

@@ -13,19 +13,19 @@ from typing import Any, Self
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
-from cosim.base.times import rounding, roundings
-from cosim.base.units import Conversion, conversion
 from cosim.blocks.component import Signal
-from cosim.blocks.description import read_description, takes_any_step
 from cosim.blocks.fmu import FmuBlock, RestartableFmu
+from cosim.core.arrays import Array
+from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.core.times import rounding, roundings
+from cosim.core.units import Conversion, conversion
+from cosim.files.kinds import FMU, LOG, check_given
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import read_description, takes_any_step
 from cosim.fmi.sampled import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
 from cosim.logs.log import Log, read_log
-from cosim.storage.kinds import FMU, LOG, check_given
-from cosim.storage.yaml_file import did_you_mean
 
 PLANT = "plant"  # component name in results and messages
 PROGRESS_EVERY = 500

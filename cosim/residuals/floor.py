@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
 from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive, as_columns

@@ -7,11 +7,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
-from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.compiling import with_permission
 from cosim.blocks.shared_code import claim
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
+from cosim.core.scratch import ScratchFolder, scratch
 from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits

@@ -7,11 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, refuse
-from cosim.base.text import split_assignment
-from cosim.blocks.description import read_description
+from cosim.core.errors import Fault, refuse
+from cosim.core.text import split_assignment
+from cosim.files.yaml_file import did_you_mean, short
+from cosim.fmi.description import read_description
 from cosim.scenario.start_values import NOT_NUMBERS, Misfit, convert_value, settable
-from cosim.storage.yaml_file import did_you_mean, short
 
 SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 

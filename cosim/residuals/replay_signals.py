@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.files.folders import replay_record
+from cosim.files.results import read_results, rows_in
 from cosim.simulation.run_signals import Signals
-from cosim.storage.folders import replay_record
-from cosim.storage.results import read_results, rows_in
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Rows
-from cosim.base.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
-from cosim.base.version import __version__
+from cosim.core.arrays import Rows
+from cosim.core.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
+from cosim.core.version import __version__
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.errors import SimulationError
-from cosim.base.linear_algebra import least_squares
+from cosim.core.arrays import Array, Rows
+from cosim.core.errors import SimulationError
+from cosim.core.linear_algebra import least_squares
 from cosim.fmi.state import STATE
 from cosim.logs.channel_noise import least_noise_level, noise_level
 from cosim.logs.log import Log

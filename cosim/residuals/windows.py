@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.fmi.state import MEMORY, STATE, Memory, Own
 from cosim.logs.log import Log, stretches
 from cosim.residuals.drive import Drive, as_columns, coarse_rounding, rows_of

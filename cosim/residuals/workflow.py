@@ -11,18 +11,30 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, far_beyond
-from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, Terminated, stop_error
-from cosim.base.registry import BASE
-from cosim.base.scratch import temporary_folder
-from cosim.base.text import as_yaml, join_names
+from cosim.core.arrays import Array, far_beyond
+from cosim.core.drafts import is_full
+from cosim.core.errors import DiskFull, Terminated, stop_error
+from cosim.core.registry import BASE
+from cosim.core.scratch import temporary_folder
+from cosim.core.text import as_yaml, join_names
+from cosim.files.files import (
+    FilePath,
+    check_writable,
+    hold_stops,
+    named_path,
+    one_stop,
+    release_stops,
+    write_json,
+    write_text,
+)
+from cosim.files.folders import REPLAY, SCHEMA_VERSION, content_of, describe_run, remove_earlier
+from cosim.files.results import Results, rows_name
+from cosim.fmi.building.file import load_model
+from cosim.fmi.building.refined import ANSWER, folder_of
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.fmi.sampled import AUTHOR
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
-from cosim.loading.file import load_model
-from cosim.loading.refined import ANSWER, folder_of
 from cosim.logs.finding import SENSORS, Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import Log, read_column_names
@@ -37,18 +49,6 @@ from cosim.residuals.replay_settings import start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, free_run
-from cosim.storage.files import (
-    FilePath,
-    check_writable,
-    hold_stops,
-    named_path,
-    one_stop,
-    release_stops,
-    write_json,
-    write_text,
-)
-from cosim.storage.folders import REPLAY, SCHEMA_VERSION, content_of, describe_run, remove_earlier
-from cosim.storage.results import Results, rows_name
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 NEXT_STUDY = "study.yaml"

@@ -9,8 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from cosim.blocks.coupling import DEFAULT, AlgorithmKey
 from cosim.blocks.profile import Profile
-from cosim.isolation.limits import Limits
-from cosim.storage.yaml_file import (
+from cosim.files.yaml_file import (
     Amount,
     InUnit,
     NotNegativeAmount,
@@ -23,6 +22,7 @@ from cosim.storage.yaml_file import (
     Seconds,
     Share,
 )
+from cosim.isolation.limits import Limits
 
 Course = Literal["hold", "linear", "quadratic"]
 COURSES: tuple[Course, ...] = ("hold", "linear", "quadratic")  # by degree

@@ -13,15 +13,15 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.loading.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.files.artefact import kind_by_keys
+from cosim.files.folders import SCHEMA_VERSION, other_version
+from cosim.files.kinds import MANIFEST, SCENARIO, check_form, refuse_other
+from cosim.files.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, location_in, short
+from cosim.files.yaml_nodes import Document, Location, NotYaml
+from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
-from cosim.storage.artefact import kind_by_keys
-from cosim.storage.folders import SCHEMA_VERSION, other_version
-from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
-from cosim.storage.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, location_in, short
-from cosim.storage.yaml_nodes import Document, Location, NotYaml
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps

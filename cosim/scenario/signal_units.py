@@ -1,6 +1,6 @@
 """Unit conversion of scenario values that are in the unit of a signal, before validation.
 
-Quantities with a fixed unit, such as `duration`, are converted by `cosim.storage.yaml_file.InUnit`.
+Quantities with a fixed unit, such as `duration`, are converted by `cosim.files.yaml_file.InUnit`.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FmuError, InputError
-from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, square_unit
-from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.sources import playback
+from cosim.core.errors import FmuError, InputError
+from cosim.core.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, square_unit
+from cosim.files.yaml_file import format_value, wrong_value
+from cosim.files.yaml_nodes import Location
+from cosim.fmi.description import read_description, unit_of
 from cosim.scenario.start_values import convert_quantity
-from cosim.storage.yaml_file import format_value, wrong_value
-from cosim.storage.yaml_nodes import Location
 
 STAND_IN = 1.0  # replaces a faulty quantity, so that checks can go on
 Resolve = Callable[[str], Path]

@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.units import allowed_quantity, split_quantity
 from cosim.blocks.component import Signal
-from cosim.blocks.description import enumeration_items, is_difference, unit_definition, unit_of
-from cosim.blocks.fmi_types import FmiType, element_names, kinds_of
-from cosim.storage.yaml_file import did_you_mean
+from cosim.core.units import allowed_quantity, split_quantity
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import enumeration_items, is_difference, unit_definition, unit_of
+from cosim.fmi.fmi_types import FmiType, element_names, kinds_of
 
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import FMU, LOG, MANIFEST, RESULTS, SCENARIO, SSP, Artefact
+from cosim.files.artefact import FMU, LOG, MANIFEST, RESULTS, SCENARIO, SSP, Artefact
 
 ARTEFACTS = (
     Artefact(

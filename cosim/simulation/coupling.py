@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import InputError, Interrupted
-from cosim.base.messages import Note
+from cosim.core.errors import InputError, Interrupted
+from cosim.core.messages import Note
+from cosim.files.files import FilePath
+from cosim.files.results import Results
 from cosim.isolation.process import Worker
 from cosim.master.remote import MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.undeclared import with_feedthrough
-from cosim.storage.files import FilePath
-from cosim.storage.results import Results
 from cosim.system.control import rollback_obstacle
 from cosim.system.system import System, build_system
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, far_beyond
-from cosim.base.times import roundings
+from cosim.core.arrays import Array, far_beyond
+from cosim.core.times import roundings
+from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
-from cosim.storage.results import Results
 
 DIGITS, MOST_DIGITS = 4, 17  # of a value and its limit; more where they would look the same
 

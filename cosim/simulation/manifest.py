@@ -10,16 +10,16 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import refuse
-from cosim.base.messages import Note
-from cosim.base.text import counted
-from cosim.base.times import first_point
-from cosim.base.units import is_as_known
-from cosim.base.version import __version__
+from cosim.core.errors import refuse
+from cosim.core.messages import Note
+from cosim.core.text import counted
+from cosim.core.times import first_point
+from cosim.core.units import is_as_known
+from cosim.core.version import __version__
+from cosim.files.folders import COMMAND, SCHEMA_VERSION
 from cosim.master.inbox import Change
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, key_of, sha256
-from cosim.storage.folders import COMMAND, SCHEMA_VERSION
 from cosim.system.system import System
 
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")

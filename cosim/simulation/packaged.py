@@ -10,17 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cosim.base.drafts import draft_of
-from cosim.base.errors import Fault, InputError
-from cosim.base.scratch import temporary_folder
 from cosim.blocks.coupling import Jacobi
+from cosim.core.drafts import draft_of
+from cosim.core.errors import Fault, InputError
+from cosim.core.scratch import temporary_folder
+from cosim.files.files import check_writable, write_json
+from cosim.files.folders import remove_earlier
+from cosim.files.kinds import SSP, kind_by_form
+from cosim.files.yaml_nodes import Location
 from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
 from cosim.ssp.package import Element, open_package
 from cosim.ssp.read import SspSystem, read
-from cosim.storage.files import check_writable, write_json
-from cosim.storage.folders import remove_earlier
-from cosim.storage.kinds import SSP, kind_by_form
-from cosim.storage.yaml_nodes import Location
 from cosim.system.system import build_system
 
 FOLDER, SCENARIO = SYSTEM, "scenario.json"  # inside the results folder

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import InputError
-from cosim.storage.artefact import folder_kind
-from cosim.storage.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
-from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import Results, read_results, rows_in
-from cosim.storage.table import suffixes
+from cosim.core.errors import InputError
+from cosim.files.artefact import folder_kind
+from cosim.files.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
+from cosim.files.kinds import LOG, check_given, refuse_folder
+from cosim.files.results import Results, read_results, rows_in
+from cosim.files.table import suffixes
 
 WANTED = "the folder of a run or a table of its rows"
 

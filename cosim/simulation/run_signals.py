@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.arrays import Array
-from cosim.base.messages import printable
-from cosim.base.text import MISSING, counted, plain
-from cosim.storage.results import Results
-from cosim.storage.table import as_text
+from cosim.core.arrays import Array
+from cosim.core.messages import printable
+from cosim.core.text import MISSING, counted, plain
+from cosim.files.results import Results
+from cosim.files.table import as_text
 
 if TYPE_CHECKING:
     import pandas
@@ -69,7 +69,7 @@ class Signals:
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.results.columns:
-            from cosim.storage.yaml_file import did_you_mean
+            from cosim.files.yaml_file import did_you_mean
 
             hint = did_you_mean(name, self.results.columns)
             raise KeyError(f'no signal "{name}"{hint}')
@@ -132,7 +132,7 @@ class Signals:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from cosim.base.notebook import heading, table
+        from cosim.core.notebook import heading, table
 
         texts = [*self.results.exact]
         shown = [*self.names[: 2 * MAX_LINES], *texts[:MAX_LINES]]

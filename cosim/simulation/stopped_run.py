@@ -23,24 +23,24 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.drafts import remove_drafts
-from cosim.base.errors import InputError
-from cosim.base.messages import Note
-from cosim.base.scratch import lock_file
-from cosim.base.times import rounding, roundings
-from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import LONGEST, ModelExchange
+from cosim.core.drafts import remove_drafts
+from cosim.core.errors import InputError
+from cosim.core.messages import Note
+from cosim.core.scratch import lock_file
+from cosim.core.times import rounding, roundings
+from cosim.core.version import __version__
+from cosim.files.files import write_json
+from cosim.files.folders import content_of, new_run, newest_run
+from cosim.files.record_types import fault_of, sound_part
+from cosim.files.results import Results, read_results, rows_in
+from cosim.files.state_file import sync, unpack
 from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.files import write_json
-from cosim.storage.folders import content_of, new_run, newest_run
-from cosim.storage.record_types import fault_of, sound_part
-from cosim.storage.results import Results, read_results, rows_in
-from cosim.storage.state_file import sync, unpack
 from cosim.system.system import System
 
 NOTHING_TO_RESUME = (

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cosim.base import errors
-from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.base.messages import CheckWarning, with_severity
-from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
-from cosim.blocks.description import read_description, takes_any_step
-from cosim.blocks.guard import validation
+from cosim.core import errors
+from cosim.core.errors import Fault, FmuError, InputError, refuse
+from cosim.core.messages import CheckWarning, with_severity
+from cosim.core.scratch import temporary_folder
+from cosim.files.artefact import Checking
+from cosim.fmi.description import read_description, takes_any_step
+from cosim.fmi.guard import validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.remote import simulate_in
@@ -22,7 +23,6 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.undeclared import with_feedthrough
-from cosim.storage.artefact import Checking
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 from threading import Timer
 from typing import Any
 
-from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, TimedOut
-from cosim.base.messages import CheckWarning, Note
-from cosim.base.text import join_names
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.coupling import Assumption
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, TimedOut
+from cosim.core.messages import CheckWarning, Note
+from cosim.core.text import join_names
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs

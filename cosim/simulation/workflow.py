@@ -11,10 +11,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
-from cosim.base.messages import Note
 from cosim.blocks.compiling import compiling, permission
+from cosim.core.drafts import is_full
+from cosim.core.errors import DiskFull, SimulationError, Terminated, stop_error
+from cosim.core.messages import Note
+from cosim.files import kinds
+from cosim.files.files import (
+    FilePath,
+    check_writable,
+    hold_stops,
+    one_stop,
+    release_stops,
+    write_json,
+)
+from cosim.files.folders import STARTED, describe_run, new_run, remove_earlier
+from cosim.files.kinds import check_form, shell_path
+from cosim.files.results import Results, rows_in, rows_name
+from cosim.files.state_file import write_durable
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import without_ended_states
@@ -35,19 +48,6 @@ from cosim.simulation.stopped_run import (
     write_run,
 )
 from cosim.simulation.undeclared import with_feedthrough
-from cosim.storage import kinds
-from cosim.storage.files import (
-    FilePath,
-    check_writable,
-    hold_stops,
-    one_stop,
-    release_stops,
-    write_json,
-)
-from cosim.storage.folders import STARTED, describe_run, new_run, remove_earlier
-from cosim.storage.kinds import check_form, shell_path
-from cosim.storage.results import Results, rows_in, rows_name
-from cosim.storage.state_file import write_durable
 from cosim.system.system import System, build_system
 
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet

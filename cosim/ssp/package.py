@@ -11,12 +11,12 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 from xml.parsers import expat
 
-from cosim.base.errors import Fault, InputError
-from cosim.base.messages import with_prefix
-from cosim.base.scratch import temporary_folder
-from cosim.storage.archive import MOST_XML, SSP, STRUCTURE, BadArchive, check_xml, unpack
-from cosim.storage.kinds import SSP as SSP_FILE
-from cosim.storage.kinds import check_form
+from cosim.core.errors import Fault, InputError
+from cosim.core.messages import with_prefix
+from cosim.core.scratch import temporary_folder
+from cosim.files.archive import MOST_XML, SSP, STRUCTURE, BadArchive, check_xml, unpack
+from cosim.files.kinds import SSP as SSP_FILE
+from cosim.files.kinds import check_form
 
 NAMESPACES = {
     "http://ssp-standard.org/SSP1/SystemStructureDescription": "ssd",

@@ -14,12 +14,12 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cosim.base.errors import Fault, FmuError, InputError
-from cosim.base.units import SI
 from cosim.blocks.component import Signal
-from cosim.blocks.description import is_difference, read_description, unit_definition, unit_of
+from cosim.core.errors import Fault, FmuError, InputError
+from cosim.core.units import SI
+from cosim.files.yaml_file import MOST_FAULTS, did_you_mean, format_value
+from cosim.fmi.description import is_difference, read_description, unit_definition, unit_of
 from cosim.ssp.package import Element, Package
-from cosim.storage.yaml_file import MOST_FAULTS, did_you_mean, format_value
 
 Place = tuple[str, ...]
 End = tuple[Place, str]

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from cosim.base.drafts import draft_of
-from cosim.base.units import SI, definition_of
-from cosim.base.version import __version__
-from cosim.blocks.description import unit_definition
+from cosim.core.drafts import draft_of
+from cosim.core.units import SI, definition_of
+from cosim.core.version import __version__
+from cosim.files.archive import STRUCTURE
+from cosim.fmi.description import unit_definition
 from cosim.ssp.package import NAMESPACES
 from cosim.ssp.read import FMU, Units
-from cosim.storage.archive import STRUCTURE
 
 EPOCH = (1980, 1, 1, 0, 0, 0)
 START, RESOURCES = "start", "resources"

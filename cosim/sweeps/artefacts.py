@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import SWEEP, TABLE, Artefact
+from cosim.files.artefact import SWEEP, TABLE, Artefact
 
 ARTEFACTS = (
     Artefact(

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import with_prefix
-from cosim.base.units import split_quantity
-from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.messages import with_prefix
+from cosim.core.units import split_quantity
+from cosim.files.yaml_file import YamlFile, did_you_mean, short
+from cosim.fmi.description import unit_of
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
 from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
-from cosim.storage.yaml_file import YamlFile, did_you_mean, short
 from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, SweepFile, Varied
 from cosim.system.system import System, build_system

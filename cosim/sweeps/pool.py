@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from cosim.base.errors import CosimError, Fault, InputError, SweepFailed
-from cosim.base.extras import optional
-from cosim.base.version import __version__
+from cosim.core.errors import CosimError, Fault, InputError, SweepFailed
+from cosim.core.extras import optional
+from cosim.core.version import __version__
 from cosim.sweeps.reading import Sweep
 from cosim.sweeps.runs import Job, RunRequest, RunResult, end_process, make_run_apart
 
@@ -94,7 +94,7 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
         """Files of a worker, also of one that is started during the sweep; pickled by value."""
 
         def setup(self, worker: Any) -> None:
-            from cosim.base.version import __version__ as version
+            from cosim.core.version import __version__ as version
 
             if version != __version__:
                 raise ImportError(f"it has cosim {version}")

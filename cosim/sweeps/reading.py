@@ -9,10 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import InputError, refuse
-from cosim.base.messages import with_severity
-from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.errors import InputError, refuse
+from cosim.core.messages import with_severity
+from cosim.core.version import __version__
+from cosim.files.artefact import Checking
+from cosim.files.kinds import SWEEP, check_given
+from cosim.files.yaml_file import YamlFile, short
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import fmi_calls
@@ -21,9 +24,6 @@ from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
 from cosim.simulation.undeclared import with_feedthrough
-from cosim.storage.artefact import Checking
-from cosim.storage.kinds import SWEEP, check_given
-from cosim.storage.yaml_file import YamlFile, short
 from cosim.sweeps.factors import FILES, Factors, resolve_file_name
 from cosim.sweeps.runs import Job, RunRequest
 from cosim.sweeps.sampling import Factor, columns_of

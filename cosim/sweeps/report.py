@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import append_unit, counted, display, percent, plain, written
-from cosim.base.version import __version__
+from cosim.core.arrays import Array
+from cosim.core.text import append_unit, counted, display, percent, plain, written
+from cosim.core.version import __version__
+from cosim.files.kinds import shell_path
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.template import render
-from cosim.storage.kinds import shell_path
 from cosim.sweeps.run_statistics import MIN_RUNS, QUANTILES, Sensitivity, sensitivity
 from cosim.sweeps.sampling import Factor, are_numbers
 from cosim.sweeps.store import TABLE, read_table, signal_of

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.extras import optional
+from cosim.core.arrays import Array
+from cosim.core.extras import optional
 from cosim.sweeps.sampling import are_numbers
 
 QUANTILE_975 = 1.959963984540054  # of the normal distribution

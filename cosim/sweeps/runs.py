@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import CosimError, InputError
-from cosim.base.scratch import process_folder
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import SharedCode
+from cosim.core.arrays import Array
+from cosim.core.errors import CosimError, InputError
+from cosim.core.scratch import process_folder
+from cosim.files.archive import unpack
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -30,7 +31,6 @@ from cosim.master.own_process import in_own_processes
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.criteria import evaluate
-from cosim.storage.archive import unpack
 from cosim.system.system import System, build_system
 
 MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")

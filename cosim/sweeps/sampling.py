@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.extras import optional
+from cosim.core.arrays import Array
+from cosim.core.extras import optional
 
 MOST_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.drafts import draft_of
-from cosim.base.errors import InputError
-from cosim.base.text import counted
-from cosim.storage.files import open_bytes
-from cosim.storage.folders import content_of
+from cosim.core.arrays import Array
+from cosim.core.drafts import draft_of
+from cosim.core.errors import InputError
+from cosim.core.text import counted
+from cosim.files.files import open_bytes
+from cosim.files.folders import content_of
 from cosim.sweeps.runs import RunResult
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base.text import counted, join_names, plain
+from cosim.core.text import counted, join_names, plain
 from cosim.sweeps.reading import Sweep
 
 

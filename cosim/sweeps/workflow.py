@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, Fault, InputError, SweepFailed, SweepStopped, Terminated
-from cosim.base.extras import optional
-from cosim.base.settings import Count
-from cosim.base.text import counted
-from cosim.base.version import __version__
-from cosim.storage.files import (
+from cosim.core.drafts import is_full
+from cosim.core.errors import DiskFull, Fault, InputError, SweepFailed, SweepStopped, Terminated
+from cosim.core.extras import optional
+from cosim.core.settings import Count
+from cosim.core.text import counted
+from cosim.core.version import __version__
+from cosim.files.files import (
     FilePath,
     check_writable,
     delay_stops,
@@ -31,7 +31,7 @@ from cosim.storage.files import (
     write_json,
     write_text,
 )
-from cosim.storage.folders import SCHEMA_VERSION, content_of, new_run, newest_run, remove_earlier, runs_named
+from cosim.files.folders import SCHEMA_VERSION, content_of, new_run, newest_run, remove_earlier, runs_named
 from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.run_statistics import share_interval

@@ -8,19 +8,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FmuError, InputError
-from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
-from cosim.blocks.description import matches, read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, fix_outputs
-from cosim.blocks.fmi_types import element_names, kinds_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock, playback, reference
+from cosim.core.errors import FmuError, InputError
+from cosim.core.registry import BASE, is_model, model_entry
+from cosim.files.kinds import shell_path
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import matches, read_description, state_names, ways
+from cosim.fmi.fmi_types import element_names, kinds_of
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
-from cosim.storage.kinds import shell_path
-from cosim.storage.yaml_file import did_you_mean
 from cosim.system.event_blocks import event_block
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cosim.blocks.description import takes_any_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import takes_any_step
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import FixComponent, Scenario, StepControl
 from cosim.scenario.scenario_file import Diagnosis
-from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import Components, RowLayout, Transfer
 
 

@@ -8,20 +8,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.base.units import read_quantity
 from cosim.blocks.clocks import PERIODIC, Clock, Timing, read_clocks
 from cosim.blocks.component import Component
-from cosim.blocks.description import Way, takes_any_step, ways
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.scheduled import ScheduledFmu
 from cosim.blocks.sources import SourceBlock
+from cosim.core.units import read_quantity
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import Way, takes_any_step, ways
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit
-from cosim.storage.yaml_file import did_you_mean
 from cosim.system.schedule import Loop, Schedule, Stage
 
 REALS = ("Real", "Float64", "Float32")

@@ -6,14 +6,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.times import first_point
-from cosim.blocks.description import enumeration_items, unit_of
-from cosim.blocks.fmi_types import input_aliases
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.times import first_point
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import enumeration_items, unit_of
+from cosim.fmi.fmi_types import input_aliases
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit, bounds_of, convert_value
-from cosim.storage.yaml_file import did_you_mean
 from cosim.system.event_blocks import clock_interval
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value

@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.messages import Note
-from cosim.base.registry import page_for
-from cosim.base.text import join_names
 from cosim.blocks.component import Component
-from cosim.blocks.description import matches
 from cosim.blocks.fmu import FmuBlock
+from cosim.core.arrays import Array, Rows
+from cosim.core.messages import Note
+from cosim.core.registry import page_for
+from cosim.core.text import join_names
+from cosim.files.results import Results
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import matches
 from cosim.scenario.scenario import Recording, Scenario
 from cosim.scenario.scenario_file import Diagnosis
-from cosim.storage.results import Results
-from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import RowLayout
 
 

@@ -6,18 +6,18 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from cosim.base.messages import CheckNote, Note
-from cosim.base.text import join_names
-from cosim.base.times import steps_in
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm, Assumption, Edge, Plan, algorithms
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
+from cosim.core.messages import CheckNote, Note
+from cosim.core.text import join_names
+from cosim.core.times import steps_in
+from cosim.files.yaml_file import did_you_mean
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import Diagnosis, Place
-from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import Components, Transfer
 
 FEEDTHROUGH = "feedthrough"  # key of a component

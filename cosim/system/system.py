@@ -18,10 +18,10 @@ from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
+from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings, Scenario
 from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
-from cosim.storage.yaml_file import did_you_mean
 from cosim.system.components import build_components
 from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events

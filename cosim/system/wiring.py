@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
-from cosim.base.errors import SimulationError
-from cosim.base.messages import with_prefix
-from cosim.base.times import whole_steps
-from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import LinkFunction, fault_function, gaussian, points, stream
-from cosim.blocks.fmi_types import input_aliases, is_compatible, negative
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import LinkKind
+from cosim.core.errors import SimulationError
+from cosim.core.messages import with_prefix
+from cosim.core.times import whole_steps
+from cosim.core.units import UnitAssumption, assume_si
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.fmi_types import input_aliases, is_compatible, negative
 from cosim.scenario.scenario import (
     Connection,
     Disturbance,
@@ -27,7 +28,6 @@ from cosim.scenario.scenario import (
     ReferenceComponent,
 )
 from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
-from cosim.storage.yaml_file import did_you_mean
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message

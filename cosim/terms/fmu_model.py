@@ -1,7 +1,7 @@
 """An FMU for model exchange as a model: derivatives and outputs come from its library, terms are added as equations.
 
 The equations are for symbols only. Each derivative and output of the library is a function of the states on which it
-depends, printed in C as a call; `cosim/kernel/library.c` evaluates the library.
+depends, printed in C as a call; `cosim/estimation/kernel/library.c` evaluates the library.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import field, make_dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
-from cosim.base.arrays import Flags
+from cosim.core.arrays import Flags
 from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
 from cosim.model.namespaces import Namespace, SymbolNamespace
 from cosim.model.quantities import Parameter, Quantity

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
-from cosim.base.units import unit_product
+from cosim.core.units import unit_product
 from cosim.model.model import Effect, Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Parameter, parameter, parameters_of

@@ -9,14 +9,14 @@ import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from cosim.base.registry import VERBS as ADDED
-from cosim.base.registry import ExtensionWarning, Verb, added_verbs, names
+from cosim.core.registry import VERBS as ADDED
+from cosim.core.registry import ExtensionWarning, Verb, added_verbs, names
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
     from cosim.experiment.excite import excite as excite
+    from cosim.fmi.building.build import build as build
     from cosim.linearization.workflow import linearize as linearize
-    from cosim.loading.build import build as build
     from cosim.sweeps.workflow import sweep as sweep
     from cosim.verbs.check_verb import check as check
     from cosim.verbs.compare_verb import compare as compare
@@ -53,7 +53,7 @@ GROUPS = {  # groups and verbs in the order of `cosim -h`: name → place of the
         "excite": "cosim.experiment.excite:excite",
     },
     "Build and export": {
-        "build": "cosim.loading.build:build",
+        "build": "cosim.fmi.building.build:build",
         "export-ssp": "cosim.authoring.export:export_ssp",
         "schema": "",
     },

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import Fault, refuse
+from cosim.core.errors import Fault, refuse
 from cosim.verbs.terminal import say, say_json, warn
 
 
@@ -26,13 +26,13 @@ def command(*, json: bool = False, **given: Any) -> None:
     """
     given["platforms"] = [p.strip() for text in given["platforms"] for p in text.split(",") if p.strip()]
     if given.pop("native"):
-        from cosim.loading.build_native import build_native
+        from cosim.fmi.building.build_native import build_native
 
         fmus = build_native(**given, tell=warn)
         say(*(fmu.sentence for fmu in fmus))
         built = [{"fmu": str(fmu.path), "platforms": dict(fmu.floors)} for fmu in fmus]
     else:
-        from cosim.loading.build import build
+        from cosim.fmi.building.build import build
 
         native_options = [f"--{name}" for name, usual in (("fmi", 2), ("platforms", [])) if given[name] != usual]
         refuse(Fault(Path(name), 0, 0, "is of native FMUs; add --native, or leave it out") for name in native_options)

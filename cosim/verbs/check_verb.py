@@ -10,8 +10,8 @@ from typing import Any
 
 import typer
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import (
+from cosim.core.drafts import is_full
+from cosim.core.errors import (
     Crashed,
     Fault,
     FmuError,
@@ -22,12 +22,12 @@ from cosim.base.errors import (
     Terminated,
     refuse,
 )
-from cosim.base.messages import with_prefix
-from cosim.base.program import STOPPED
-from cosim.base.registry import resolve
-from cosim.base.settings import Files, ModelName, Values
-from cosim.storage.artefact import Checking, kind_by_keys, of_kind
-from cosim.storage.files import FilePath
+from cosim.core.messages import with_prefix
+from cosim.core.program import STOPPED
+from cosim.core.registry import resolve
+from cosim.core.settings import Files, ModelName, Values
+from cosim.files.artefact import Checking, kind_by_keys, of_kind
+from cosim.files.files import FilePath
 from cosim.verbs.terminal import say, say_json
 
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
@@ -82,7 +82,7 @@ def check(
 
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
-    from cosim.loading.file import without_execution
+    from cosim.fmi.building.file import without_execution
 
     worker = checking.worker
     with without_execution() as skipped:
@@ -104,8 +104,8 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
 
 def _check(path: Path, checking: Checking) -> list[str]:
     """Return the notes of a file; raise InputError with its faults."""
-    from cosim.storage import kinds
-    from cosim.storage.yaml_file import YamlFile
+    from cosim.files import kinds
+    from cosim.files.yaml_file import YamlFile
 
     kind: str | None = kinds.CODE
     if not path.suffix.startswith(".py:"):  # FILE.py:Class

@@ -13,17 +13,19 @@ from typing import Annotated, Any
 
 import typer
 
-from cosim.base.drafts import is_full
-from cosim.base.errors import CosimError, SimulationError, Terminated
-from cosim.base.program import as_program
-from cosim.base.registry import ExtensionWarning, Verb, attempt
-from cosim.base.version import __version__
-from cosim.storage.files import check_text
+from cosim.core.drafts import is_full
+from cosim.core.errors import CosimError, SimulationError, Terminated
+from cosim.core.program import as_program
+from cosim.core.registry import ExtensionWarning, Verb, attempt
+from cosim.core.version import __version__
+from cosim.files.files import check_text
 from cosim.verbs import VERBS, verbs
 from cosim.verbs.options import ARGS, options_of
 from cosim.verbs.terminal import LAST, MANNER, say, say_error, say_usage, warn
 
 VERSION = "--version"  # needs no verb
+
+
 def _show_version(value: bool) -> None:
     if value:
         say(f"cosim {__version__} (FMU co-simulation; not the command of the Open Simulation Platform)")

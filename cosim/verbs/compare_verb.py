@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import CriterionMissed, InputError
-from cosim.base.settings import Count, NotNegative
-from cosim.storage.files import FilePath
+from cosim.core.errors import CriterionMissed, InputError
+from cosim.core.settings import Count, NotNegative
+from cosim.files.files import FilePath
 from cosim.verbs.terminal import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
@@ -87,10 +87,10 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
         InputError: Fewer than two runs, or a baseline that is not one run.
     """
     from cosim.comparison.several import RunSource
-    from cosim.history.selection import Selected, select_groups
+    from cosim.files.results import rows_in
+    from cosim.files.run_selection import Selected, select_groups
     from cosim.simulation.run_files import RecordedRun, read_ran
     from cosim.simulation.run_signals import Run, Signals
-    from cosim.storage.results import rows_in
 
     def read(selected: Selected) -> RecordedRun:
         """Return a recorded run; raise InputError if it was removed or replaced since it was listed."""
@@ -197,7 +197,7 @@ def _lines_of_several(c: ComparedSeveral) -> list[str]:
     """Return the lines to print: verdict, runs, inputs that differ, signals with the largest differences."""
     from cosim.comparison.several import sentence
     from cosim.comparison.signals import format_share, format_size
-    from cosim.history.inputs import input_text
+    from cosim.files.run_inputs import input_text
 
     lines = [sentence(c)]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]

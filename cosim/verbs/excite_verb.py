@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
-from cosim.storage.folders import name_of, new_run
+from cosim.files.folders import name_of, new_run
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.settings import Files, Given, column_names, texts
-from cosim.storage.files import FilePath
-from cosim.storage.folders import NUMBERED, name_of_file, results_in
+from cosim.core.settings import Files, Given, column_names, texts
+from cosim.files.files import FilePath
+from cosim.files.folders import NUMBERED, name_of_file, results_in
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
 
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
     """
-    from cosim.base.text import amount
+    from cosim.core.text import amount
 
     with stages() as progress:
         fitted = fit(**{**given, "out": given["out"] or NUMBERED}, progress=progress)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from cosim.base.errors import InputError, refuse
-from cosim.base.settings import NotNegative, Whole
-from cosim.base.text import counted
-from cosim.storage.folders import RESULTS
+from cosim.core.errors import InputError, refuse
+from cosim.core.settings import NotNegative, Whole
+from cosim.core.text import counted
+from cosim.files.folders import RESULTS
 from cosim.verbs.terminal import say, say_json, some, warn
 
 if TYPE_CHECKING:
-    from cosim.history.selection import Removal
+    from cosim.files.run_selection import Removal
 
 MOST_NAMES = 10
 UNITS = ("B", "kB", "MB", "GB", "TB")
@@ -43,8 +43,8 @@ def command(
 
     Example: cosim gc --keep 5
     """
-    from cosim.history.entries import entries
-    from cosim.history.selection import Removal, find_entries, plan_removal, remove
+    from cosim.files.run_entries import entries
+    from cosim.files.run_selection import Removal, find_entries, plan_removal, remove
 
     root = results or RESULTS
     chosen = find_entries(names, root)

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.base.errors import InputError
+from cosim.core.errors import InputError
 from cosim.verbs.terminal import echo, say, say_json, show
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def command(
 
     Example: cosim graph scenario.yaml
     """
-    from cosim.storage.files import write_text
+    from cosim.files.files import write_text
 
     graph = graph_of(scenario, set or ())
     if mermaid:
@@ -71,7 +71,7 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
         InputError: The input is faulty.
         FmuError: An FMU is invalid.
     """
-    from cosim.base.scratch import temporary_folder
+    from cosim.core.scratch import temporary_folder
     from cosim.scenario.scenario import resolve_defaults
     from cosim.scenario.scenario_file import ScenarioFile
     from cosim.simulation.packaged import is_ssp, lay_out

@@ -107,7 +107,7 @@ def _places(p: Places) -> list[str]:
 
 def _overview(s: Summary) -> list[str]:
     """Return the lines about an FMU before its variables."""
-    from cosim.blocks.description import C_CODE
+    from cosim.fmi.description import C_CODE
 
     experiment = [f"{key} {s.experiment[key]:g}{unit}" for key, unit in UNITS.items() if key in s.experiment]
     without = " without --compile" if C_CODE in s.platforms else ""

@@ -20,8 +20,8 @@ def command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: bool =
     """
     from cosim.authoring.draft import write_draft
     from cosim.authoring.matching import text
-    from cosim.base.text import counted
-    from cosim.storage.kinds import shell_path
+    from cosim.core.text import counted
+    from cosim.files.kinds import shell_path
 
     draft = write_draft(out, fmus)
     matches = draft.matches

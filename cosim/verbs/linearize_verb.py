@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cosim.storage.folders import name_of, new_run
+from cosim.files.folders import name_of, new_run
 from cosim.verbs.terminal import say, say_json, show, table, warn
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from pathlib import Path
 
-from cosim.storage.folders import RESULTS
+from cosim.files.folders import RESULTS
 from cosim.verbs.terminal import say, say_json, table, warn
 
 WIDEST = 60  # characters of an outcome, and of the changes
@@ -19,7 +19,7 @@ def command(names: list[str] | None = None, *, results: Path | None = None, json
 
     Example: cosim list 'tank*'
     """
-    from cosim.history.selection import find_entries
+    from cosim.files.run_selection import find_entries
 
     root = results or RESULTS
     found = [(entry, datetime.fromtimestamp(entry.time)) for entry in find_entries(names, root)]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from cosim.base.errors import InputError
-from cosim.storage.folders import RESULTS
+from cosim.core.errors import InputError
+from cosim.files.folders import RESULTS
 from cosim.verbs.terminal import say, say_json, show, some, warn
 
 PAGE = "report.html"
@@ -22,10 +22,10 @@ def command(run: str | None = None, *, results: Path | None = None, browser: boo
 
     Example: cosim open 3
     """
-    from cosim.history.entries import entries
-    from cosim.history.selection import Selected, select_results
-    from cosim.storage.artefact import folder_kind
-    from cosim.storage.folders import content_of, has_results, state_of, warnings_on
+    from cosim.files.artefact import folder_kind
+    from cosim.files.folders import content_of, has_results, state_of, warnings_on
+    from cosim.files.run_entries import entries
+    from cosim.files.run_selection import Selected, select_results
 
     root = results or RESULTS
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_results([run], root)

@@ -17,10 +17,10 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from cosim.base.errors import Terminated
-from cosim.base.messages import Note
-from cosim.base.registry import resolve
-from cosim.storage.files import NOT_BLANK
+from cosim.core.errors import Terminated
+from cosim.core.messages import Note
+from cosim.core.registry import resolve
+from cosim.files.files import NOT_BLANK
 from cosim.verbs.terminal import LAST, say_finding, say_note
 
 ARGS = re.compile(r"\nArgs:\n(.*?)\n(?=\w|\Z)", re.DOTALL)
@@ -59,7 +59,7 @@ def _seconds(text: str) -> float:
         return float(text)  # whether nan or inf will do is for the command to say
     except ValueError:
         pass
-    from cosim.base.units import read_quantity
+    from cosim.core.units import read_quantity
 
     try:
         return read_quantity(text, "s")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.base.registry import resolve
-from cosim.storage.artefact import artefacts
-from cosim.storage.files import FilePath
-from cosim.storage.folders import newest_run
+from cosim.core.registry import resolve
+from cosim.files.artefact import artefacts
+from cosim.files.files import FilePath
+from cosim.files.folders import newest_run
 
 if TYPE_CHECKING:
     from cosim.calibration.fitted import Fitted

@@ -8,16 +8,16 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import InputError
-from cosim.base.settings import Files, Port, Values
-from cosim.storage.files import FilePath
-from cosim.storage.folders import name_of_file, new_run
+from cosim.core.errors import InputError
+from cosim.core.settings import Files, Port, Values
+from cosim.files.files import FilePath
+from cosim.files.folders import name_of_file, new_run
 from cosim.verbs.options import live_page
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
+    from cosim.estimation.subject.interface import Subject
     from cosim.refinement.refined_result import Refined
-    from cosim.subject.interface import Subject
 
 FILES = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
 
@@ -38,7 +38,7 @@ def refine(
     """Find the effect that a model lacks, from measured logs.
 
     Args:
-        study: Study file, or an object that derives from `cosim.subject.interface.Subject`.
+        study: Study file, or an object that derives from `cosim.estimation.subject.interface.Subject`.
         out: Folder for refine.json, model.yaml, plant.fmu and report.html.
         logs: Estimation logs of an object.
         validation: Sealed logs of an object.

@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.settings import Given, column_names, texts
-from cosim.storage.files import FilePath
-from cosim.storage.folders import NUMBERED, name_of_file, results_in
+from cosim.core.settings import Given, column_names, texts
+from cosim.files.files import FilePath
+from cosim.files.folders import NUMBERED, name_of_file, results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
 
 if TYPE_CHECKING:
@@ -92,11 +92,11 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
 
     Example: cosim replay log.csv --plant motor.fmu --column speed=w
     """
-    from cosim.base.text import plain, size
+    from cosim.core.text import plain, size
+    from cosim.files.results import rows_in
     from cosim.residuals.compare import as_json
     from cosim.residuals.replay_sentences import horizon_name, verdict
     from cosim.residuals.workflow import NEXT_STUDY
-    from cosim.storage.results import rows_in
 
     with progress_bar("replaying") as progress:
         replayed = replay(**{**given, "out": given["out"] or NUMBERED}, progress=progress)

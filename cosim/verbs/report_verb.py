@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.base.errors import InputError
-from cosim.storage.files import check_writable
-from cosim.storage.folders import newest_run, warnings_on
-from cosim.storage.kinds import check_given
-from cosim.storage.results import rows_in
+from cosim.core.errors import InputError
+from cosim.files.files import check_writable
+from cosim.files.folders import newest_run, warnings_on
+from cosim.files.kinds import check_given
+from cosim.files.results import rows_in
 from cosim.verbs.terminal import say, say_json, show, warn
 
 OTHERS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}

@@ -10,11 +10,11 @@ from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import CriterionMissed, InputError
-from cosim.base.scratch import temporary_folder
-from cosim.base.settings import Given, Port, Seconds, Seed, Values, texts
-from cosim.storage.files import FilePath
-from cosim.storage.folders import NUMBERED, results_in
+from cosim.core.errors import CriterionMissed, InputError
+from cosim.core.scratch import temporary_folder
+from cosim.core.settings import Given, Port, Seconds, Seed, Values, texts
+from cosim.files.files import FilePath
+from cosim.files.folders import NUMBERED, results_in
 from cosim.verbs.options import live_page
 from cosim.verbs.terminal import MANNER, progress_bar, say, say_finding, say_json, say_more, show, warn
 
@@ -189,9 +189,9 @@ def command(
 
 def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     """Print warnings, `lines`, criteria and files of a run; raise CriterionMissed if a criterion is not met."""
+    from cosim.files.results import rows_in
     from cosim.simulation.criteria import sentence
     from cosim.simulation.report.run_rows import time_sentence
-    from cosim.storage.results import rows_in
 
     assert run.folder is not None  # a command writes
     rows, warnings, timings = rows_in(run.folder), run.manifest["warnings"], run.manifest["timings"]

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import InputError
-from cosim.base.registry import resolve
-from cosim.storage.artefact import artefacts
+from cosim.core.errors import InputError
+from cosim.core.registry import resolve
+from cosim.files.artefact import artefacts
 from cosim.verbs.terminal import say_json
 
 if TYPE_CHECKING:

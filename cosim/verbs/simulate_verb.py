@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
-from cosim.storage.files import FilePath
-from cosim.storage.folders import NUMBERED, results_in
+from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
+from cosim.files.files import FilePath
+from cosim.files.folders import NUMBERED, results_in
 from cosim.verbs.run_verb import say_run
 from cosim.verbs.terminal import progress_bar, table
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from cosim.base.settings import Port
+from cosim.core.settings import Port
 from cosim.verbs.options import live_page
 from cosim.verbs.terminal import progress_bar, say, say_json, say_more, show, warn
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import typer
 
-from cosim.base.errors import CosimError, FmuError, InputError, SimulationError
-from cosim.base.messages import Note, printable, with_severity
+from cosim.core.errors import CosimError, FmuError, InputError, SimulationError
+from cosim.core.messages import Note, printable, with_severity
 
 LONG_TIME = 2.0  # [s] until a progress bar is shown
 StageNumber = Callable[[str], tuple[int, int]]
@@ -96,7 +96,7 @@ def say_error(error: CosimError, exit_code: int | None = None) -> int:
     code = error.exit_code if exit_code is None else exit_code
     about: dict[str, Any] = {}
     if isinstance(error, SimulationError):
-        from cosim.storage.results import rows_in
+        from cosim.files.results import rows_in
 
         files: dict[str, str | None] = dict.fromkeys(("manifest", "report", "results"))
         if (folder := error.left) is not None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.base.messages import Note
-from cosim.base.settings import Port
-from cosim.base.text import counted
-from cosim.storage.folders import RESULTS
+from cosim.core.messages import Note
+from cosim.core.settings import Port
+from cosim.core.text import counted
+from cosim.files.folders import RESULTS
 from cosim.verbs.options import wait_for_close
 from cosim.verbs.terminal import LAST, progress_bar, say, say_finding, say_json, say_note, some, warn
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cosim.base.text import amount, length, percent
+from cosim.core.text import amount, length, percent
 from fmus.report.figures_of_run import belief, inside_band, saturation
 from fmus.report.lines import QUANTITIES
 from fmus.report.roles import SIDES, Craft

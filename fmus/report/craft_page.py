@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.base.text import MISSING, plain
+from cosim.core.text import MISSING, plain
 from cosim.report.charts import Drawing, Plot, round_values, sample_rows
 from cosim.report.panels import Panel
 from cosim.simulation.report.component_page import ComponentPage

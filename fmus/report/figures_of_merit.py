@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.base.text import MISSING, amount, length, percent
+from cosim.core.text import MISSING, amount, length, percent
 from cosim.report.html_tables import Grid, Row
 from cosim.simulation.report.recorded import Run, mappings, number
 from fmus.report.account import SYMBOLS

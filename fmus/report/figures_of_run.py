@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.simulation import criteria
 from fmus.report.roles import Craft
 

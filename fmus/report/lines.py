@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import DEGREES
+from cosim.core.arrays import Array
+from cosim.core.text import DEGREES
 from cosim.report.panels import Band, Panel, Trace
 from fmus.report.roles import COLOURS, SIDES, Craft
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.settings import Settings
-from cosim.base.arrays import Array
-from cosim.base.units import read_quantity
+from cosim.core.arrays import Array
+from cosim.core.units import read_quantity
 from cosim.simulation.report.recorded import Run, number
 
 SIDES = ("right", "left")

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.errors import InputError
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import InputError
 from plant.bench import Bench
 from plant.identification.protocol import CHANNELS, Protocol
 from plant.identification.recordings import Recording

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.errors import Fault
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import Fault
 from plant.bench import REST_DUTY, Bench
 from plant.identification.cells import Cells, at_rail
 from plant.identification.estimates import LAGS, Measurement, Result, held_lag

@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from cosim.base.errors import InputError
-from cosim.base.settings import Seed
-from cosim.storage.folders import new_run
+from cosim.core.errors import InputError
+from cosim.core.settings import Seed
+from cosim.files.folders import new_run
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 
@@ -33,7 +33,7 @@ def command(
 
     Example: cosim identify examples/bench/protocol.yaml
     """
-    from cosim.storage.yaml_file import YamlFile
+    from cosim.files.yaml_file import YamlFile
     from plant.identification.workflow import identify as identify_bench
 
     name = protocol.stem if protocol.is_file() else ""

@@ -23,15 +23,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from cosim.base.arrays import Array
-from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.registry import BASE
-from cosim.base.units import square_unit
-from cosim.loading.file import LoadedModel, load_model
+from cosim.core.arrays import Array
+from cosim.core.errors import Fault, InputError, NotExecuted, refuse
+from cosim.core.registry import BASE
+from cosim.core.units import square_unit
+from cosim.files.kinds import check_given
+from cosim.files.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
+from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
 from cosim.model import Model, Stepper
-from cosim.storage.kinds import check_given
-from cosim.storage.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
 from plant.identification import PROTOCOL
 from plant.identification.estimates import Estimate, Figure, Result, make_estimates
 

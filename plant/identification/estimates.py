@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.model.integrate import rk4, substeps
 from cosim.model.namespaces import arrays
 from plant.bench import Bench

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from plant.identification.cells import Cells
 from plant.identification.estimates import (
     LAGS,

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from cosim.base.errors import Fault
-from cosim.base.units import factor
-from cosim.storage.kinds import check_given
-from cosim.storage.yaml_file import (
+from cosim.core.errors import Fault
+from cosim.core.units import factor
+from cosim.files.kinds import check_given
+from cosim.files.yaml_file import (
     UNIT_OF_KEY,
     Amount,
     InUnit,

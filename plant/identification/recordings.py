@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.text import counted
-from cosim.base.units import factor
-from cosim.blocks.description import read_description
 from cosim.blocks.fmu import RestartableFmu
-from cosim.storage.table import DECIMAL_COMMA, Column, Faults, Use, read_table
-from cosim.storage.yaml_file import did_you_mean
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.text import counted
+from cosim.core.units import factor
+from cosim.files.table import DECIMAL_COMMA, Column, Faults, Use, read_table
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.description import read_description
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import MISSING, append_unit, counted, plain, written
-from cosim.base.version import __version__
+from cosim.core.text import MISSING, append_unit, counted, plain, written
+from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace, extent

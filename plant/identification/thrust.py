@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
+from cosim.core.arrays import Array, Flags
 from cosim.model.namespaces import arrays
 from plant.identification.cells import Cells, at_rail
 from plant.identification.estimates import Figure, Measurement, Result, estimated, held_lag, interval, low_pass

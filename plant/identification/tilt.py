@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.identification.cells import Cells
 from plant.identification.estimates import Figure, Measurement, Result, estimated, low_pass

@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.registry import is_model, model_entry, resolve
-from cosim.base.scratch import temporary_folder
-from cosim.base.settings import Seed
-from cosim.base.version import __version__
+from cosim.core.errors import Fault, InputError, NotExecuted, refuse
+from cosim.core.registry import is_model, model_entry, resolve
+from cosim.core.scratch import temporary_folder
+from cosim.core.settings import Seed
+from cosim.core.version import __version__
+from cosim.files.artefact import Checking
+from cosim.files.files import FilePath, check_writable, write_json, write_text
+from cosim.files.folders import new_run, remove_earlier
+from cosim.files.kinds import check_given, shell_path
+from cosim.files.yaml_file import YamlFile
+from cosim.fmi.building.file import load_model, named_model
 from cosim.fmi.fmu_build import build
-from cosim.loading.file import load_model, named_model
 from cosim.model import SCALAR, Model
-from cosim.storage.artefact import Checking
-from cosim.storage.files import FilePath, check_writable, write_json, write_text
-from cosim.storage.folders import new_run, remove_earlier
-from cosim.storage.kinds import check_given, shell_path
-from cosim.storage.yaml_file import YamlFile
 from plant.bench import Bench
 from plant.identification import PROTOCOL
 from plant.identification.cells import Cells, calibrate

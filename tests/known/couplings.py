@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import cosim
-from cosim.base.errors import SimulationError
+from cosim.core.errors import SimulationError
 from tests.known.kit import Model, V, p, u
 from tests.known.sources import PLAIN
 from tests.known.table import Answer, Case, Peer, at, part, runs, scenario

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import cosim
-from cosim.base.errors import SimulationError
+from cosim.core.errors import SimulationError
 from tests.instants import CONSTANT, instants_fmu
 from tests.known.kit import Model, V, Way, p, u
 from tests.known.sources import PLAIN

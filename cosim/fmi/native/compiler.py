@@ -16,10 +16,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.base.drafts import draft_of
-from cosim.base.extras import install_command
-from cosim.base.scratch import temporary_folder
-from cosim.storage.cache import cache_environment, cache_path
+from cosim.core.drafts import draft_of
+from cosim.core.extras import install_command
+from cosim.core.scratch import temporary_folder
+from cosim.files.cache import cache_environment, cache_path
 
 # The errno of sin and pow is never read.
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")

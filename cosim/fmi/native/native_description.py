@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement
 
-from cosim.base.units import unit_definitions
+from cosim.core.units import unit_definitions
 from cosim.fmi.model_description import (
     LICENCE,
     Description,

@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from cosim.base.drafts import draft_of
-from cosim.base.version import __version__
+from cosim.core.drafts import draft_of
+from cosim.core.version import __version__
 from cosim.fmi.documentation import ASSETS, documentation
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
 from cosim.fmi.model_description import Local

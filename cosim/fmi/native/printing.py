@@ -7,6 +7,7 @@ from functools import cached_property
 from itertools import product
 from typing import Any
 
+from cosim.files.cache import fingerprint, load_or_make
 from cosim.fmi.ports import Port
 from cosim.model.model import STIFF, Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
@@ -15,7 +16,6 @@ from cosim.model.symbolic.blocks import extract_calls, function, kinks, places_o
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.trace import Block, Trace, Untraceable, switches
 from cosim.model.symbolic.tracing_guard import number_guard
-from cosim.storage.cache import fingerprint, load_or_make
 
 MOST_SWITCHES = 4  # each doubles the generated code
 LANGUAGE = C()

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.base.units import parse
+from cosim.core.units import parse
 from cosim.fmi.model_description import Description
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.fmi.native.native_description import Native

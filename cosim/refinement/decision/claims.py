@@ -12,16 +12,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import MOST_NAMED
+from cosim.core.arrays import Array
+from cosim.core.text import MOST_NAMED
 from cosim.estimation.fit import Fit
+from cosim.estimation.subject.base_parameters import kind_within
+from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm
-from cosim.subject.base_parameters import kind_within
-from cosim.subject.candidates import Candidate, Free
-from cosim.subject.interface import Subject
 
 Name = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
 Grade = Literal["claimed", "part", "nearest"]

@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.core.arrays import Array, Rows
 from cosim.estimation.fit import Fit, Slopes, inverse, slopes
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, name_of
 from cosim.refinement.decision.evidence import BY_CHANCE, blocks_of, sum_by_block, with_intervals
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution
-from cosim.subject.candidates import Candidate, Free
 
 SHARES = 3  # groups of rows with equal information, of which the first and the last are compared
 VARIES = 0.1  # difference of both estimates, relative to the change from the model's value, from which it counts

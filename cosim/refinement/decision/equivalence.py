@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import FmuError, SimulationError
+from cosim.core.arrays import Array
+from cosim.core.errors import FmuError, SimulationError
+from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.problem import Problem
-from cosim.kernel.kernel import Data
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
 

@@ -19,19 +19,19 @@ from functools import partial
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.core.arrays import Array, Rows
 from cosim.estimation.data import count_unscored
 from cosim.estimation.expected import fit_for_held_out
 from cosim.estimation.fit import Fit, fit, inverse, slopes
+from cosim.estimation.kernel.kernel import Begin, simulate_all
 from cosim.estimation.parallel import check_wanted, in_parallel
 from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.plateaus import with_flat_directions
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
-from cosim.kernel.kernel import Begin, simulate_all
+from cosim.estimation.subject.candidates import Free
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.candidates import Free
 
 BLOCK = 100  # least rows of a block
 LASTING = 3.0  # length of a block, as a multiple of the correlation time of an unknown input

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cosim.base.text import join_names
+from cosim.core.text import join_names
 from cosim.estimation.fit import MAX_SECONDS, Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.base_parameters import WIDTHS
+from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.equivalence import split_alike
 from cosim.refinement.decision.evidence import (
@@ -35,8 +37,6 @@ from cosim.refinement.search.hypotheses import (
     best_hypothesis,
     settled,
 )
-from cosim.subject.base_parameters import WIDTHS
-from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import are_alike, contains
 
 RIVAL = 3.0  # score difference within which another hypothesis explains the logs equally well

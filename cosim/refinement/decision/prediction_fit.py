@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import halve_log

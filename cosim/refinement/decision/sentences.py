@@ -10,16 +10,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, Literal
 
-from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, written
-from cosim.loading.refined import NEAREST
+from cosim.core.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, written
+from cosim.estimation.subject.base_parameters import kind_within
+from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.interface import Subject
+from cosim.fmi.building.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Doubt, Improvement, MovedParameter, Nearest, NotExcluded
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import UnnamedTerm
-from cosim.subject.base_parameters import kind_within
-from cosim.subject.candidates import Candidate, Free
-from cosim.subject.interface import Subject
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
 MOST_WORDS = 25  # of a sentence

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from cosim.estimation.subject.candidates import Candidate, Free, values_of_special_case
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, NotExcluded
 from cosim.refinement.decision.constancy import VARIES
 from cosim.refinement.search.fits import Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.candidates import Candidate, Free, values_of_special_case
 
 ENDED = 1.0  # nats by which an effect may fall behind its special case where fits end
 

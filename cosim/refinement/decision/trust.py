@@ -16,13 +16,13 @@ from itertools import repeat
 
 from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.evidence import log_error
 from cosim.refinement.decision.judgement import noise_gain
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Progress, Search, SearchResult
 from cosim.refinement.search.hypotheses import NOISE, Hypothesis
-from cosim.subject.candidates import Candidate
-from cosim.subject.interface import Subject
 
 MOST_TERMS = 2  # candidates that free runs of an FMU may name; more imitate together what no term describes
 CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better

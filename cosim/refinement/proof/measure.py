@@ -15,18 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.linear_algebra import square_roots
+from cosim.core.arrays import Array, Rows
+from cosim.core.linear_algebra import square_roots
 from cosim.estimation.data import count_unscored, data_of
 from cosim.estimation.fit import Fit, inverse
+from cosim.estimation.kernel.kernel import MEMORY as LASTS
+from cosim.estimation.kernel.kernel import Begin, Data, Filtered, simulate_all
 from cosim.estimation.past_readings import past_reading, replayed
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.estimation.start_states import with_likely_starts
-from cosim.kernel.kernel import MEMORY as LASTS
-from cosim.kernel.kernel import Begin, Data, Filtered, simulate_all
+from cosim.estimation.subject.interface import Replayer, Start, Subject
+from cosim.estimation.subject.start_state import start_state
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.model.sensors import SensorError
@@ -34,8 +36,6 @@ from cosim.refinement.proof.refined_models import Variant
 from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
 from cosim.residuals.windows import Replay, window_rows
-from cosim.subject.interface import Replayer, Start, Subject
-from cosim.subject.start_state import start_state
 
 FLOOR_SEED = 20121
 

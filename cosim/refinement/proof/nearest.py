@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.posing import halve_log
 from cosim.refinement.decision.claims import Improvement, Rung, baseline_of
 from cosim.refinement.decision.evidence import fit_given_model, fit_without, log_error

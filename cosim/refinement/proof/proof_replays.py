@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.base.errors import InputError
-from cosim.base.text import plain
+from cosim.core.errors import InputError
+from cosim.core.text import plain
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.interface import Replayer, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
 from cosim.residuals.windows import Replay
-from cosim.subject.interface import Replayer, Subject, Workplace
 
 EQUAL = 1e-9  # largest difference of fast replays from those of the delivered object, relative to max(1, largest value)
 LogSets = Mapping[Part, Sequence[Log]]

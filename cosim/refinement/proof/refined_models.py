@@ -9,8 +9,8 @@ from cosim.estimation.expected import group_values, means
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Settings
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
-from cosim.subject.interface import Subject
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.base_parameters import WIDTHS
+from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log
 from cosim.refinement.decision.claims import (
     Claims,
@@ -47,8 +49,6 @@ from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import COUNTS_FROM, remaining_excess
-from cosim.subject.base_parameters import WIDTHS
-from cosim.subject.interface import Subject
 
 PART = 0.1  # remaining share of the excess error from which a claim explains only a part
 HALF = 0.5  # share of excess error that withdraws a claim (best channel), leaves a part (sealed), and is always judged

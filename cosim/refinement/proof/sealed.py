@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cosim.base.text import percent
+from cosim.core.text import percent
 from cosim.logs.log import Log
 from cosim.refinement.decision.claims import Claims, Improvement, baseline_of
 from cosim.refinement.proof.measure import PARTS, Evidence, rmse

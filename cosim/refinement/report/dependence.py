@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.core.arrays import Array, Rows
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.search.missing import Smoothed
 from cosim.refinement.search.shapes import Shape, signals_of
-from cosim.subject.interface import Subject
 
 BINS = 12
 

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
 from cosim.estimation.past_readings import past_reading
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import BINS, Regressor, bins, choose, regressors, unnamed_term
 from cosim.refinement.search.missing import (
@@ -26,8 +28,6 @@ from cosim.refinement.search.missing import (
     smooth_unknown_inputs,
     smoothed_logs,
 )
-from cosim.subject.candidates import Candidate
-from cosim.subject.interface import Subject
 
 VARIES = 0.2  # least standard deviation of a term for a correlation, relative to its RMS
 

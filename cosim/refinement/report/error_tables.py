@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import MISSING, append_unit, finer, percent, plain
+from cosim.core.text import MISSING, append_unit, finer, percent, plain
 from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
 from cosim.residuals.replay_sentences import horizon_name

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.text import MISSING, plain
+from cosim.core.arrays import Array
+from cosim.core.text import MISSING, plain
 from cosim.estimation.data import count_unscored
 from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cosim.base.text import MISSING, amount
+from cosim.core.text import MISSING, amount
 from cosim.refinement.record import PerLog
 from cosim.refinement.refinement import Refinement
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.text import counted, display, finer
+from cosim.core.arrays import Array, Rows
+from cosim.core.text import counted, display, finer
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.logs.log import slowness
 from cosim.refinement.proof.measure import Evidence

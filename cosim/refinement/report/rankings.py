@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import amount, append_unit, counted, display, percent, plain
+from cosim.core.text import amount, append_unit, counted, display, percent, plain
+from cosim.estimation.subject.candidates import Free
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.candidates import Free
 
 SHOWN_SINGLES = 8
 SHOWN_PAIRS = 15

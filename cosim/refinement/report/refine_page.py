@@ -12,9 +12,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.base.text import MISSING, counted, join_names, percent, plain, split_sentence
-from cosim.base.version import __version__
-from cosim.loading.refined import NEAREST, REFINED
+from cosim.core.text import MISSING, counted, join_names, percent, plain, split_sentence
+from cosim.core.version import __version__
+from cosim.files.files import atomic_write, path_from_here
+from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.refinement.decision.prediction_fit import why_no_predictions
 from cosim.refinement.refinement import Refinement
@@ -55,7 +56,6 @@ from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
 from cosim.residuals.windows import SKIPPED
-from cosim.storage.files import atomic_write, path_from_here
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
 TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone

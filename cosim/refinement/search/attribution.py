@@ -22,13 +22,13 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.start_states import with_likely_starts
+from cosim.estimation.subject.candidates import Candidate, values_of_special_case
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.evidence import scatter_ratio
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
-from cosim.subject.candidates import Candidate, values_of_special_case
-from cosim.subject.interface import Subject
 from cosim.terms.alike import are_alike
 
 FITTED = 6  # sets fitted in each round

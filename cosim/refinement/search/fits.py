@@ -20,11 +20,11 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.plateaus import values_beside_plateaus
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.base_parameters import base_parameters
+from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
-from cosim.subject.base_parameters import base_parameters
-from cosim.subject.candidates import Candidate, Free
-from cosim.subject.interface import Subject
 
 SCREEN_ITERATIONS = 12
 ENTRY = 3.0  # score cost of a candidate in addition to its parameters

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from cosim.base.errors import Fault
-from cosim.storage.yaml_file import did_you_mean
-from cosim.subject.interface import Subject
+from cosim.core.errors import Fault
+from cosim.estimation.subject.interface import Subject
+from cosim.files.yaml_file import did_you_mean
 
 Groups = Mapping[str, Sequence[str]]  # group → files
 

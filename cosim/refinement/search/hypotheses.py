@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cosim.estimation.fit import Fit
-from cosim.subject.candidates import Candidate
+from cosim.estimation.subject.candidates import Candidate
 
 TOGETHER = " + "  # separator between the names of a rival with several candidates
 MAX_HALVED_RATIO = 0.5  # ratio of held-out errors from which an effect is never passed over

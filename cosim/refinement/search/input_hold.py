@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from cosim.base.text import counted, plain
+from cosim.core.text import counted, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.evidence import blocks_of, gain_per_scatter

@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags, Rows
-from cosim.base.linear_algebra import least_squares, solution
+from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.linear_algebra import least_squares, solution
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
+from cosim.estimation.kernel.kernel import Data, Filtered, single_steps
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
-from cosim.kernel.kernel import Data, Filtered, single_steps
 
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first

@@ -17,12 +17,12 @@ from operator import itemgetter
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.linear_algebra import least_squares
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import least_squares
+from cosim.estimation.kernel.kernel import DEVIATION
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import SHARE, ScoreTest
-from cosim.kernel.kernel import DEVIATION
-from cosim.subject.candidates import Candidate, Free
+from cosim.estimation.subject.candidates import Candidate, Free
 
 RADIAN = 2.0 * math.pi  # standard deviations of a position in the shortest period: one radian of its phase
 LINES = 3  # strongest lines that a score test compares

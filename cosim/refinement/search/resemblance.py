@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.linear_algebra import orthonormal
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import orthonormal
 from cosim.refinement.search.shapes import SLIP, Shape, Signals
 
 LIKE = 0.9  # share of a shape's variance beside a straight line that a law explains

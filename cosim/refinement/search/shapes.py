@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.linear_algebra import least_squares, orthonormal
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import least_squares, orthonormal
+from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
+from cosim.estimation.kernel.nameless import KNOTS, LOCAL, RATE, bump, clip, rise
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
-from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
-from cosim.kernel.nameless import KNOTS, LOCAL, RATE, bump, clip, rise
 from cosim.refinement.search.missing import DriveResponses, Smoothed, of_every_row, smooth_logs
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # ζ at which a bump has half its height

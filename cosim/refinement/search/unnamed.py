@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.core.arrays import Array
 from cosim.estimation.fit import Fit, fit
+from cosim.estimation.kernel.nameless import PREFIX, SLOTS
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
-from cosim.kernel.nameless import PREFIX, SLOTS
+from cosim.estimation.subject.candidates import Free
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
 from cosim.refinement.search.missing import contributions, scale_to_missing, smooth_logs, smooth_unknown_inputs
 from cosim.refinement.search.resemblance import law_of
 from cosim.refinement.search.shapes import EVERY, Shape, promising_shapes, signals_of
-from cosim.subject.candidates import Free
 
 SMALL = 0.1  # share of a plainly detected disturbance within a second, for the difference step of a term
 FITTED = 3  # largest number of terms fitted beside a hypothesis

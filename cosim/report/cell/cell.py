@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
-from cosim.base.text import counted
+from cosim.core.arrays import Array, Rows
+from cosim.core.text import counted
 from cosim.report.charts import Charts
 from cosim.report.panels import Panel
 from cosim.report.template import render

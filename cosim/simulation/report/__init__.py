@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cosim.files.results import Results
 from cosim.simulation.report.figures import write_figures
 from cosim.simulation.report.run_page import write_report
-from cosim.storage.results import Results
 
 __all__ = ["write_figures", "write_pages", "write_report"]
 

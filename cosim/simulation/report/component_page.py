@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base import registry
+from cosim.core import registry
 from cosim.report.charts import Drawing
 from cosim.report.html_tables import Row
 from cosim.simulation.report.recorded import Run

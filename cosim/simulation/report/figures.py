@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.arrays import Array
-from cosim.base.drafts import draft_of
+from cosim.core.arrays import Array
+from cosim.core.drafts import draft_of
+from cosim.files.results import Results
 from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
 from cosim.simulation.report.component_page import figures_of
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import drawable_run, signal_panels
-from cosim.storage.results import Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

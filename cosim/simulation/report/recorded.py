@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from cosim.base.arrays import Array
 from cosim.blocks.coupling import DEFAULT
-from cosim.storage.results import Results
+from cosim.core.arrays import Array
+from cosim.files.results import Results
 
 
 def mapping(value: Any) -> Mapping[str, Any]:

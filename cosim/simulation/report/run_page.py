@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import far_beyond
+from cosim.core.arrays import far_beyond
+from cosim.files.files import write_text
+from cosim.files.results import Results
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Row
 from cosim.report.panels import Band, Panel, Trace, by_unit, display_unit, extent
@@ -34,8 +36,6 @@ from cosim.simulation.report.run_rows import (
 )
 from cosim.simulation.report.system_diagram import graph_of_run
 from cosim.simulation.report.verdicts import criteria, outcome
-from cosim.storage.files import write_text
-from cosim.storage.results import Results
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MAX_TILES = 4

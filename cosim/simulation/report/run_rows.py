@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import amount, counted, plain
 from cosim.blocks.coupling import algorithms
+from cosim.core.text import amount, counted, plain
+from cosim.files.archive import BadArchive, description_of
+from cosim.files.yaml_file import short
 from cosim.report.html_tables import Badge, Row
 from cosim.scenario.scenario_file import sha256
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
-from cosim.storage.archive import BadArchive, description_of
-from cosim.storage.yaml_file import short
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
 STEP = "time between two exchanges of values among the components"

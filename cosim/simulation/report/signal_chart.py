@@ -8,9 +8,9 @@ from html import escape
 
 import numpy as np
 
+from cosim.files.results import Results, is_rounded
 from cosim.report.cell.cell import MAX_CURVES, cell_of, rows_to_show
 from cosim.simulation.report.run_page import drawable_run, signal_panels
-from cosim.storage.results import Results, is_rounded
 
 MOST_NAMES = 5  # in a note
 

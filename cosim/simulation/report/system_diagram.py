@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.text import counted, written
 from cosim.blocks.coupling import DEFAULT, Algorithm, algorithms
+from cosim.core.text import counted, written
+from cosim.files.results import Results
+from cosim.files.yaml_file import short
 from cosim.report.template import TEMPLATES, inline
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_rows import disturbances
-from cosim.storage.results import Results
-from cosim.storage.yaml_file import short
 
 MAX_NAME = 34  # characters of a name in the diagram
 FACTS = {  # key of a component → its text in the diagram

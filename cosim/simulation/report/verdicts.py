@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cosim.base.text import amount, counted, join_names
+from cosim.core.text import amount, counted, join_names
 from cosim.simulation.report.recorded import Run, mappings, number
 
 NEGLIGIBLE = 1e-9  # share of its limit below which a value is shown as 0

@@ -1,0 +1,186 @@
+"""All errors of the package as one tree; each class carries its exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.core.messages import printable
+
+
+@dataclass(frozen=True, order=True)
+class Fault:
+    """A fault of a file: place and message with the remedy. Line and column count from 1; 0 means unknown."""
+
+    file: Path
+    line: int
+    column: int
+    message: str
+    exit_code: int = 2
+
+    def __str__(self) -> str:
+        file = printable(str(self.file), one_line=True)
+        place = f"{file}:{self.line}:{self.column}" if self.line else file
+        return f"{place}: {self.message}"
+
+
+class CosimError(Exception):
+    """Base class of all errors raised on purpose."""
+
+    exit_code = 1
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), self.args, self.__dict__)
+
+
+def _again(kind: type[CosimError], args: tuple[Any, ...], content: dict[str, Any]) -> CosimError:
+    """Return a copy from another process, whatever the arguments of the class."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(content)
+    return error
+
+
+def _message_only(error: CosimError) -> list[str]:
+    """Return what a notebook shows: IPython leaves out the frames of this package then."""
+    return [f"{type(error).__name__}: {error}"]
+
+
+class InputError(CosimError):
+    """Error with all faults of the user's input, sorted by file and place."""
+
+    _render_traceback_ = _message_only
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self.faults = tuple(sorted(set(faults)))
+        super().__init__("\n".join(map(str, self.faults)))
+
+    @classmethod
+    def at(cls, file: Path, message: str, exit_code: int = 2) -> InputError:
+        """Return an InputError with a single fault that concerns a file or folder as a whole."""
+        return cls([Fault(file, 0, 0, message, exit_code)])
+
+    @property
+    def exit_code(self) -> int:  # type: ignore[override]
+        """Return 2 for any fault of the user, else 3."""
+        return min(fault.exit_code for fault in self.faults)
+
+
+def refuse(faults: Iterable[Fault]) -> None:
+    """Raise InputError with all faults, if any."""
+    if every := tuple(faults):
+        raise InputError(every)
+
+
+class NotExecuted(CosimError):
+    """An error: a Python file was named where cosim must not execute code."""
+
+    exit_code = 2
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        super().__init__(f"{file} is Python, which is not executed here")
+
+
+class FmuError(CosimError):
+    """An unreadable or invalid FMU, or a failure to load one."""
+
+    _render_traceback_ = _message_only
+
+    exit_code = 3
+
+    def fault(self, file: Path, name: Path | None = None) -> Fault:
+        """Return the error as a fault of a file, with `name` (by default the file) removed from the message."""
+        beginning = f"{name or file} "
+        return Fault(file, 0, 0, str(self).removeprefix(beginning), self.exit_code)
+
+
+class SimulationError(CosimError):
+    """A simulation that stopped early: component, time [s] and reason.
+
+    Attributes:
+        left: Folder with the rows recorded so far.
+    """
+
+    exit_code = 4
+    left: Path | None = None
+
+    def __init__(self, component: str, time: float, reason: str) -> None:
+        self.component, self.time, self.reason = component, time, reason
+        super().__init__(f"{component} at t = {time:.6g} s: {reason}")
+
+
+class Crashed(SimulationError):
+    """A crash of the process during a call of an FMU."""
+
+
+class CallFailed(SimulationError):
+    """A call that an FMU refused."""
+
+
+class NotFinite(SimulationError):
+    """A value that is no finite number, or values that do not settle."""
+
+
+class DiskFull(SimulationError):
+    """A lack of disk space for the rows of a run."""
+
+
+class TimedOut(SimulationError):
+    """An exceeded time limit of the user."""
+
+    exit_code = 124
+
+
+class Interrupted(SimulationError):
+    """A stop from the keyboard."""
+
+    exit_code = 130
+
+
+class Signalled(SimulationError):
+    """A stop by a signal from outside."""
+
+
+class SweepStopped(CosimError):
+    """A sweep stopped early by the keyboard or a signal; finished runs are saved."""
+
+    exit_code = 130
+
+
+class SweepFailed(CosimError):
+    """A sweep without a single completed run."""
+
+    exit_code = 4
+
+
+class Terminated(BaseException):
+    """A signal to end the process. Like KeyboardInterrupt no Exception, so that no handler of FMU faults catches it."""
+
+    exit_code = 4
+
+    def __init__(self, signal: str = "SIGTERM") -> None:
+        self.signal = signal
+        super().__init__(f"ended by {signal}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.signal,), self.__dict__
+
+
+def stop_error(stop: BaseException, now: float, subject: str = "the run") -> SimulationError:
+    """Return the error of a run stopped at `now` [s]."""
+    if isinstance(stop, SimulationError):
+        return stop
+    if isinstance(stop, KeyboardInterrupt):
+        return Interrupted(subject, now, "interrupted from the keyboard")
+    return Signalled(subject, now, str(stop))
+
+
+class CriterionMissed(CosimError):
+    """A missed criterion of a complete run, or a difference of two runs beyond the tolerance."""
+
+    exit_code = 5

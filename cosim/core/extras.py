@@ -1,0 +1,45 @@
+"""Import of optional libraries; a missing library gives a message with its installation command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from cosim.core.errors import Fault, InputError
+
+DISTRIBUTION = "fmu-cosim"
+EXTRAS = {  # library → extra that installs it
+    "SALib": "sweep",
+    "distributed": "dask",
+    "h5py": "hdf5",
+    "pandas": "sweep",
+    "ziglang": "native",
+}
+
+
+def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
+    """Import and return an optional library.
+
+    Args:
+        module: Module name, e.g. `pyarrow.parquet`.
+        place: Subject of the message, e.g. a command, or a function that makes a fault of the message.
+
+    Raises:
+        InputError: The library is not installed; the message says how to install it.
+    """
+    name = module.partition(".")[0]
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != name:
+            raise
+        message = f"needs {name}, which is not installed: {install_command(EXTRAS[name])}"
+        fault = Fault(Path(place), 0, 0, message) if isinstance(place, str) else place(message)
+        raise InputError([fault]) from None
+
+
+def install_command(extra: str) -> str:
+    """Return the installation command of an extra."""
+    return f"pip install '{DISTRIBUTION}[{extra}]'"

@@ -1,0 +1,89 @@
+"""Linear algebra for estimates: a result for every matrix, never a LAPACK error.
+
+LAPACK does not check its arguments. For NaN or infinity it writes to stdout, raises LinAlgError or does not return.
+A matrix with non-finite entries comes from a diverged model and supports no estimate. The result is then zero: no
+step, no gain, no correction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from cosim.core.arrays import Array
+
+MOST_STEPS, CLOSE = 200, 1e-3  # iterations of an evidence, and relative change that ends them
+
+
+def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Array:
+    """Return the least-squares solution of minimum norm."""
+    result = _result(lambda a, b: np.linalg.lstsq(a, b, rcond=rcond)[0], matrix, side)
+    return np.zeros((matrix.shape[1], *side.shape[1:])) if result is None else result
+
+
+def likely_least_squares(matrix: Array, sides: Array) -> Array:
+    """Return the most likely solution for each column of `sides`, with a normal prior about zero (ridge regression).
+
+    The variances of prior and errors have the largest evidence (MacKay 1992, Neural Computation 4:415).
+    """
+    result = _result(_most_likely, matrix, sides)
+    return np.zeros((matrix.shape[1], sides.shape[1])) if result is None else result
+
+
+def _most_likely(matrix: Array, sides: Array) -> Array:
+    left, values, right = np.linalg.svd(matrix, full_matrices=False)
+    along, squares, tiny = left.T @ sides, values[:, None] ** 2, np.finfo(float).tiny
+    across = np.sum(sides**2, axis=0) - np.sum(along**2, axis=0)
+    ratio = np.full(sides.shape[1], squares.max(initial=0.0) * np.finfo(float).eps)  # of the variances, errors by prior
+    for _ in range(MOST_STEPS):
+        kept = squares / (squares + ratio + tiny)
+        solution = kept * along / np.maximum(values[:, None], tiny)
+        errors = np.maximum(across + np.sum(((1.0 - kept) * along) ** 2, axis=0), tiny)
+        determined = np.sum(kept, axis=0)  # number of coefficients
+        free = np.maximum(len(matrix) - determined, 1.0)
+        before, ratio = ratio, determined * errors / free / np.maximum(np.sum(solution**2, axis=0), tiny)
+        if np.all(np.abs(ratio - before) <= CLOSE * ratio):
+            break
+    return np.asarray(right.T @ solution)
+
+
+def pseudo_inverse(matrix: Array) -> Array:
+    """Return the pseudo-inverse."""
+    result = _result(np.linalg.pinv, matrix)
+    return np.zeros(matrix.shape[::-1]) if result is None else result
+
+
+def solution(matrix: Array, side: Array) -> Array:
+    """Return the solution of square equations, least-squares if singular."""
+    result = _result(np.linalg.solve, matrix, side)
+    return least_squares(matrix, side) if result is None else result
+
+
+def orthonormal(columns: Array) -> Array:
+    """Return an orthonormal basis of the columns. A non-finite column counts as zero."""
+    finite = np.isfinite(columns).all(axis=0)
+    return np.asarray(np.linalg.qr(columns if finite.all() else np.where(finite, columns, 0.0))[0])
+
+
+def square_roots(covariances: Array) -> Array:
+    """Return L of each covariance, with L·L' = P; zero for a non-finite covariance."""
+    finite = np.isfinite(covariances).all(axis=(-2, -1), keepdims=True)
+    values, vectors = np.linalg.eigh(np.where(finite, covariances, 0.0))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
+
+
+def eigenvalues(matrix: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    """Return the eigenvalues; none of a non-finite matrix."""
+    result = _result(np.linalg.eigvals, matrix) if matrix.size else None
+    return np.zeros(0, np.complex128) if result is None else result.astype(np.complex128)
+
+
+def _result(function: Callable[..., Any], *arrays: Array) -> Any:
+    """Return the result of a function of LAPACK; None for non-finite arrays, or if the iteration does not converge."""
+    if all(np.isfinite(array).all() for array in arrays):
+        with suppress(np.linalg.LinAlgError):
+            return np.asarray(function(*arrays))
+    return None

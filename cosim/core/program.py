@@ -1,0 +1,56 @@
+"""Process of a command: exit code 130 after Ctrl-C, even during imports, and 4 after SIGTERM or SIGHUP."""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from cosim.core.errors import Terminated
+
+STOPPED = 130  # exit code: stopped from the keyboard
+
+
+def collect_seldom() -> None:
+    """Make garbage collection rare, because nearly all objects read from large files stay in use."""
+    gc.set_threshold(100_000, 20, 100)
+
+
+@contextmanager
+def ending_at_once() -> Iterator[None]:
+    """Let Ctrl-C end the process silently. Only for code without need of cleanup."""
+    listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # A shell's background jobs ignore SIGINT.
+    if listens:
+        signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
+    yield
+    if listens:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def as_program(entry: Callable[[], None]) -> None:
+    """Call the entry function of this process, with its signals as KeyboardInterrupt and `Terminated`."""
+    collect_seldom()
+    received: list[int] = []
+
+    def terminate(number: int, frame: object) -> None:
+        received.append(number)
+        if len(received) == 1:  # later ones and those after the end change nothing
+            raise Terminated(signal.Signals(number).name)
+
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if number := getattr(signal, name, None):
+            atexit.register(signal.signal, number, signal.SIG_IGN)  # Python's own end would let it kill the process
+            if signal.getsignal(number) is signal.SIG_DFL:  # else nohup
+                signal.signal(number, terminate)
+    try:
+        entry()
+    except KeyboardInterrupt:  # during the report of the end
+        sys.exit(STOPPED)
+    finally:
+        received.append(0)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))

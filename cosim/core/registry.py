@@ -1,0 +1,192 @@
+"""Registry of models, report pages, table formats, coupling algorithms and verbs of packages.
+
+Packages register through entry points, each naming an object of a class below. Objects are imported on first use, so
+a study of one model never loads another. docs/extending.md shows an example package.
+"""
+
+from __future__ import annotations
+
+import functools
+import pkgutil
+import warnings
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from cosim.core.errors import InputError
+
+MODELS, PAGES, VERBS = "cosim.models", "cosim.pages", "cosim.verbs"  # entry point groups
+SOURCES = "cosim.sources"  # table formats: `cosim.files.table.Source`
+ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.blocks.coupling.Algorithm`
+BASE = "base"  # model used by default
+
+
+class ExtensionWarning(UserWarning):
+    """A failed import of an object registered by an installed package."""
+
+
+@dataclass(frozen=True)
+class ModelEntry:
+    """A named model and its related objects. Places are `module:object`, "" if absent.
+
+    Attributes:
+        name: Name of the model in files.
+        model: Place of its class.
+        recipe: Place of the function from parameter values to the recipe of its FMU.
+        built: File name → place of a recipe, for the FMUs of `cosim build` without a model.
+        beside: File name → place of a recipe, for FMUs built along with each model of this class.
+        native: Name → place of the maker of a native FMU, apart from the model's own. It takes the designed start
+            values of `NAME.fmu`, if any.
+        rig: Place of the class for playing its experiments.
+        design: Place of a function from (YAML file, model) to the designed start values of FMUs in `beside`, by file
+            name, and warnings: `cosim build --design`. "" for a model without controller.
+    """
+
+    name: str
+    model: str
+    recipe: str
+    built: Mapping[str, str] = field(default_factory=dict)
+    beside: Mapping[str, str] = field(default_factory=dict)
+    native: Mapping[str, str] = field(default_factory=dict)
+    rig: str = ""
+    design: str = ""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report page for runs of a component with certain variables.
+
+    Attributes:
+        variables: Names of the component's variables.
+        subject: Place of a function from (run, drawing) to a `ComponentPage`.
+        figures: Place of a function of (run, folder) for drawing PNG files; "" for the figures of any run.
+    """
+
+    variables: frozenset[str]
+    subject: str
+    figures: str = ""
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb of another package, declared like cosim's own verbs in `cosim.verbs`.
+
+    Attributes:
+        command: Place `module:object` of the function behind `cosim NAME`; its parameters are the command's options.
+            "" if the verb is not a command.
+        function: Place of the function `cosim.NAME` in Python; "" if the verb is not a function.
+        artefacts: Place of a tuple of `Artefact` (cosim/files/artefact.py): the files that the verb reads and writes.
+        group: Heading of the verb in `cosim -h`: one of cosim's headings (cosim/verbs/__init__.py), or a new one.
+    """
+
+    command: str = ""
+    function: str = ""
+    artefacts: str = ""
+    group: str = ""
+
+
+def models() -> dict[str, ModelEntry]:
+    """Return the registered models by their own names."""
+    return {e.name: e for name in names(MODELS) if isinstance(e := load(MODELS, name), ModelEntry)}
+
+
+def model_entry(name: str = BASE) -> ModelEntry:
+    """Return a model by name; raise InputError if unknown."""
+    entry = load(MODELS, name) if name in names(MODELS) else None
+    if not isinstance(entry, ModelEntry):
+        raise InputError.at(
+            Path("model"), f'no model "{name}" is installed; name a model.yaml or FILE.py:Class of your own'
+        )
+    return entry
+
+
+def is_model(name: str) -> bool:
+    """Return whether a model is registered under a name."""
+    return name in names(MODELS)
+
+
+def entry_of(kind: type) -> ModelEntry | None:
+    """Return the entry of a class or nearest ancestor."""
+    places = (f"{parent.__module__}:{parent.__qualname__}" for parent in kind.__mro__)
+    return next((e for place in places for e in models().values() if e.model == place), None)
+
+
+def rig_of(kind: type, otherwise: Any) -> Any:
+    """Return the player of experiments for a model class."""
+    entry = entry_of(kind)
+    return resolve(entry.rig) if entry and entry.rig else otherwise
+
+
+def page_for(components: Iterable[Collection[str]]) -> Page | None:
+    """Return the first page for any of the components."""
+    sets = [frozenset(variables) for variables in components]
+    for name in names(PAGES):
+        if isinstance(page := load(PAGES, name), Page) and any(map(page.variables.issubset, sets)):
+            return page
+    return None
+
+
+def added_verbs() -> Iterator[tuple[str, Verb]]:
+    """Yield (name, verb) for each verb that an installed package adds."""
+    for name in names(VERBS):
+        if isinstance(verb := load(VERBS, name), Verb):
+            yield name, verb
+
+
+def names(group: str) -> list[str]:
+    """Return the names registered in a group, sorted."""
+    return sorted(_points_of_group(group))
+
+
+@functools.cache
+def load(group: str, name: str) -> Any:
+    """Return the object registered under a name; None, with a warning, if its import fails.
+
+    Raises:
+        InputError: Two packages register the name.
+    """
+    points = _points_of_group(group)[name]
+    if len(points) > 1:  # A package listed twice on the path, e.g. also in its own source folder, repeats.
+        points = [*{(_owner(point), point.value): point for point in points}.values()]
+    if len(points) > 1:
+        owners = " and ".join(sorted(map(_owner, points)))
+        raise InputError.at(Path(group), f'"{name}" is registered by {owners}; uninstall one of them')
+    try:
+        return points[0].load()
+    except Exception as error:  # Foreign packages may raise any error when imported.
+        message = f"{_owner(points[0])}: the entry point {group}:{name} cannot be loaded: {error}"
+        warnings.warn(message, ExtensionWarning, stacklevel=2)
+        return None
+
+
+def resolve(place: str) -> Any:
+    """Return the object at `module:name`, imported now."""
+    return pkgutil.resolve_name(place)
+
+
+def attempt(name: str, place: str) -> Any:
+    """Return an object of a verb; None, with a warning, after a failed import."""
+    try:
+        return resolve(place)
+    except Exception as error:  # Foreign packages may raise any error when imported.
+        warnings.warn(f"{name}: {place} cannot be loaded: {error}", ExtensionWarning, stacklevel=2)
+        return None
+
+
+@functools.cache
+def _all_points() -> Any:
+    return entry_points()  # reads a file of every installed package
+
+
+@functools.cache
+def _points_of_group(group: str) -> dict[str, list[EntryPoint]]:
+    by_name: dict[str, list[EntryPoint]] = {}
+    for point in _all_points().select(group=group):
+        by_name.setdefault(point.name, []).append(point)
+    return by_name
+
+
+def _owner(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else point.value

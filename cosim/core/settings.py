@@ -1,0 +1,187 @@
+"""Arguments of `cosim` functions: types that say what is accepted, and their check by pydantic.
+
+Numbers of numpy become Python numbers, text with a unit becomes seconds. pydantic is imported at the first call.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ParamSpec, TypeVar
+
+from annotated_types import Ge, Gt, Le
+
+from cosim.core.errors import Fault, refuse
+from cosim.core.registry import resolve
+from cosim.core.units import allowed_quantity, has_unit, read_quantity
+
+P = ParamSpec("P")
+T = TypeVar("T")
+DEEPEST = 60  # levels of nesting, more than any file read here has
+LONGEST_NAME, LONGEST_PATH = 255, 4096  # limits of file systems [bytes]
+SHOWN = 60  # characters of a value in a message
+
+
+def of_python(value: Any) -> Any:
+    """Return a number, text or array of another library as Python's own; raise ValueError for an impossible one."""
+    if hasattr(value, "tolist") and hasattr(value, "dtype"):
+        value = value.tolist()
+    for kind in (bool, int, float):  # a subclass, e.g. an item of an enumeration or numpy's float64
+        if isinstance(value, kind):
+            value = kind(value)
+            break
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("give a finite number")
+    if type(value) is int and not -(2**63) <= value < 2**64:
+        raise ValueError("give a whole number of 64 bits")
+    if isinstance(value, (str, os.PathLike)) and isinstance(text := os.fspath(value), str):
+        if re.search("[\0\ud800-\udfff]", text):
+            raise ValueError("it holds a NUL character or half a surrogate pair; write whole characters")
+        return str.__str__(value) if isinstance(value, str) else Path(text)
+    return [*map(of_python, value)] if type(value) in (list, tuple) and len(value) < LONGEST_PATH else value
+
+
+def plain(value: Any, depth: int = 0) -> Any:
+    """Return a value as JSON types; raise ValueError if impossible."""
+    if depth > DEEPEST:
+        raise ValueError(f"it is nested more than {DEEPEST} levels deep; write it flatter")
+    if not isinstance(value, (list, tuple)):
+        value = of_python(value)
+    if isinstance(value, (list, tuple)):
+        return [plain(each, depth + 1) for each in value]
+    if isinstance(value, Mapping):
+        if wrong := [key for key in value if not isinstance(key, str)]:
+            raise ValueError(f"{_represent(wrong[0])} is a key; a key is text")
+        return {of_python(key): plain(each, depth + 1) for key, each in value.items()}
+    if value is None or isinstance(value, (bool, int, float, str, Path)):
+        return value
+    kinds = "a number, text, true or false, a list or a mapping"
+    raise ValueError(f"{_represent(value)} is of type {type(value).__name__}; it is {kinds}")
+
+
+def _seconds(value: Any) -> Any:
+    if isinstance(value, str) and not has_unit(value):
+        raise ValueError(allowed_quantity("s"))
+    return read_quantity(value, "s") if isinstance(value, str) else value
+
+
+def _file(value: Any) -> Any:
+    if not isinstance(value, (str, os.PathLike)) or not isinstance(name := os.fspath(value), str):
+        raise ValueError("give the name of a file or folder")
+    if not name.strip():
+        raise ValueError("it is blank; give the name of a file or folder")
+    if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in re.split(r"[/\\]", name)):
+        raise ValueError(f"it is longer than the name of a file can be ({LONGEST_NAME} bytes)")
+    return value
+
+
+def _listed(value: Any) -> Any:
+    return sorted(value) if isinstance(value, (set, frozenset)) else (value,) if isinstance(value, str) else value
+
+
+@dataclass(frozen=True)
+class Converted:
+    """Annotation: a function that converts an argument before pydantic checks it; it may raise ValueError."""
+
+    by: Callable[[Any], Any]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        """Return the schema for pydantic."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_before_validator_function(self.by, handler(source))
+
+
+FilePath = Annotated[str | os.PathLike[str], Converted(_file)]
+ModelName = Annotated[str, Converted(lambda value: str(_file(value)))]  # or the name of a file or folder
+Files = Annotated[Sequence[FilePath], Converted(_listed)]
+Names = Annotated[Sequence[str], Converted(_listed)]
+Values = Annotated[Mapping[str, Any], Converted(plain)]
+Given = Values | Names  # settings: {"name": value}, or texts "name=value"
+Seconds = Annotated[float, Converted(_seconds)]  # or text with a unit: 4 min
+PositiveSeconds = Annotated[float, Gt(0), Converted(_seconds)]
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+Whole = Annotated[int, Ge(0)]
+Seed = Whole
+Port = Annotated[int, Ge(0), Le(65535)]
+Count = Annotated[int, Ge(1)]
+LATER = {  # types of rooms above, which modules of verbs import for type checkers only
+    "NamedFunctions": "cosim.master.observer:NamedFunctions",
+    "Observers": "cosim.master.observer:Observers",
+    "Signals": "cosim.simulation.run_signals:Signals",
+    "Subject": "cosim.estimation.subject.interface:Subject",
+}
+
+
+def normalize_settings(values: Given | None) -> Given:
+    """Return settings as a mapping or a tuple of texts."""
+    return dict(values) if isinstance(values, Mapping) else tuple(_listed(values or ()))
+
+
+def texts(values: Given | None) -> Sequence[str]:
+    """Return settings as NAME=VALUE texts."""
+    settings = normalize_settings(values)
+    return [f"{n}={json.dumps(plain(v))}" for n, v in settings.items()] if isinstance(settings, Mapping) else settings
+
+
+def column_names(columns: Given | None) -> Sequence[str]:
+    """Return names of columns as COLUMN=VARIABLE texts."""
+    names = normalize_settings(columns)
+    return [f"{column}={variable}" for column, variable in names.items()] if isinstance(names, Mapping) else names
+
+
+def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
+    """Return the function with a check of its arguments. The check raises InputError with every invalid argument."""
+    signature = inspect.signature(function)
+    adapters: dict[str, Any] = {}
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+        names = dict(inspect.unwrap(function).__globals__)
+        config = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+        bound, faults = signature.bind(*args, **kwargs), []
+        for name, value in bound.arguments.items():
+            if name not in adapters:
+                adapters[name] = TypeAdapter(_type_of(signature.parameters[name].annotation, names), config=config)
+            try:
+                bound.arguments[name] = adapters[name].validate_python(of_python(value))
+            except ValidationError as error:
+                reasons = [str(e.get("ctx", {}).get("error", e["msg"])) for e in error.errors(include_url=False)]
+                faults.append((name, f"is {_represent(value)}; {', or '.join(dict.fromkeys(reasons))}"))
+            except (ValueError, RecursionError) as error:
+                faults.append((name, f"is {_represent(value)}; {error}"))
+        refuse(Fault(Path(name), 0, 0, reason) for name, reason in faults)
+        return function(*bound.args, **bound.kwargs)
+
+    return call
+
+
+def _type_of(annotation: Any, names: dict[str, Any]) -> Any:
+    """Return the type of an annotation; a type that nobody knows here accepts anything."""
+    while isinstance(annotation, str):
+        try:
+            return eval(annotation, names)
+        except NameError as unknown:
+            name = str(unknown.name)
+            names[name] = resolve(LATER[name]) if name in LATER else Any
+    return annotation
+
+
+def _represent(value: Any) -> str:
+    """Return a short printable form for a message."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits, or a mapping that contains itself
+        return f"a {type(value).__name__} too large to show"
+    text = text.encode("utf-8", "backslashreplace").decode()
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"

@@ -1,0 +1,49 @@
+"""Comparison of times: two times are equal within the rounding of doubles and a small share of a step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cosim.core.arrays import Array
+
+ULPS = 4  # spacings of doubles by which equal times may differ
+SHARE = 1e-9  # share of a step by which equal times may differ
+MOST = 1e18  # steps, more than any run has
+
+
+def rounding(t: float, step: float = 0.0) -> float:
+    """Return the difference [s] within which a time is equal to t, where steps have the length `step`."""
+    return ULPS * math.ulp(t) + SHARE * step
+
+
+def roundings(times: Array, step: float = 0.0) -> Array:
+    """Return `rounding` of many times."""
+    return ULPS * np.spacing(np.abs(times)) + SHARE * step
+
+
+def first_point(at: float, start: float, step: float) -> int:
+    """Return the first communication point at or after a time [s]."""
+    return math.ceil(steps_in(at - start - rounding(max(abs(at), abs(start)), step), step))
+
+
+def last_point(at: float, start: float, step: float) -> int:
+    """Return the last communication point at or before a time [s]."""
+    return math.floor(steps_in(at - start + rounding(max(abs(at), abs(start)), step), step))
+
+
+def difference(end: float, begin: float) -> float:
+    """Return end − begin [s] without digits that doubles near these times do not hold."""
+    spacing = ULPS * math.ulp(max(abs(end), abs(begin)))
+    return round(end - begin, math.floor(-math.log10(spacing)))
+
+
+def whole_steps(time: float, step: float) -> int:
+    """Return a time in steps, rounded, at least one."""
+    return max(1, round(steps_in(time, step)))
+
+
+def steps_in(time: float, step: float) -> float:
+    """Return time/step, limited to ±MOST."""
+    return min(max(time / step, -MOST), MOST)

@@ -1,0 +1,362 @@
+"""Generation of kernel functions: derivative, Jacobian, outputs and shaping of commands.
+
+The model is evaluated symbolically with all effects and sensor errors active, so that one compiled kernel serves every
+candidate; the neutral value switches an effect off. Each forced equation has an unknown input, a zero-mean
+Gauss-Markov process with correlation time T, for the filter to estimate:
+
+    ẋ = f(x, u) + d      ḋ = −d/T + w
+
+A parameter per log may also be a constant state, θ̇ = 0, known or estimated by the filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
+
+from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, START, Layout
+from cosim.estimation.kernel.nameless import PREFIX, RATE, SLOTS, Known, LocalShape, bases, local_shape, local_signals
+from cosim.files.cache import fingerprint, load_or_make
+from cosim.model.model import STIFF, Model
+from cosim.model.namespaces import SymbolNamespace
+from cosim.model.quantities import parameters_of
+from cosim.model.symbolic.functions import Body
+from cosim.model.symbolic.languages import C
+from cosim.model.symbolic.tracing_guard import number_guard
+from cosim.terms.fmu_model import FmuModel
+from cosim.terms.language import Force, RateTerm
+
+
+@dataclass(frozen=True)
+class Generated:
+    """Generated C functions and their layout.
+
+    Attributes:
+        source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
+            `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to stochastic states.
+        stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
+        library: Number of states, inputs and outputs of an FMU's library; None without one.
+        stepped: True for a library of co-simulation, with the outputs in place of states.
+        unnamed: True if its free runs have unnamed terms.
+    """
+
+    layout: Layout
+    source: str
+    stiff: bool = False
+    library: tuple[int, int, int] | None = None
+    stepped: bool = False
+    unnamed: bool = False
+
+
+@dataclass(frozen=True)
+class Reach:
+    """States of the base model, classified by influence of process noise and influence on measured outputs.
+
+    Attributes:
+        forced: States with process noise and influence on a measured output.
+        uncertain: States reached by the noise, with influence on a measured output; includes `forced`.
+        drifting: States reached by the noise, without influence on a measured output.
+        driven: States with influence on a measured output, unreached by the noise.
+    """
+
+    forced: tuple[str, ...]
+    uncertain: tuple[str, ...]
+    drifting: frozenset[str]
+    driven: tuple[str, ...]
+
+
+def generate(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> Generated:
+    """Return the C functions for a model and the outputs of a log.
+
+    Args:
+        unnamed: Add terms outside the catalogue to each forced equation, for missing terms that no effect explains:
+            `unnamed.state.basis`, a coefficient times a basis function of a signal, and local shapes.
+        constant: Parameters that become states with derivative 0; shaping of commands still uses `p`.
+    """
+    import sympy
+    from sympy import srepr
+
+    body, reach = Body.of(model), _reach(model, measured)
+    rates = _rates(body)
+    shapes = _add_nameless(body, reach) if unnamed else []
+    _add_sensor_errors(body, model)
+    body = _add_disturbances(body, reach)
+    body, carrying = _with_constants(body, reach, measured, constant)
+    names, unknown = list(body.derivative), [DISTURBANCE + n for n in reach.forced]
+    random = (*reach.uncertain, *unknown, *carrying, *(CONSTANT + n for n in constant))
+    stochastic = tuple(names.index(n) for n in random)
+    x = [body.symbols.state[k] for k in stochastic]
+    f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
+    symbols, shaping, local = body.symbols, body.shaping, [(s.factor, s.shape, s.stages, s.slopes) for s in shapes]
+    library = _library_inputs(body)
+    key = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time, library])
+    key += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
+    stiff = model.integrator == STIFF
+    version = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.estimation.kernel", "cosim.terms")))
+    text: str = load_or_make(f"{version} {key}", lambda: _print_functions(body, (f, g), (stochastic, x), shapes, stiff))
+    if library:
+        text += body.function(C(), "library_inputs", library)
+    layout = Layout(
+        parameters=tuple(body.parameters),
+        states=tuple(names),
+        inputs=tuple(q.name for q in model.inputs),
+        outputs=tuple(measured),
+        stochastic=stochastic,
+        noisy=tuple(range(len(reach.uncertain), len(reach.uncertain) + len(unknown))),
+        memory=len(body.shaping.remembered),
+        delay=body.delay,
+        driven=tuple(names.index(n) for n in reach.driven),
+        carrying=tuple(names.index(n) for n in carrying),
+        rates=rates,
+    )
+    counts = len(model.base_states), len(model.inputs), len(model.outputs)
+    return Generated(layout, text, stiff, counts if isinstance(model, FmuModel) else None)
+
+
+def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = False) -> Generated:
+    """Return the C functions for free runs of an FMU for co-simulation.
+
+    Random states are the deviations of the outputs in the row before, an unknown input of each output, the deviations
+    of the outputs, which it drives, and the start states, which do not change.
+
+    Args:
+        unnamed: Add terms outside the catalogue to each unknown input: `add_unnamed(t, x, u, p, out)`, where x holds
+            the measured outputs and then their rates.
+    """
+    import sympy
+
+    body = Body.of(model)
+    known = Known.of(body.symbols, measured)
+    _add_sensor_errors(body, model)
+    body.parameter(MEMORY)
+    sums, shapes = _nameless(body, known, measured) if unnamed else ({}, [])
+    names = [q.name for q in model.outputs]
+    values = [sympy.sympify(body.outputs[n]) for n in measured]
+    texts = [body.function(C(), "measure", values), body.shaping_function(C(), "shape_all")]
+    texts.append(body.function(C(), "library_inputs", _library_inputs(body)))
+    if unnamed:
+        near = {q.name: symbol for q, symbol in known.states}
+        x = [near.get(prefix + n, sympy.Symbol(f"no {prefix}{n}")) for prefix in ("", RATE) for n in measured]
+        of_outputs = replace(body, symbols=replace(body.symbols, state=tuple(x)))
+        texts.append(of_outputs.function(C(), "add_unnamed", [*sums.values()], _stages(shapes)))
+    along, places = _forces_along_positions(model)
+    prefixes = (EARLIER, DISTURBANCE, DEVIATION)
+    states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
+    layout = Layout(
+        parameters=tuple(body.parameters),
+        states=states,
+        inputs=tuple(q.name for q in model.inputs),
+        outputs=tuple(measured),
+        stochastic=tuple(range(len(names), len(states))),
+        noisy=tuple(range(len(measured), 2 * len(measured))),
+        memory=len(body.shaping.remembered),
+        delay=body.delay,
+        rates=known.rates,
+        is_free_run=True,
+        along=along,
+        positions=tuple(measured.index(n) for n in places if n in measured),
+    )
+    return Generated(
+        layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True, unnamed=unnamed
+    )
+
+
+def _forces_along_positions(model: FmuModel) -> tuple[dict[str, float], list[str]]:
+    """Return parameter → neutral value of the terms that depend on a position or level, and the names of these."""
+    import sympy
+
+    m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)
+    sizes, places = dict[str, float](), dict[str, None]()
+    for kind in model.catalogue:
+        if not issubclass(kind, (Force, RateTerm)):
+            continue
+        declared = parameters_of(kind)
+        term = kind(**{p.name: sympy.Symbol(f"p:{p.name}", real=True) for p in declared})
+        with number_guard(smooth=True):
+            force = sympy.sympify(term.force(m, at, speed) if isinstance(term, Force) else term.rate(m, at))
+        if at in force.free_symbols:
+            sizes |= {f"{kind.name}.{p.name}": p.neutral for p in declared if p.neutral is not None}
+            place = kind.place.position if issubclass(kind, Force) else kind.place.state
+            places[model.outputs[place].name] = None
+    return sizes, [*places]
+
+
+def _library_inputs(body: Body) -> list[Any]:
+    """Return the inputs of an FMU's library as expressions; none for a model with equations."""
+    import sympy
+
+    s = body.symbols
+    if not isinstance(s.model, FmuModel):
+        return []
+    with number_guard(smooth=True):
+        return [sympy.sympify(e) for e in s.model.library_inputs(SymbolNamespace(), s.state, s.command)]
+
+
+def _print_functions(
+    body: Body,
+    expressions: tuple[Sequence[Any], Sequence[Any]],
+    random: tuple[Sequence[int], Sequence[Any]],
+    shapes: Sequence[LocalShape],
+    stiff: bool,
+) -> str:
+    """Return the functions of the kernel as C code.
+
+    Args:
+        expressions: Derivatives and readings.
+        random: Indices and symbols of the stochastic states.
+    """
+    import sympy
+
+    (f, g), (stochastic, x) = expressions, random
+    functions = {
+        "deriv": f,
+        "jacobian": [_slope(f[i], xj, shapes) for i in stochastic for xj in x],
+        "measure": g,
+        "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
+    }
+    if stiff:
+        functions["state_jacobian"] = [_slope(e, xj, shapes) for e in f for xj in body.symbols.state]
+    stages = _stages(shapes)
+    first = {"deriv": stages, "jacobian": stages, "state_jacobian": stages}
+    texts = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
+    return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
+
+
+def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
+    sums, shapes = _nameless(body, Known.of(body.symbols, excluded=reach.drifting), reach.forced)
+    body.derivative.update({state: body.derivative[state] + term for state, term in sums.items()})
+    return shapes
+
+
+def _nameless(body: Body, known: Known, forced: Sequence[str]) -> tuple[dict[str, Any], list[LocalShape]]:
+    """Return the unnamed terms of each forced equation, and their local shapes; their parameters are added."""
+    import sympy
+
+    sums: dict[str, Any] = dict.fromkeys(forced, sympy.Integer(0))
+    for name, basis in bases(known).items():
+        for state in forced:
+            sums[state] += body.parameter(f"{PREFIX}.{state}.{name}") * basis
+    signals = local_signals(known)
+    shapes = [local_shape(slot, signals, forced, body.parameter) for slot in range(1, SLOTS + 1)]
+    for shape in shapes:
+        for state, term in zip(forced, shape.terms, strict=True):
+            sums[state] += term
+    return sums, shapes
+
+
+def _stages(shapes: Sequence[LocalShape]) -> list[dict[Any, Any]]:
+    """Return the stages of all local shapes."""
+    stages = zip(*(s.stages for s in shapes), strict=True)
+    return [dict(chain.from_iterable(s.items() for s in stage)) for stage in stages]
+
+
+def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
+    """Return the derivative of an expression by a state, including its paths through local shapes."""
+    import sympy
+
+    slope = sympy.diff(expression, by)
+    for s in shapes:
+        if by in s.slopes:
+            of_factor, of_shape = s.slopes[by]
+            slope += sympy.diff(expression, s.factor) * of_factor + sympy.diff(expression, s.shape) * of_shape
+    return slope
+
+
+def _rates(body: Body) -> dict[str, str]:
+    """Return state → state equal to its derivative."""
+    names = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
+    return {name: names[e] for name, e in body.derivative.items() if e in names}
+
+
+def _add_sensor_errors(body: Body, model: Model) -> None:
+    import sympy
+
+    true = dict(body.outputs)
+    for kind in model.sensors:
+        symbol = body.parameter(f"{kind.name}.value")
+        if kind.depends_on_past():
+            continue  # the filter accounts for it
+        outputs = true | {name: body.outputs[name] for name in kind.affected()}
+        with number_guard(smooth=True):
+            readings = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
+        body.outputs.update({name: sympy.sympify(e) for name, e in readings.items()})
+
+
+def _add_disturbances(body: Body, reach: Reach) -> Body:
+    """Return the equations with an unknown input as additional state in each forced equation."""
+    import sympy
+
+    if not reach.forced:
+        return body
+    memory = body.parameter(MEMORY)
+    unknown = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in reach.forced}
+    for name, d in unknown.items():
+        body.derivative[name] += d
+        body.derivative[DISTURBANCE + name] = -d / memory
+    return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *unknown.values())))
+
+
+def _with_constants(
+    body: Body, reach: Reach, measured: Sequence[str], constant: Sequence[str]
+) -> tuple[Body, tuple[str, ...]]:
+    """Return the equations with parameters as constant states, and the states that become uncertain thereby."""
+    import sympy
+
+    if not constant:
+        return body, ()
+    states = {body.parameters[n]: sympy.Symbol(f"state:{CONSTANT}{n}", real=True) for n in constant}
+    body.derivative.update({n: e.xreplace(states) for n, e in body.derivative.items()})
+    body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
+    places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
+    between = _downstream(body, places) & _upstream(body, [body.outputs[n] for n in measured])
+    # base states coupled only by an effect are excluded, as for noise
+    apart = {q.name for q in body.symbols.model.base_states} - {*reach.driven}
+    carrying = tuple(
+        n for k, n in enumerate(body.derivative) if k in between and not (n in apart or n.startswith(DISTURBANCE))
+    )
+    body.derivative.update({CONSTANT + n: sympy.Integer(0) for n in constant})
+    return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), carrying
+
+
+def _reach(model: Model, measured: Sequence[str]) -> Reach:
+    """Return the states reached by process noise without effects.
+
+    The filter's covariance thus ignores couplings between states that only effects cause.
+    """
+    body = Body.of(replace(model, effects=()), effects=False)
+    names = list(body.derivative)
+    forced = [names.index(n) for n in model.forced]
+    outputs = [body.outputs[n] for n in measured]
+    reached, reaching = _downstream(body, forced), _upstream(body, outputs)
+    both = sorted(reached & reaching)
+    return Reach(
+        tuple(names[k] for k in forced if k in both),
+        tuple(names[k] for k in both),
+        frozenset(names[k] for k in reached - reaching),
+        tuple(names[k] for k in sorted(reaching - reached)),
+    )
+
+
+def _downstream(body: Body, first: Sequence[int]) -> set[int]:
+    """Return the indices of states influenced by `first`, inclusive."""
+    feeds, reached = _feeds(body), set(first)
+    while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
+        reached |= grown
+    return reached
+
+
+def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
+    """Return the indices of all states with direct or indirect influence on some expressions."""
+    feeds, place = _feeds(body), {symbol: k for k, symbol in enumerate(body.symbols.state)}
+    reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
+    while grown := {j for i in reaching for j in feeds[i]} - reaching:
+        reaching |= grown
+    return reaching
+
+
+def _feeds(body: Body) -> list[set[int]]:
+    """Return the state indices in each state equation."""
+    place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
+    return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]

@@ -1,0 +1,238 @@
+"""Kernel interface: layout, filter and simulation of a log.
+
+A kernel need not be generated: any object with a `Layout` and the two calls will do, also a foreign FMU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from cosim.core.arrays import Array, Rows
+
+DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
+CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
+DEVIATION = "deviation."  # prefix of the deviation of a free run's output, which unknown inputs drive
+EARLIER = "earlier."  # prefix of the deviation in the row before, which stands for hidden states
+START = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
+MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Layout of a kernel's arrays.
+
+    Attributes:
+        parameters: Names in the order of `p`.
+        states: Names in the order of `x`.
+        inputs: Names in the order of `u`.
+        outputs: Names of the measured outputs in the order of `y`.
+        stochastic: Indices of states between process noise and a measured output.
+        noisy: Indices within `stochastic` of states with process noise: unknown inputs if the kernel has them, else the
+            forced states themselves.
+        memory: Number of stored values.
+        delay: Index of the delay parameter, −1 without delay.
+        driven: Indices of noise-free states with influence on a measured output.
+        carrying: Indices of stochastic states whose only random source is a constant state.
+        rates: State → state equal to its derivative.
+        is_free_run: True if unknown inputs drive deviations of the outputs of a free run.
+        along: Parameter → neutral value of each term of a free run that depends on a position or level.
+        positions: Indices of the measured outputs that are these positions and levels.
+    """
+
+    parameters: tuple[str, ...]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    stochastic: tuple[int, ...]
+    noisy: tuple[int, ...]
+    memory: int = 0
+    delay: int = -1
+    driven: tuple[int, ...] = ()
+    carrying: tuple[int, ...] = ()
+    rates: Mapping[str, str] = field(default_factory=dict)
+    is_free_run: bool = False
+    along: Mapping[str, float] = field(default_factory=dict)
+    positions: tuple[int, ...] = ()
+
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Return the names of the stochastic states."""
+        return tuple(self.states[k] for k in self.stochastic)
+
+    @property
+    def noise_places(self) -> list[int]:
+        """Return the indices of the states with process noise."""
+        return [self.stochastic[k] for k in self.noisy]
+
+    @property
+    def start_places(self) -> list[int]:
+        """Return the indices of the start states of a free run."""
+        return [k for k, name in enumerate(self.states) if name.startswith(START)]
+
+    @property
+    def deviation_places(self) -> list[int]:
+        """Return the indices of the deviations of a free run's outputs."""
+        return [k for k, name in enumerate(self.states) if name.startswith(DEVIATION)]
+
+    @property
+    def forced_places(self) -> list[int]:
+        """Return the indices of the states with forced equations."""
+        return [self.states.index(name) for name in self.forced]
+
+    @property
+    def forced(self) -> tuple[str, ...]:
+        """Return the names of the states with forced equations: process noise stands for a possibly missing effect."""
+        return tuple(self.states[k].removeprefix(DISTURBANCE) for k in self.noise_places)
+
+    @cached_property
+    def constants(self) -> Mapping[str, int]:
+        """Return parameter → index of its constant state."""
+        return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
+
+    @property
+    def is_coloured(self) -> bool:
+        """Return True if noise enters through unknown inputs with memory."""
+        return MEMORY in self.parameters
+
+
+@dataclass(frozen=True)
+class Data:
+    """A log as input of the filter.
+
+    Attributes:
+        u: Inputs, shape (rows, inputs).
+        y: Measurements, shape (rows, outputs), NaN if missing.
+        substeps: Number of RK4 steps from row to row.
+        interpolated: Inputs to interpolate between rows; the rest is held.
+        late: Age of each reading in rows, −½ … ½, shape (rows, outputs); None if all are on time.
+        lags: Time constant of each output's sensor in rows, shape (outputs,); None without lags.
+        settle: Number of rows after the first in which the covariance stays P0, while states settle.
+    """
+
+    step: float
+    start: float
+    u: Array
+    y: Array
+    substeps: int
+    settle: int = 0
+    interpolated: frozenset[str] = frozenset()
+    late: Array | None = None
+    lags: Array | None = None
+
+    @property
+    def times(self) -> Array:
+        """Return the time of each row [s]."""
+        return self.start + self.step * np.arange(len(self.u), dtype=np.float64)
+
+    def rows(self, first: int, end: int) -> Data:
+        """Return the part of the log from row `first` to before row `end`."""
+        rows = slice(first, end)
+        late = None if self.late is None else self.late[rows]
+        return replace(self, start=self.start + first * self.step, u=self.u[rows], y=self.y[rows], late=late)
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """Innovations and variances (rows, outputs) before each measurement update; states and memory after.
+
+    Attributes:
+        covariances: Covariance of the stochastic states after each update; None if the kernel has no covariance.
+    """
+
+    errors: Array
+    variances: Array
+    states: Array
+    memory: Array
+    covariances: Array | None = None
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Noise-free simulation: outputs (rows, outputs), states and memory (rows, …); NaN before the first row."""
+
+    outputs: Array
+    states: Array
+    memory: Array
+
+
+class Kernel(Protocol):
+    """Filter and simulation of a log."""
+
+    @property
+    def layout(self) -> Layout:
+        """Return the layout of the arrays."""
+
+    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+        """Filter one log; a diverging filter gives infinite errors.
+
+        Args:
+            p: Parameter values.
+            x0: Initial state.
+            P0: Initial covariance.
+            q: Noise density of each stochastic state.
+            r: Variance of each output, or of each row and output.
+        """
+
+    def simulate(
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+    ) -> Simulated:
+        """Simulate with the commands of a log from row `first`.
+
+        Args:
+            kicks: Increments added to the state at each row, shape (rows, states).
+        """
+
+
+Inputs = tuple[Data, Array, Array, Array, Array, Array]  # arguments of `Kernel.run`
+
+
+def run_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
+    """Filter several logs, in one call if the kernel offers it."""
+    together = getattr(kernel, "run_all", None)
+    return [kernel.run(*each) for each in inputs] if together is None else together(inputs)
+
+
+Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
+
+
+def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:
+    """Simulate several times, in one call if the kernel offers it."""
+    together = getattr(kernel, "simulate_all", None)
+    if together is None:
+        return [kernel.simulate(*each[:5], first=each[5]) for each in begins]
+    simulated: Sequence[Simulated] = together(begins)
+    return simulated
+
+
+def single_steps(
+    kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
+) -> tuple[Array, Array]:
+    """Return the state at the next row and the outputs at each row, in one call if the kernel offers it.
+
+    Args:
+        points: Rows of the log but the last, with the states and memories there.
+        back: Rows of commands before a step that a delay may reach back to.
+    """
+    together = getattr(kernel, "step", None)
+    if together is None:
+        return steps_one_by_one(kernel, data, p, points, back)
+    stepped: tuple[Array, Array] = together(data, p, points, back)
+    return stepped
+
+
+def steps_one_by_one(
+    kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
+) -> tuple[Array, Array]:
+    """Return single steps, as `single_steps`, with a simulation for each."""
+    rows, states, memories = points
+    following, outputs = np.empty((len(rows), states.shape[1])), np.empty((len(rows), len(kernel.layout.outputs)))
+    for k, row in enumerate(rows.tolist()):
+        before = min(row, back)
+        run = kernel.simulate(data.rows(row - before, row + 2), p, states[k], memories[k], first=before)
+        following[k], outputs[k] = run.states[before + 1], run.outputs[before]
+    return following, outputs

@@ -1,0 +1,293 @@
+"""Filter over a log with the library of an FMU for model exchange; every thread has an instance of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.blocks.derivatives import DifferentiableFmu
+from cosim.blocks.fmu import FmuBlock
+from cosim.core.arrays import Array, Rows
+from cosim.estimation.kernel.c_filter import CompiledKernel
+from cosim.estimation.kernel.generate import Generated
+from cosim.estimation.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated, steps_one_by_one
+from cosim.estimation.kernel.nameless import LOCAL, PREFIX
+from cosim.estimation.kernel.propagation import lasting, propagations
+from cosim.fmi.description import reals, takes_any_step
+from cosim.isolation.limits import Limits
+from cosim.terms.language import Direction
+
+NAME = "model"  # component name in messages
+RUNS = 16  # kept free runs
+STEP = 1e-6  # step of differences, as a share of a state's usual size
+PULSE = 1e-2  # of an input, as a share of its range
+START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
+
+_loading = threading.Lock()  # the working folder changes while a library is loaded
+
+
+FUNCTIONS = ("set_time", "set_states", "get_rates", "complete", "step", "set_reals", "get_reals")
+
+
+class _Library(ctypes.Structure):
+    """Functions and variables of an instance, as in `library_calls.c`."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("instance", *FUNCTIONS, "inputs", "outputs", "steps")),
+        ("version", ctypes.c_int),
+        ("directions", ctypes.c_int),
+        *((name, ctypes.c_void_p) for name in ("second", "braked", "speeds", "changes")),
+    )
+
+
+NO_LIMITS = Limits()
+
+
+class LibraryOf(NamedTuple):
+    """An FMU for a kernel.
+
+    Attributes:
+        sizes: Usual size of each state, for differences.
+        starts: In co-simulation: variable of each start state, with its usual size.
+        values: Parameter values for the effect of start states on the outputs.
+        limits: Limits of a pass over a log; `step` limits its duration.
+        directions: Directions of forces, which need a second instance.
+        neutral: Parameters of the terms that act along directions, with their neutral values.
+    """
+
+    path: Path
+    description: Any
+    sizes: Sequence[float]
+    starts: tuple[tuple[str, float], ...] = ()
+    values: Mapping[str, float] = MappingProxyType({})
+    limits: Limits = NO_LIMITS
+    directions: tuple[Direction, ...] = ()
+    neutral: Mapping[str, float] = MappingProxyType({})
+
+
+class LibraryInstance:
+    """An instance of an FMU in continuous-time mode, initialized again whenever a parameter changes."""
+
+    def __init__(self, fmu: LibraryOf, *, stepped: bool = False) -> None:
+        self._path, self._description, self._stepped = fmu.path, fmu.description, stepped
+        self._steps = np.array([STEP * (size or 1.0) for size in fmu.sizes])
+        self._values: dict[str, float] | None = None
+        self._block: FmuBlock | None = None
+        self._functions_of = _Library()
+
+    def prepare(self, values: Mapping[str, float], start: float = 0.0, stop: float = 1.0) -> _Library:
+        """Return the functions of an instance with these parameter values, of co-simulation at its start.
+
+        Raises:
+            SimulationError: The FMU refuses them.
+        """
+        if self._values == values and not self._stepped:
+            return self._functions_of
+        self._values = None
+        with _loading:
+            if self._block is None:
+                kind: Any = partial(FmuBlock, way="co-simulation") if self._stepped else DifferentiableFmu
+                self._block = kind(NAME, self._path, self._description, {}, frozenset())
+                self._block.bind_nothing()
+            self._block.open_again(values, start, stop)
+        self._values, self._functions_of = dict(values), self._functions(self._block)
+        return self._functions_of
+
+    def _functions(self, block: FmuBlock) -> _Library:
+        """Return the functions of the library."""
+        fmu, version = block.instance.fmu, int(self._description.fmiVersion[0])
+        kind = "Real" if version == 2 else "Float64"
+        names = {"set_reals": f"Set{kind}", "get_reals": f"Get{kind}"}
+        if self._stepped:
+            names["step"] = "DoStep"
+        else:
+            derivatives = "GetDerivatives" if version == 2 else "GetContinuousStateDerivatives"
+            names |= {"set_time": "SetTime", "set_states": "SetContinuousStates", "get_rates": derivatives}
+            if self._description.modelExchange.needsCompletedIntegratorStep:
+                names["complete"] = "CompletedIntegratorStep"
+        functions = {n: ctypes.cast(getattr(fmu.dll, f"fmi{version}{s}"), ctypes.c_void_p) for n, s in names.items()}
+        groups = [[v.valueReference for v in reals(self._description, kind)] for kind in ("input", "output")]
+        self._references = [np.array(group or [0], np.uint32) for group in groups]
+        addresses = [a.ctypes.data for a in (*self._references, self._steps)]
+        variables = dict(zip(("inputs", "outputs", "steps"), addresses, strict=True))
+        return _Library(instance=fmu.component, version=version, **functions, **variables)
+
+
+class LibraryKernel(CompiledKernel):
+    """Kernel of an FMU with terms.
+
+    Args:
+        parameters: Parameter of the kernel → variable of the FMU.
+    """
+
+    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
+        super().__init__(generated)
+        self._library.use_library.argtypes = [ctypes.POINTER(_Library)]
+        self._fmu = fmu
+        self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
+        self._own, self._stepped = threading.local(), generated.stepped
+        order = self.layout.parameters
+        self._turned = {order.index(n): v for n, v in fmu.neutral.items() if n in order}
+        self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
+        shapes = f"{PREFIX}.", f"{LOCAL}."
+        self._not_of_run = [k for k, n in enumerate(order) if n == MEMORY or n.startswith(shapes)]
+        self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
+        self._slopes: deque[tuple[Any, tuple[Array, Array]]] = deque(maxlen=RUNS)
+
+    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+        """Filter one log, as `Kernel.run`."""
+        if not self._stepped:
+            self._use(p, data, x0)
+            return super().run(data, p, x0, P0, q, r, states=states)
+        follows = any(p[k] != neutral for k, neutral in self._along.items())
+        run = self._nothing(len(data.u)) if follows and not _asks_past(data) else self._free_run(data, p, x0)
+        own = run.outputs, self._bends(data, p, x0, run.outputs), run.states, run.memory
+        arrays = [np.array(a, np.float64, order="C") for a in (*own, *self.responses(data, x0))]
+        if follows:
+            self._use(p, data, x0)
+        self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays), int(follows))
+        return super().run(data, p, x0, P0, q, r, states=states)
+
+    def run_all(self, inputs: Sequence[Inputs]) -> list[Filtered]:
+        """Filter several logs."""
+        return [self.run(*each) for each in inputs]
+
+    def simulate(
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+    ) -> Simulated:
+        """Simulate with the commands of a log, as `Kernel.simulate`."""
+        self._use(p, data, x0)
+        return super().simulate(data, p, x0, memory, kicks, first=first)
+
+    def simulate_all(self, begins: Sequence[Begin]) -> list[Simulated]:
+        """Simulate several times."""
+        return [self.simulate(*each[:5], first=each[5]) for each in begins]
+
+    def propagation(self, data: Data, x0: Array) -> Array:
+        """Return the matrices by which deviations of a free run go on that no reading corrects, as `propagations`."""
+        return lasting(self.responses(data, x0)[1])
+
+    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
+        """Return single steps from rows of a log, as `single_steps`."""
+        return steps_one_by_one(self, data, p, points, back)
+
+    def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
+        """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
+        acting = p.copy()
+        acting[self._not_of_run] = 0.0
+        key = *_driven(data), acting.tobytes(), x0.tobytes()
+        for known, run in self._runs:
+            if known == key:
+                return run
+        run = self.simulate(data, p, x0, np.zeros(self.layout.memory))
+        self._runs.append((key, run))
+        return run
+
+    def _nothing(self, rows: int) -> Simulated:
+        """Return arrays for a run that the filter makes."""
+        counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
+        return Simulated(*(np.zeros((rows, count)) for count in counts))
+
+    def _bends(self, data: Data, p: Array, x0: Array, outputs: Array) -> Array:
+        """Return the distance of the outputs, halfway to each row, from a line; 0 if no reading is of the past.
+
+        Without an even number of substeps, an FMU that does not take any step tells nothing.
+        """
+        bends, substeps = np.zeros_like(outputs), data.substeps
+        if not _asks_past(data) or (substeps % 2 and not takes_any_step(self._fmu.description)):
+            return bends
+        u = np.repeat(data.u, 2, axis=0)[:-1]
+        ramps = self._ramps(data) > 0
+        u[1::2, ramps] = 0.5 * (data.u[:-1, ramps] + data.u[1:, ramps])
+        half = replace(data, u=u, step=0.5 * data.step, substeps=max(1, substeps // 2), late=None, lags=None)
+        between = self._free_run(half, p, x0).outputs[1::2]
+        bends[1:] = between - 0.5 * (outputs[:-1] + outputs[1:])
+        return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
+
+    def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
+        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagations.
+
+        They are those at given parameter values, and change little with the parameters. Without start states, pulses of
+        the inputs in the first row tell the propagation.
+        """
+        count, rows = len(self._fmu.starts), len(data.u)
+        key = *_driven(data), x0.tobytes()
+        known = next((responses for other, responses in self._slopes if other == key), None)
+        if known is None:
+            p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
+            memory, first = np.zeros(self.layout.memory), len(x0) - count
+            plain = self.simulate(data, p, x0, memory).outputs
+            slopes = np.zeros((rows, plain.shape[1], count))
+            for k, (_, size) in enumerate(self._fmu.starts):
+                moved = x0.copy()
+                moved[first + k] += START_STEP * size
+                slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
+                slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
+            known = slopes, propagations(slopes if count else self._pulse_responses(data, p, x0, plain), plain)
+            self._slopes.append((key, known))
+        return known
+
+    def _pulse_responses(self, data: Data, p: Array, x0: Array, plain: Array) -> Array:
+        """Return the changes of the outputs after a pulse of each input that moves, shape (rows, outputs, inputs).
+
+        Args:
+            plain: Outputs without a pulse.
+        """
+        responses = []
+        for k in np.flatnonzero(np.ptp(data.u, axis=0)):
+            moved = data.u.copy()
+            moved[0, k] += PULSE * np.ptp(data.u[:, k])
+            run = self.simulate(replace(data, u=moved), p, x0, np.zeros(self.layout.memory))
+            responses.append(np.nan_to_num(run.outputs - plain, posinf=0.0, neginf=0.0)[1:])
+        return np.stack(responses, axis=2) if responses else np.zeros((*plain.shape, 0))
+
+    def _use(self, p: Array, data: Data, x0: Array) -> None:
+        """Prepare this thread's instance for the parameter and start values."""
+        instance = getattr(self._own, "instance", None)
+        if instance is None:
+            instance = self._own.instance = LibraryInstance(self._fmu, stepped=self._stepped)
+        values = {name: float(p[k]) for name, k in self._places.items()}
+        first = len(x0) - len(self._fmu.starts)
+        values |= {name: float(x0[first + k]) for k, (name, _) in enumerate(self._fmu.starts)}
+        times = data.start, data.start + len(data.u) * data.step
+        prepared = instance.prepare(values, *times)
+        if any(p[k] != neutral for k, neutral in self._turned.items()):
+            prepared = self._with_second(prepared, values, times)
+        self._library.use_library(ctypes.byref(prepared))
+
+    def _with_second(self, first: _Library, values: Mapping[str, float], times: tuple[float, float]) -> _Library:
+        """Return the functions of this thread's instance, with another one of other dampings for the directions."""
+        directions = self._fmu.directions
+        other = {d.parameter: d.changed(values[d.parameter]) for d in directions}
+        second = getattr(self._own, "second", None)
+        if second is None:
+            second = self._own.second = LibraryInstance(self._fmu)
+        both = _Library.from_buffer_copy(first)
+        changes = [other[d.parameter] - values[d.parameter] for d in directions]
+        braked = np.array([d.state for d in directions], np.int32)
+        arrays = {"braked": braked, "speeds": np.array([d.speed for d in directions]), "changes": np.array(changes)}
+        prepared = second.prepare({**values, **other}, *times)
+        both.second, both.directions = ctypes.addressof(prepared), len(directions)
+        for name, array in arrays.items():
+            setattr(both, name, array.ctypes.data)
+        self._own.both = both, prepared, arrays  # C keeps their addresses
+        return both
+
+
+def _driven(data: Data) -> tuple[Any, ...]:
+    """Return everything of a log on which a free run depends."""
+    return data.u.tobytes(), data.interpolated, data.start, data.step, data.substeps
+
+
+def _asks_past(data: Data) -> bool:
+    """Return True if a reading depends on outputs before its row."""
+    return data.lags is not None or bool(data.late is not None and np.any(data.late))

@@ -1,0 +1,292 @@
+"""FMUs as subjects: terms of the general catalogue are added to what the FMU's library computes.
+
+In model exchange a filter evaluates the derivatives of the library. In co-simulation the library runs freely, and the
+filter estimates the deviations of its outputs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from shutil import copyfile
+from typing import Any, Literal
+
+import numpy as np
+
+from cosim.core.errors import InputError
+from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
+from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.interface import Predict, Replayer, Start, Workplace
+from cosim.estimation.subject.model_subject import FILES, ModelSubject
+from cosim.estimation.subject.probed_model import probed_model
+from cosim.estimation.subject.start_state import start_state
+from cosim.fmi.building.file import LoadedModel
+from cosim.fmi.description import read_description, takes_any_step
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
+from cosim.fmi.wrapping.wrap import wrap
+from cosim.fmi.wrapping.wrapped_description import CannotWrap
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.logs.log import Log
+from cosim.model.quantities import parameters_of
+from cosim.model.traits import Traits
+from cosim.probing.fmu_structure import StartValue, Structure
+from cosim.residuals.remote_drive import MODULES, DriveApart
+from cosim.residuals.starts import start_parameters
+from cosim.residuals.windows import Replay
+from cosim.terms.alike import experiments_for
+from cosim.terms.code import term_code
+from cosim.terms.fmu_model import FmuModel, fmu_model
+from cosim.terms.language import Force, with_place
+
+SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
+WAYS = {
+    "model-exchange": "model exchange: a filter over the states of the FMU",
+    "co-simulation": "co-simulation: free runs of the FMU, with estimated deviations of the outputs",
+}
+NO_ACCESS = (
+    "Effects inside the FMU, away from its inputs and outputs, could not be tried in co-simulation; "
+    "an FMU for model exchange would allow it."
+)
+
+
+class FmuSubject(ModelSubject):
+    """An FMU with the terms that it may lack.
+
+    Attributes:
+        structure: Structure of the FMU along the logs.
+        limits: Limits of a pass of the filter over a log.
+    """
+
+    probed = True
+
+    def __init__(self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS) -> None:
+        super().__init__(loaded)
+        self.structure, self.limits = structure, limits
+        self.is_stepped = structure.way == "co-simulation"
+        self.untried = NO_ACCESS if self.is_stepped else ""
+        self.source = f"{structure.fmu}, {WAYS[structure.way]}"
+        self._description = read_description(structure.fmu)
+        names = (kind.name for kind in (*self.model.catalogue, *self.model.sensors))
+        self.told_apart_by = {**self.model.told_apart_by, **experiments_for(names)}
+        self.start_variance = {START + with_place(s.name): s.size**2 for s in structure.starts}
+
+    @classmethod
+    def of_fmu(
+        cls,
+        structure: Structure,
+        logs: Sequence[Log],
+        terms: Sequence[type[Any]] = (),
+        limits: Limits = NO_LIMITS,
+    ) -> FmuSubject:
+        """Return the subject of a probed FMU.
+
+        Args:
+            logs: Estimation logs, for usual sizes.
+            terms: Terms of the user.
+        """
+        if structure.way == "co-simulation":
+            with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
+                shown = start_parameters(drive)
+            # start parameters are start values, not parameters
+            known, variables = {s.shown for s in structure.starts}, {p.name: p.quantity for p in structure.parameters}
+            more = []
+            for k, output in enumerate(structure.outputs):
+                start = shown.get(output.name)
+                if start is not None and k not in known and start.name in variables:
+                    size = (structure.scales.get(output.name) or 1.0) / abs(start.gain)
+                    more.append(StartValue(variables[start.name], size, k, start.gain))
+            names = {p.name for p in shown.values()}
+            left = tuple(p for p in structure.parameters if p.name not in names)
+            structure = replace(structure, starts=(*structure.starts, *more), parameters=left)
+        return cls(LoadedModel(probed_model(structure, logs, terms), str(structure.fmu)), structure, limits)
+
+    @property
+    def _fmu_model(self) -> FmuModel:
+        assert isinstance(self.model, FmuModel)
+        return self.model
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Return variable of the FMU → name in the model."""
+        return {variable: name for name, variable in self._fmu_model.variables.items()}
+
+    @property
+    def traits(self) -> Traits:
+        """Return the signal properties, with rates from the probed pairs."""
+        outputs = {**{q.name: q.name for q in self.structure.outputs}, **self.structure.shown}
+        pairs = [p for p in self.structure.pairs if p.gain == 1.0 and {p.position, p.velocity} <= outputs.keys()]
+        return Traits.of(self.model, {with_place(outputs[p.position]): with_place(outputs[p.velocity]) for p in pairs})
+
+    @property
+    def measured_states(self) -> frozenset[str]:
+        """Return the names of the states that are measured. Such a state has the name of its output."""
+        if self.is_stepped:
+            return frozenset(with_place(q.name) for q in self.structure.outputs)
+        return frozenset(map(with_place, self.structure.shown.values()))
+
+    def candidates(self, varied: Sequence[str]) -> list[Candidate]:
+        """Return terms, sensor errors and parameters as candidates; a periodic force names its period."""
+        states, catalogue = self.model.base_states, self.model.catalogue
+        forces = [kind for kind in catalogue if issubclass(kind, Force) and kind.repeats]
+        periods = {kind.name: (f"{kind.name}.{kind.repeats}", states[kind.place.position].name) for kind in forces}
+        return [replace(c, repeats=periods.get(c.name, ())) for c in super().candidates(varied)]
+
+    def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
+        """Return the filter with the FMU's library.
+
+        Raises:
+            InputError: Parameters as constant states, which a library cannot have, or no compiler.
+        """
+        if constant:
+            raise InputError.at(
+                self.structure.fmu,
+                f"{', '.join(constant)} cannot be estimated per log: the library of an FMU takes parameters before its "
+                "initialization only; leave out per_log",
+            )
+        return kernel(self.model, measured, unnamed, fmu=self._library_of(self.structure.fmu, self._description))
+
+    def _library_of(self, fmu: Path, description: Any) -> LibraryOf:
+        """Return an FMU for a kernel, with the usual sizes and the start parameters."""
+        sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
+        starts = tuple((s.name, s.size) for s in self.structure.starts)
+        model = self._fmu_model
+        turned = [k for k in model.catalogue if issubclass(k, Force) and k.place.direction is not None]
+        neutral = {f"{k.name}.{p.name}": p.neutral for k in turned for p in parameters_of(k) if p.neutral is not None}
+        return LibraryOf(fmu, description, sizes, starts, self.values, self.limits, model.directions, neutral)
+
+    def start(self) -> dict[str, float]:
+        """Return the start value of each state."""
+        own = {START + with_place(s.name): s.quantity.start for s in self.structure.starts}
+        return {q.name: q.start for q in self.states} | own
+
+    def start_of_log(self, readings: Mapping[str, float]) -> dict[str, float]:
+        """Return the start value of each state, of a start state from the output that shows it."""
+        start, outputs = self.start(), self.outputs
+        for s in self.structure.starts:
+            if s.gain and (name := outputs[s.shown].name) in readings:
+                low, high = s.quantity.bounds
+                value = s.quantity.start + (readings[name] - outputs[s.shown].start) / s.gain
+                start[START + with_place(s.name)] = min(max(value, low), high)
+        return {**start, **readings}
+
+    def substeps(self, step: float) -> int:
+        """Return the number of integration steps, or of steps of co-simulation, between rows."""
+        if not self.is_stepped:
+            return super().substeps(step)
+        return SUBSTEPS if self.structure.pairs and takes_any_step(self._description) else 1
+
+    def settling(self, states: Sequence[str]) -> float:
+        """Return 0: every state that is not exactly the integral of another one has process noise."""
+        return 0.0
+
+    def prediction(self, log: Log) -> Predict | None:
+        """Return None: outliers are found by their neighbours."""
+        return None
+
+    def refined(self, claims: Mapping[str, float]) -> FmuSubject:
+        """Return the subject with claimed values."""
+        return FmuSubject(super().refined(claims).loaded, self.structure, self.limits)
+
+    def replayer(self, place: Workplace) -> Replayer:
+        """Return a replayer of the delivered FMU, or of the model if the FMU cannot be built."""
+        delivered = self._delivered(place.folder) if self._can_begin_anywhere else None
+        outputs = [q.name for q in self.outputs]
+        if delivered is None:
+            return LibraryReplayer(self, self.kernel(outputs), "own")
+        # The delivered FMU holds terms and values itself.
+        model = self._fmu_model
+        kept = {"dependencies", "rates", "variables", "shown", "stepped", "starts", "substep", "integrator"}
+        attributes = {name: getattr(type(model), name) for name in kept}
+        plain = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
+        of_fmu = self._library_of(delivered, read_description(delivered))
+        return LibraryReplayer(self, kernel(plain, outputs, fmu=of_fmu), "native")
+
+    def quick_replayer(self, place: Workplace) -> LibraryReplayer | None:
+        """Return a replayer of the model."""
+        if not self._can_begin_anywhere or self._delivered(place.folder) is None:
+            return None
+        return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
+
+    @property
+    def _can_begin_anywhere(self) -> bool:
+        """Return True if a replay through the delivered FMU begins wherever one of the model does."""
+        return self.is_stepped or not any(e.memory or e.delay for e in self.model.awake)
+
+    def _delivered(self, folder: Path) -> Path | None:
+        """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
+        if self.undelivered or (self.fmu is not None and self.fmu.is_file()):
+            return None if self.undelivered else self.fmu
+        model, own = self._fmu_model, {p.name for p in self.parameters}
+        signals = self.structure.outputs if self.is_stepped else self.structure.states
+        code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
+        values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}
+        known = {*(p.name for p in code.parameters), *model.variables.values()}
+        path = folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
+        substep, kept = self.rate / self.substeps(self.rate), {n: v for n, v in values.items() if n in known}
+        try:
+            wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
+        except (CannotWrap, NoCompiler, CompilerFailed) as error:
+            self.undelivered = f"There is no refined FMU: {error}"
+            return None
+        self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
+        return path
+
+    def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
+        """Write plant.fmu or nearest.fmu: the original with the terms and values."""
+        fmu = self._delivered(scratch)
+        return () if fmu is None else (Path(copyfile(fmu, scratch / FILES[name][1])),)
+
+    def main_file(self, name: Literal["refined", "nearest"]) -> str:
+        """Return the name of the FMU, the only file."""
+        return FILES[name][1]
+
+    def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
+        """Return a command line that simulates the delivered FMU."""
+        return ["cosim", "simulate", str(folder / self.main_file(name))]
+
+
+@dataclass
+class LibraryReplayer(Replayer):
+    """Replays by the kernel of a subject."""
+
+    subject: FmuSubject
+    kernel: Kernel
+    through: str
+
+    def replays(
+        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+    ) -> Generator[Replay, None, None]:
+        """Yield one replay for each horizon."""
+        units = {q.name: q.unit for q in self.subject.outputs}
+        kernel, layout, grid = self.kernel, self.kernel.layout, np.asarray(log.grid, np.intp)
+        clean = {n: float(p.default) for n, p in self.subject.sensor_parameters.items()}
+        given = {**self.subject.values, **values, **clean}
+        p = np.array([given.get(n, 1.0) for n in layout.parameters])
+        for horizon, begins in starts.items():
+            table = np.full((log.rows, len(units)), np.nan)
+            if not self.subject.is_stepped:
+                rows = sorted(begins)
+                ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
+                for k, last in zip(rows, ends, strict=False):
+                    state = begins[k].states
+                    known = [0.0 if n.startswith(DISTURBANCE) else state.get(n, 0.0) for n in layout.states]
+                    memory = np.asarray(begins[k].memory, float)[: layout.memory]
+                    runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
+                for k, last, run in zip(rows, ends, simulate_all(kernel, runs), strict=False):
+                    table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
+            elif math.isinf(horizon):  # a library begins at the start of a log only
+                readings = np.full((int(grid[-1]) + 1, len(units)), np.nan)
+                for j, name in enumerate(units):
+                    readings[grid, j] = log.outputs.get(name, np.nan)
+                x0 = start_state(self.subject, replace(data, y=readings), [*units], layout.states)
+                estimated = begins[min(begins)].states
+                x0[layout.start_places] = [estimated[layout.states[k]] for k in layout.start_places]
+                first = min(begins) + 1
+                table[first:] = kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs[grid[first:]]
+            begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
+            yield Replay(log.time, horizon, begun, dict(zip(units, table.T, strict=True)), units)

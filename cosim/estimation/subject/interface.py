@@ -1,0 +1,255 @@
+"""`Subject`: the interface of objects for estimation, refinement and experiments.
+
+`ModelSubject` implements it for a `Model`. Another class derives from `Subject` and defines the members without a
+default. Symbols, printed C and Jacobians are not required: a kernel may be Python, a C library, or a foreign FMU in a
+worker process with finite differences.
+
+Fits explore through `kernel`. Proofs replay logs through `replayer`, which contains the delivered object. Several
+threads call both: a kernel without concurrency needs its own lock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+from cosim.core.arrays import Array, Rows
+from cosim.estimation.kernel.kernel import Data, Kernel
+from cosim.estimation.subject.candidates import Candidate
+from cosim.fmi.building.refined import NEAREST, REFINED
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.logs.log import Log
+from cosim.model.quantities import Parameter, Quantity, parameters_of
+from cosim.model.traits import Traits
+from cosim.residuals.remote_drive import MODULES
+from cosim.residuals.windows import Replay
+
+Predict = Callable[[Mapping[str, Rows]], Mapping[str, Array]]  # one-step predictions of outputs without some readings
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Start of a replay from filtered past data.
+
+    Attributes:
+        states: State of the kernel → value.
+        memory: Stored values of the kernel, in the kernel's order.
+        per_log: Parameter per log → value.
+    """
+
+    states: Mapping[str, float]
+    memory: Array
+    per_log: Mapping[str, float] = field(default_factory=dict)
+
+
+class Workplace(ExitStack):
+    """Context with a folder for files, limits of calls, and a worker process started on demand."""
+
+    def __init__(self, folder: Path, limits: Limits | None = None, *, in_process: bool = False) -> None:
+        super().__init__()
+        self.folder, self.limits, self.in_process = folder, limits, in_process
+
+    @cached_property
+    def worker(self) -> Worker | None:
+        """Return the worker process of the FMUs; None if FMUs are loaded into this process."""
+        return None if self.in_process else self.enter_context(Worker(*MODULES))
+
+
+class Replayer(Protocol):
+    """Replayer of logs through one object.
+
+    Attributes:
+        through: Name of the object in refine.json: `native` or `python` for an FMU, `own` for an object without one.
+    """
+
+    through: str
+
+    def replays(
+        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+    ) -> Generator[Replay, None, None]:
+        """Yield the replayed outputs for each horizon [s], in the order of `starts`.
+
+        A run begins at each row of `starts[horizon]`, numbered as in `log`, and ends at the next start. Start rows are
+        not predicted.
+
+        Args:
+            data: Log in equal steps with the commands before a start.
+            values: Parameter → value for this log.
+
+        Raises:
+            SimulationError: The object fails.
+        """
+
+
+@runtime_checkable
+class Subject(Protocol):
+    """An object that can be refined.
+
+    Attributes:
+        title: Name in reports.
+        inputs, outputs, states: Signals with units; `states` without unknown inputs of equations.
+        horizon: Duration of replays for judgement [s]; infinite: one free run over a log.
+        rate: Communication step of the object's design [s].
+        parameters: Base parameters, each with an optional tolerance.
+        candidate_parameters: `candidate.parameter` → declaration, without sensors.
+        values: Every parameter of its kernel → value; candidates at neutral. (Members below have a default.)
+        calibrated: Base parameters free in every fit, also without a stated tolerance.
+        sensors: Possible sensor errors.
+        sensor_variance, start_variance: Variance of output noise, and of states at the start of a log.
+        present: Candidates already in the object; a further change counts as a wrong parameter.
+        excursion: Signal → allowed deviation from its start in an experiment.
+        told_apart_by: Rivals → experiment that separates them, in words.
+        drawn_against: Candidate → signals for plots.
+        inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
+        probed: True for an FMU, whose terms are those of a general catalogue.
+        source: Origin, for the provenance.
+        undelivered: Reason why `write` writes nothing although it should.
+        missing_platforms: Platforms of an FMU that the delivered FMU lacks.
+        untried: Sentence on effects that cannot be candidates, to follow a claim.
+    """
+
+    title: str
+    inputs: Sequence[Quantity]
+    outputs: Sequence[Quantity]
+    states: Sequence[Quantity]
+    horizon: float
+    rate: float
+    parameters: Sequence[Parameter]
+    candidate_parameters: Mapping[str, Parameter]
+    values: Mapping[str, float]
+
+    calibrated: Sequence[str] = ()
+    sensors: Sequence[type[Any]] = ()  # subclasses of cosim.model.SensorError
+    sensor_variance: Mapping[str, float] = {}
+    start_variance: Mapping[str, float] = {}
+    present: frozenset[str] = frozenset()
+    excursion: Mapping[str, float] = {}
+    told_apart_by: Mapping[frozenset[str], str] = {}
+    drawn_against: Mapping[str, tuple[str, ...]] = {}
+    inestimable: frozenset[str] = frozenset()
+    probed: bool = False
+    source: str = "an object of Python"
+    undelivered: str = ""
+    missing_platforms: Sequence[str] = ()
+    untried: str = ""
+
+    # -- required members ------------------------------------------------------------------------
+
+    def candidates(self, varied: Sequence[str]) -> Sequence[Candidate]:
+        """Return every hypothesis about missing or wrong parts.
+
+        Args:
+            varied: Inputs with variation in some log; parameters without their required inputs are excluded.
+        """
+        ...
+
+    def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
+        """Return a filter kernel for logs with these measured outputs.
+
+        Args:
+            unnamed: Include unnamed terms (`cosim.estimation.kernel.nameless`), if available.
+            constant: Parameters as constant states, estimated in the filter.
+
+        Raises:
+            InputError: A parameter cannot be a constant state.
+        """
+        ...
+
+    def start(self) -> Mapping[str, float]:
+        """Return the start value of each state."""
+        ...
+
+    def replayer(self, place: Workplace) -> Replayer:
+        """Return a replayer of logs for the delivered FMU or model, stored at `place`."""
+        ...
+
+    def refined(self, claims: Mapping[str, float]) -> Subject:
+        """Return the subject with changed or claimed parameter values."""
+        ...
+
+    # -- members with a default ------------------------------------------------------------------
+
+    @property
+    def declared(self) -> Mapping[str, Parameter]:
+        """Return every parameter by name."""
+        return {p.name: p for p in self.parameters} | {**self.candidate_parameters} | {**self.sensor_parameters}
+
+    @property
+    def sensor_parameters(self) -> Mapping[str, Parameter]:
+        """Return the parameters of sensor errors by `sensor.value`."""
+        return {f"{kind.name}.{p.name}": p for kind in self.sensors for p in parameters_of(kind)}
+
+    @property
+    def late(self) -> Mapping[str, tuple[str, ...]]:
+        """Return latency parameter → delayed outputs."""
+        return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.late}
+
+    @property
+    def lagging(self) -> Mapping[str, tuple[str, ...]]:
+        """Return time constant of a sensor → outputs with this lag."""
+        return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.lagging}
+
+    @property
+    def traits(self) -> Traits:
+        """Return further signal properties for the checks of logs."""
+        return Traits()
+
+    def start_of_log(self, readings: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the start value of each state in a log.
+
+        Args:
+            readings: State → first reading of the output with its name.
+        """
+        return {**self.start(), **readings}
+
+    @property
+    def measured_states(self) -> frozenset[str]:
+        """Return states measured by outputs of the same name."""
+        return frozenset(q.name for q in self.states) & {q.name for q in self.outputs}
+
+    def substeps(self, step: float) -> int:
+        """Return the number of integration steps in a communication step [s]; fits may use fewer."""
+        return 1
+
+    def settling(self, states: Sequence[str]) -> float:
+        """Return the time [s] after which a wrong start of states without process noise is negligible."""
+        return 0.0
+
+    def prediction(self, log: Log) -> Predict | None:
+        """Return a one-step predictor for the detection of outliers; None to use neighbours."""
+        return None
+
+    def nameless(self, signal: str) -> tuple[Callable[..., Any], Mapping[str, str]] | None:
+        """Return an unnamed term as a function, and its arguments: name of a signal → unit; None without such terms."""
+        return None
+
+    def quick_replayer(self, place: Workplace) -> Replayer | None:
+        """Return a faster replayer with equal results, or None.
+
+        Raises:
+            InputError: The reason why an expected replayer is unavailable.
+        """
+        return None
+
+    def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
+        """Write the subject's files to `scratch`, for `folder`, and return their paths.
+
+        A subject that exists only in Python writes nothing.
+
+        Args:
+            name: `refined` or `nearest`.
+        """
+        return ()
+
+    def main_file(self, name: Literal["refined", "nearest"]) -> str:
+        """Return the name of the file that `write` writes for further use."""
+        return (REFINED if name == "refined" else NEAREST)[0]
+
+    def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> Sequence[str]:
+        """Return a command line for the delivered files in `folder`; empty without files."""
+        return ()

@@ -1,0 +1,184 @@
+"""Models as subjects: the kernel is generated from the equations, and the FMU is delivered and replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+from shutil import copyfile
+from typing import Any, Literal
+
+from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.kernel import Kernel
+from cosim.estimation.kernel.nameless import Known, bases
+from cosim.estimation.kernel.settling import settling
+from cosim.estimation.subject.base_parameters import base_parameter
+from cosim.estimation.subject.candidates import Candidate, effect
+from cosim.estimation.subject.fmu_replayer import FmuReplayer, shaping_effects
+from cosim.estimation.subject.interface import Predict, Replayer, Subject, Workplace
+from cosim.fmi.building.build_native import class_fmu
+from cosim.fmi.building.file import LoadedModel, write_model
+from cosim.fmi.building.own_run import predicted_outputs, shown_states
+from cosim.fmi.building.refined import NEAREST, REFINED
+from cosim.fmi.fmu_build import build
+from cosim.logs.log import Log
+from cosim.model.delay import Gain
+from cosim.model.integrate import substeps
+from cosim.model.model import Model
+from cosim.model.quantities import Parameter, parameters_of
+from cosim.model.symbolic.symbols import symbolic
+from cosim.model.traits import Traits
+
+FILES = {"refined": REFINED, "nearest": NEAREST}
+
+
+class ModelSubject(Subject):
+    """A model, with the values of its model.yaml, as the subject of a refinement.
+
+    Attributes:
+        loaded: Model with origin, parameter values and known sensor errors.
+        fmu: FMU of the model, once built.
+    """
+
+    def __init__(self, loaded: LoadedModel) -> None:
+        model = loaded.model
+        self.loaded, self.model = loaded, model
+        self.fmu: Path | None = None
+        self.title, self.source = model.title, loaded.source
+        self.inputs, self.outputs, self.states = model.inputs, model.outputs, model.states
+        self.horizon, self.rate = model.horizon, model.rate
+        self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors
+        own = {p.name for p in model.parameters}
+        self.candidate_parameters = {n: p for n, p in model.declared.items() if n not in own}
+        self.values = {**neutral_values(model), **loaded.values}
+        self.sensor_variance, self.start_variance = model.sensor_variance, model.start_variance
+        self.present = frozenset(e.name for e in model.awake)
+        self.excursion = model.excursion
+        self.told_apart_by, self.drawn_against = model.told_apart_by, model.drawn_against
+        effects = (*shaping_effects(model.catalogue), *(kind for kind in model.sensors if kind.depends_on_past()))
+        self.inestimable = frozenset(f"{e.name}.{p.name}" for e in effects for p in parameters_of(e))
+
+    @classmethod
+    def of(cls, model: Model) -> ModelSubject:
+        """Return the subject of a model without model.yaml."""
+        return cls(LoadedModel(model, ""))
+
+    @cached_property
+    def declared(self) -> Mapping[str, Parameter]:
+        """Return the declarations of all parameters of the model and its sensor errors, by name."""
+        return self.model.declared | self.model.sensor_parameters
+
+    @property
+    def traits(self) -> Traits:
+        """Return the signal properties, with rates from the equations."""
+        return Traits.of(self.model)
+
+    @property
+    def measured_states(self) -> frozenset[str]:
+        """Return the states measured by an output of the same name, tested at a single state."""
+        return frozenset(shown_states(self.model))
+
+    def candidates(self, varied: Sequence[str]) -> list[Candidate]:
+        """Return effects, sensor errors and base parameters as candidates."""
+        found: list[Candidate] = []
+        for kind in (*self.model.catalogue, *self.model.sensors):
+            c = effect(
+                kind.name,
+                parameters_of(kind),
+                self.values,
+                kind="sensor" if kind in self.model.sensors else "effect",
+                starts=kind.starts,
+                above=kind.at_least,
+                resolved=kind.resolved,
+                gain=issubclass(kind, Gain),
+            )
+            if c.name in self.present:  # an effect of the model is recalibrated from its values
+                c = replace(c, starts=({name: self.values[name] for name in c.parameters},))
+            elif (whole := getattr(kind, "complete", None)) is not None:
+                c = replace(c, complete=dict.fromkeys(c.parameters, whole))
+            found.append(c)
+        # parameters are invisible without the variation of some input
+        suspects = [name for name, inputs in self.model.suspect.items() if any(i in varied for i in inputs)]
+        for name in (*self.model.calibrated, *suspects):
+            free = base_parameter(self, name, self.values, None)
+            found.append(Candidate(name, "parameter", (free,), ({name: self.values[name]},)))
+        return found
+
+    def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
+        """Return the compiled filter generated from the equations."""
+        return kernel(self.model, measured, unnamed, constant)
+
+    def start(self) -> dict[str, float]:
+        """Return the start value of each state."""
+        return dict(zip((q.name for q in self.states), self.model.start(), strict=True))
+
+    def substeps(self, step: float) -> int:
+        """Return the number of substeps within the model's limit."""
+        return substeps(step, self.model.substep)
+
+    def settling(self, states: Sequence[str]) -> float:
+        """Return the slowest stable settling time [s]."""
+        return settling(self.model, states)
+
+    def prediction(self, log: Log) -> Predict | None:
+        """Return a one-step predictor of a log's rows."""
+        return partial(predicted_outputs, self.model, log)
+
+    def nameless(self, signal: str) -> tuple[Callable[..., Any], Mapping[str, str]] | None:
+        """Return a basis function of the kernel's unnamed terms."""
+        import sympy
+
+        known = Known.of(symbolic(self.model))
+        basis = bases(known).get(signal)
+        if basis is None:
+            return None
+        named = [("time", "s", known.time), *((q.name, q.unit, x) for q, x in known.states)]
+        named += [(f"command {q.name}", q.unit, u) for q, u in known.commands]
+        used = [entry for entry in named if entry[2] in sympy.sympify(basis).free_symbols]
+        return sympy.lambdify([x for *_, x in used], basis, "numpy"), {name: unit for name, unit, _ in used}
+
+    def refined(self, claims: Mapping[str, float]) -> ModelSubject:
+        """Return the model with the claimed values; values of sensor errors are stored separately."""
+        loaded = self.loaded
+        parameters = {**loaded.parameters, **{n: v for n, v in claims.items() if n not in self.sensor_parameters}}
+        sensors = {**loaded.sensors, **{n: v for n, v in claims.items() if n in self.sensor_parameters}}
+        model = loaded.model.with_values(parameters)
+        return ModelSubject(LoadedModel(model, loaded.source, parameters, sensors))
+
+    def replayer(self, place: Workplace) -> Replayer:
+        """Return a replayer of the Python FMU."""
+        if self.fmu is None or not self.fmu.is_file():
+            count = len([*place.folder.glob("replayed*.fmu")])
+            self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{count}.fmu")
+        return FmuReplayer(self.model, self.fmu, place, "python")
+
+    def quick_replayer(self, place: Workplace) -> Replayer | None:
+        """Return a replayer of the class's native FMU, for all parameter values."""
+        fmu = place.folder / "class.fmu"
+        if not fmu.is_file():
+            class_fmu(self.loaded, fmu)
+        return FmuReplayer(self.model, fmu, place, "native", dict(self.loaded.parameters))  # a worker pickles it
+
+    def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
+        """Write model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""
+        yaml, fmu = (scratch / file for file in FILES[name])
+        write_model(yaml, self.loaded, folder)
+        if self.fmu is not None and self.fmu.is_file():
+            copyfile(self.fmu, fmu)
+        else:
+            self.fmu = build(self.loaded.recipe(), fmu)
+        return yaml, fmu
+
+    def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
+        """Return a command line for the FMU."""
+        return ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={folder / FILES[name][1]}"]
+
+
+def neutral_values(model: Model) -> dict[str, float]:
+    """Return the value of every kernel parameter: the model's values, absent effects and sensor errors at neutral."""
+    own = {p.name: getattr(model, p.name) for p in model.parameters}
+    own |= {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in parameters_of(e)}
+    declared = model.declared | model.sensor_parameters
+    switches = {p.name for p in model.parameters if isinstance(p.default, bool)}
+    return {name: float(own.get(name, p.default)) for name, p in declared.items() if name not in switches}

@@ -1,0 +1,185 @@
+"""The model of a probed FMU: its signals, places with usual sizes along the logs, terms and parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cosim.core.units import unit_of_rate, unit_product
+from cosim.logs.log import Log
+from cosim.model.quantities import Parameter, Quantity
+from cosim.probing.fmu_structure import Connection, Pair, Structure
+from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
+from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
+from cosim.terms.language import Direction, Opposite, Place, with_place
+
+HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
+LATEST = 20  # longest delay of the inputs, in rows
+SLOPE_ROWS = 5  # rows over which the rate of readings is taken
+WIDEST = 100.0  # factor on a parameter without bounds, up and down
+RESOLVED = 0.25  # transition of friction of half the usual force, in steps: Runge-Kutta is stable from 0.18 on
+FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
+
+
+def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuModel:
+    """Return the model of a probed FMU with every term at every place.
+
+    Args:
+        logs: Estimation logs, in names of the FMU.
+        terms: Terms of the user.
+    """
+    s, places = structure, _Places(structure, logs)
+    is_stepped, step, states = places.is_stepped, places.step, places.states
+    duration = max(float(log.time[-1] - log.time[0]) for log in logs)
+    outputs = [q.name for q in s.outputs]
+    inputs, named_outputs = (
+        tuple(replace(q, name=with_place(q.name)) for q in group) for group in (s.inputs, s.outputs)
+    )
+    # a state has the name of an output that shows it
+    named = tuple(replace(q, name=with_place(s.shown_as(q.name))) for q in states)
+    names = places.names
+    rates = {names.index(p.position): names.index(p.velocity) for p in s.pairs if p.gain == 1.0}
+    parameters = []
+    for p in s.acting:  # without bounds, it keeps its sign; the size of 0 is the one tried
+        q, (low, high) = p.quantity, p.quantity.bounds
+        if q.start != 0.0:
+            ends = sorted((q.start / WIDEST, q.start * WIDEST))
+            low, high = max(low, ends[0]), min(high, ends[1])
+        typical = abs(p.tried) if q.start == 0.0 else None
+        parameters.append(Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high), typical=typical))
+    moving = tuple(with_place(name) for name, width in places.ranges.items() if width)
+    sensors: list[type[Any]] = []
+    for q, name in zip(named_outputs, outputs, strict=True):
+        signed = any(float(np.nanmin(log.outputs[name])) < 0.0 for log in logs if name in log.outputs)
+        sensors += sensor_errors(q, places.size(name), step, duration, signed=signed)
+    delay = [delay_of(inputs, LATEST * step)] if inputs else []
+    return fmu_model(
+        s.fmu.stem,
+        (named, inputs, named_outputs),
+        parameters,
+        [*delay, *bound_terms([*places.every()], terms)],
+        dependencies=Dependencies(
+            np.vstack([s.state_in_rate, s.state_in_output]), np.vstack([s.input_in_rate, s.input_in_output])
+        ),
+        rates=rates,
+        variables={
+            with_place(q.name): q.name for q in (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))
+        },
+        sensors=tuple(sensors),
+        forced=tuple(q.name for k, q in enumerate(named) if is_stepped or k not in rates),
+        calibrated=tuple(p.name for p in parameters),
+        suspect=dict.fromkeys((p.name for p in parameters), moving),
+        horizon=math.inf if is_stepped else float(f"{max(HORIZON_ROWS * step, HORIZON_SHARE * duration):.2g}"),
+        shown={outputs.index(y): k for k, q in enumerate(s.states) if (y := s.shown.get(q.name))},
+        stepped=is_stepped,
+        starts=tuple(with_place(v.name) for v in s.starts),
+        rate=step,
+        substep=min(step, FINEST / s.largest_rate if s.largest_rate > 0.0 else math.inf),
+        integrator="rk4",
+    )
+
+
+class _Places:
+    """Places of terms in a probed FMU, with usual sizes along its logs.
+
+    Attributes:
+        states: The states, or the outputs in their place.
+        ranges: Input → range of the commands.
+    """
+
+    def __init__(self, structure: Structure, logs: Sequence[Log]) -> None:
+        s = structure
+        self.structure, self.logs, self.step = s, logs, logs[0].step
+        self.is_stepped = s.way == "co-simulation"
+        self.states: tuple[Quantity, ...] = s.outputs if self.is_stepped else s.states
+        self.names, self.inputs = [q.name for q in self.states], [q.name for q in s.inputs]
+        self.units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
+        self.parameters = {p.name: p.quantity for p in s.parameters}
+        self.ranges = {n: max(float(np.ptp(log.inputs[n])) for log in logs if n in log.inputs) for n in self.inputs}
+
+    def size(self, name: str) -> float:
+        """Return the usual size of a signal: its spread, of an input half of its range; 1 for a constant."""
+        if name in self.ranges:
+            return 0.5 * self.ranges[name] or 1.0
+        return self.structure.scales.get(name) or 1.0
+
+    def rate(self, name: str) -> float:
+        """Return the usual rate of change of a signal."""
+        columns = [log.outputs[name] for log in self.logs if name in log.outputs]
+        read = max((float(np.nanstd(y[SLOPE_ROWS:] - y[:-SLOPE_ROWS])) for y in columns), default=0.0)
+        return self.structure.scales.get(f"der({name})") or read / (SLOPE_ROWS * self.step) or 1.0
+
+    def every(self) -> Iterator[Place]:
+        """Yield every place of terms."""
+        s, units = self.structure, self.units
+        for k, q in enumerate(s.inputs):
+            size = self.size(q.name)
+            columns = [log.inputs[q.name] for log in self.logs if q.name in log.inputs]
+            largest = max((float(np.abs(u).max()) for u in columns), default=0.0) or size
+            sizes = {"u": size, "M": largest, "T": self.step}
+            yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
+        yield from filter(None, map(self._place_of_pair, s.pairs))
+        yield from map(self._place_of_connection, s.connections)
+        for name in s.storages:
+            index, shown = self.names.index(name), s.shown_as(name)
+            columns = [log.outputs[shown] for log in self.logs if shown in log.outputs]
+            middle = float(np.nanmean(np.concatenate(columns))) if columns else self.states[index].start
+            sizes = {"q": self.size(name), "r": self.rate(name)}
+            own = {"q": units[name], "r": unit_of_rate(units[name])}
+            place = Place(with_place(name), own, sizes, state=index, middle=middle)
+            port = s.feeds.get(name)
+            yield replace(place, input=self.inputs.index(port.input), gain=port.gain) if port else place
+
+    def _place_of_pair(self, pair: Pair) -> Place | None:
+        """Return the place of forces at a pair; None in co-simulation without a port.
+
+        Forces come in through an input or, as a damping tells, change further rates; else they change one rate.
+        """
+        s, names, units = self.structure, self.names, self.units
+        port = next((p for p in (*(p for p in pair.ports if p.is_alone), *pair.ports)), None)
+        damping = next((d for d in s.dampings if d.pair == pair), None)
+        if damping is not None:
+            if damping.port:
+                port = next((p for p in pair.ports if p.input == damping.port), port)
+            elif damping.is_constant or damping.in_step:
+                port = None
+            if damping.port or damping.is_constant or not damping.in_step:
+                damping = None
+        if self.is_stepped and port is None:
+            return None
+        v, q = pair.velocity, pair.position
+        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[q], "d": units[q]}
+        travel = math.sqrt(12.0) * self.size(q)  # of a position that takes every value equally often
+        sizes = {"u": self.rate(v), "v": self.size(v), "q": self.size(q), "d": travel}
+        resolution = RESOLVED * self.rate(v) * self.step
+        place = Place(with_place(v), own, sizes, -1, names.index(q), names.index(v), resolution=resolution)
+        if damping is not None:
+            quantity, rates = self.parameters[damping.parameter], tuple(map(names.index, damping.rates))
+            number = s.directions.index(damping)
+            ends = damping.change, quantity.bounds[1]
+            direction = Direction(number, damping.parameter, *ends, names.index(v), damping.speed, rates)
+            own["u"] = unit_product([(units[v], 1), (quantity.unit, 1)])
+            sizes["u"] = self.rate(v) / damping.gain
+            return replace(place, direction=direction, is_driven=bool(pair.ports))
+        if port is None:
+            return place
+        own["u"], sizes["u"] = units[port.input], self.rate(v) / abs(port.gain)
+        return replace(place, input=self.inputs.index(port.input), sign=math.copysign(1.0, port.gain))
+
+    def _place_of_connection(self, c: Connection) -> Place:
+        """Return the place of forces between two pairs, in units of the first one's acceleration."""
+        names, units, q, v = self.names, self.units, c.first.position, c.first.velocity
+        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[q]}
+        deflection, speed = c.deflection or self.size(q), c.speed or self.size(v)
+        sizes = {"u": c.stiffness * deflection or c.damping * speed, "v": speed, "q": deflection}
+        if c.stiffness:
+            own["k"], sizes["k"] = unit_product([(own["u"], 1), (own["q"], -1)]), c.stiffness
+        factors = tuple(replace(f, parameter=with_place(f.parameter)) for f in c.factors)
+        other = Opposite(names.index(c.second.position), names.index(c.second.velocity), c.gear, c.ratio, factors)
+        name = f"{with_place(v)}_against_{with_place(c.second.velocity)}"
+        resolution, ends = RESOLVED * self.rate(v) * self.step, (names.index(q), names.index(v))
+        return Place(name, own, sizes, -1, *ends, resolution=resolution, opposite=other)

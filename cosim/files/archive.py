@@ -1,0 +1,234 @@
+"""Checks of FMU and SSP archives before anything is unpacked or parsed.
+
+Rejected are archives that would fill disk or memory or write outside their folder, and XML with entity definitions.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import posixpath
+import re
+import shutil
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import BinaryIO
+from xml.parsers import expat
+
+from cosim.core.drafts import is_full
+
+DESCRIPTION = "modelDescription.xml"
+STRUCTURE = "SystemStructure.ssd"
+SHOWN = 60  # characters of a name in a message
+MOST_FILES = 20_000
+MOST_UNPACKED = 1_000_000_000  # unpacked size of all files [bytes], whatever their compression
+MOST_OF_FREE = 0.9  # usable fraction of the free disk space
+BOMB_RATIO = 100.0  # compression ratio of an archive beyond MOST_UNPACKED that suggests a bomb
+LOCAL_HEADER = 30  # minimum size of a file's local header [bytes]
+MOST_XML = 20_000_000  # size of a parsed file [bytes], enough for about 100 000 variables
+# XML limits: nesting, elements in total, attributes per element
+DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100
+END, END_SIZE, COMMENT = b"PK\x05\x06", 22, 65_535
+DIRECTORY = 100  # directory size per file [bytes]; the same again for its name
+PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error)
+
+
+class BadArchive(ValueError):
+    """Error: an archive is refused, with the reason."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Files of a kind of archive: required files, and files to parse by name or ending."""
+
+    standard: str
+    needed: str
+    parsed: tuple[str, ...]
+
+    def parses(self, name: str) -> bool:
+        """Return whether a file of the archive is parsed."""
+        return name in self.parsed or posixpath.splitext(name)[1].lower() in self.parsed
+
+
+FMU = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
+SSP = Contents("SSP", STRUCTURE, (STRUCTURE, ".ssd", ".ssv", ".ssm", ".ssb"))
+_SOUND: set[bytes] = set()  # digests of accepted XML, which is read several times
+
+
+def check_archive(path: Path) -> None:
+    """Check an FMU archive.
+
+    Raises:
+        BadArchive: The archive is invalid, too large or would write outside its folder.
+        OSError: The file is unreadable.
+    """
+    with _checked(path):
+        pass
+
+
+def description_of(path: Path) -> bytes:
+    """Check an FMU archive and return the bytes of its modelDescription.xml."""
+    with _checked(path) as archive:
+        return archive.read(DESCRIPTION)
+
+
+def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
+    """Unpack an archive into a folder.
+
+    A link in the archive becomes a file with its target as content.
+
+    Raises:
+        BadArchive: Unpacking fails.
+        OSError: The disk lacks space; nothing has been written.
+    """
+    with _checked(path, kind) as archive:
+        folder.mkdir(parents=True, exist_ok=True)
+        size = sum(member.file_size for member in archive.infolist())  # zipfile never unpacks more than that.
+        if size > MOST_OF_FREE * shutil.disk_usage(folder).free:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+        archive.extractall(folder)
+
+
+def check_identifier(identifier: str | None) -> None:
+    """Raise BadArchive if the name of a library could lead out of its folder."""
+    if identifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", identifier) or identifier in {".", ".."}:
+        raise BadArchive(f'its modelIdentifier "{str(identifier)[:SHOWN]}" is no name of a file')
+
+
+@contextmanager
+def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
+    """Yield an archive after its checks."""
+    with path.open("rb") as stream:
+        _check_directory(stream, path.stat().st_size)
+        try:
+            archive = zipfile.ZipFile(stream)
+        except DAMAGES:
+            raise BadArchive("it is not a zip archive") from None
+        with archive:
+            members = archive.infolist()
+            for member in members:
+                _check_member(member)
+            _check_sizes(members, kind)
+            names = {m.filename for m in members}
+            if kind.needed not in names:
+                raise BadArchive(f"it has no {kind.needed}")
+            try:
+                for name in filter(kind.parses, names):
+                    text = archive.read(name)
+                    if (digest := hashlib.sha256(text).digest()) not in _SOUND:
+                        check_xml(name, text, kind.standard)
+                        _SOUND.add(digest)
+                yield archive
+            except BadArchive:
+                raise
+            except DAMAGES as error:
+                if is_full(error):
+                    raise
+                reason = str(error) if isinstance(error, zipfile.BadZipFile) else "it cannot be unpacked"
+                raise BadArchive(f"its archive is damaged: {reason}") from None
+
+
+def _check_directory(stream: BinaryIO, size: int) -> None:
+    """Check the archive's directory. zipfile reads the whole directory, so the number of files is checked first."""
+    stream.seek(max(0, size - END_SIZE - COMMENT - END_SIZE))
+    tail = stream.read()
+    end = tail.rfind(END)
+    if end < 0 or len(tail) - end < END_SIZE:
+        raise BadArchive("it is not a zip archive")
+    count, directory = struct.unpack_from("<HI", tail, end + 10)
+    if end >= 20 and tail[end - 20 : end - 16] == b"PK\x06\x07":  # the 64-bit directory takes precedence
+        (offset,) = struct.unpack_from("<Q", tail, end - 12)
+        if offset > size - 56:
+            raise BadArchive("it is not a zip archive")
+        stream.seek(offset)
+        count, directory = struct.unpack_from("<QQ", stream.read(56), 32)
+    if count > MOST_FILES or directory > 2 * DIRECTORY * MOST_FILES:
+        raise BadArchive(f"it holds more than {MOST_FILES} files")
+    stream.seek(0)
+
+
+def _check_member(member: zipfile.ZipInfo) -> None:
+    """Check the name, type and compression of a file."""
+    path, name = member.filename.replace("\\", "/"), member.filename[:SHOWN]
+    if path.startswith("/") or re.match("[A-Za-z]:", path) or ".." in path.split("/"):
+        raise BadArchive(f'"{name}" in it would be written outside its folder')
+    if "\\" in member.orig_filename:
+        raise BadArchive(f'"{name}" in it has a backslash; separate folders by /')
+    if stat.S_ISLNK(member.external_attr >> 16):
+        raise BadArchive(f'"{name}" in it is a link; pack the file it leads to')
+    if member.flag_bits & 1:
+        raise BadArchive(f'"{name}" in it is encrypted; pack it without a password')
+    if member.compress_type not in PACKED_BY:
+        raise BadArchive(f'"{name}" in it is compressed by an unsupported method; use deflate')
+
+
+def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
+    """Reject files that are too large or share bytes.
+
+    The compression ratio is no criterion: a table of zeros shrinks a thousandfold.
+    """
+    unpacked, packed = sum(m.file_size for m in members), sum(m.compress_size for m in members)
+    if unpacked > MOST_UNPACKED:
+        ratio = unpacked / max(1, packed)
+        hint = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
+        raise BadArchive(
+            f"it would unpack to {unpacked / 1e6:.0f} MB, more than the {MOST_UNPACKED / 1e6:.0f} MB that are "
+            f"unpacked{hint}"
+        )
+    for member, following in pairwise(sorted(members, key=lambda m: m.header_offset)):
+        if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
+            names = member.filename[:SHOWN], following.filename[:SHOWN]
+            raise BadArchive(f'"{names[0]}" and "{names[1]}" in it share bytes: a zip bomb?')
+    for member in members:
+        if kind.parses(member.filename) and member.file_size > MOST_XML:
+            size, limit = member.file_size / 1e6, MOST_XML / 1e6
+            raise BadArchive(f"its {member.filename} has {size:.0f} MB, more than the {limit:.0f} MB that are read")
+
+
+def check_xml(name: str, text: bytes, standard: str) -> None:
+    """Raise BadArchive if XML is invalid, is nested too deeply, or has a DOCTYPE.
+
+    Entities of a DOCTYPE could grow without bound or name files of this machine.
+    """
+    depth = count = 0
+
+    def refuse(*_: object) -> None:
+        raise BadArchive(f"its {name} has a DOCTYPE, which {standard} knows nothing of; take it out")
+
+    def start(_: str, attributes: list[str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > DEEPEST:
+            raise BadArchive(f"its {name} is nested too deep; at most {DEEPEST} levels are read")
+        if count > MOST_ELEMENTS or len(attributes) > 2 * MOST_ATTRIBUTES:
+            raise BadArchive(
+                f"its {name} has more than the {MOST_ELEMENTS} elements with {MOST_ATTRIBUTES} attributes each "
+                "that are read"
+            )
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.ordered_attributes = True
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code)
+        raise BadArchive(f"its {name} is not XML (line {error.lineno}): {reason}") from None
+    except BadArchive:
+        raise
+    except (LookupError, ValueError):
+        raise BadArchive(f"its {name} is in an unknown encoding; write it in UTF-8") from None

@@ -1,0 +1,102 @@
+"""The cache of derived files, addressed by the content of their source.
+
+The cache holds compiled libraries, which this user's commands execute. It is therefore a folder of this user without
+write access for others, or else a private temporary folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import json
+import os
+import stat
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from cosim.core.drafts import draft_of
+from cosim.core.scratch import process_folder
+
+VARIABLE = "XDG_CACHE_HOME"
+
+
+def cache_path(source: str, suffix: str) -> Path:
+    """Return the cache path for a source's derived file."""
+    return cache_folder() / f"{_hash(source)[:32]}{suffix}"
+
+
+@functools.cache
+def _user_folder(variable: str) -> Path | None:
+    """Return the user's cache folder, if usable and safe. An unsafe folder is reported once.
+
+    Args:
+        variable: Folder of all caches; "" for ~/.cache.
+    """
+    home = os.path.expanduser("~")  # stays "~" for an unlisted user
+    if not variable and not os.path.isabs(home):
+        return None
+    folder = (Path(variable) if variable else Path(home) / ".cache").absolute() / "cosim"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.resolve().stat()
+    except OSError:
+        return None
+    reason = ""
+    if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
+        reason = f"it belongs to another user; name another folder in {VARIABLE}"
+    elif os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        reason = "other users can write in it; take that from them by chmod go-w"
+    if reason:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stderr.write(f"note: the cache {folder} is not used, a temporary one takes its place: {reason}\n")
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def cache_folder() -> Path:
+    """Return the user's cache folder, or a temporary folder that is removed at this process's end."""
+    if folder := _user_folder(os.environ.get(VARIABLE, "")):
+        return folder
+    folder = process_folder() / "cache" / "cosim"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return folder
+
+
+def cache_environment() -> Mapping[str, str]:
+    """Return environment variables for sharing this process's cache."""
+    return {} if _user_folder(os.environ.get(VARIABLE, "")) else {VARIABLE: str(cache_folder().parent)}
+
+
+def load_or_make(source: str, make: Callable[[], Any]) -> Any:
+    """Return a JSON value made from a source, cached.
+
+    The cache file begins with a hash of its content, so that a damaged or partial file is made anew.
+    """
+    path = cache_path(source, ".json")
+    try:
+        head, _, text = path.read_text(encoding="utf-8").partition("\n")
+        if head == _hash(text):
+            return json.loads(text)
+    except (OSError, ValueError):
+        pass
+    value = make()
+    text = json.dumps(value)
+    with contextlib.suppress(OSError), draft_of(path) as draft:  # A read-only cache costs time only.
+        draft.write_text(f"{_hash(text)}\n{text}", encoding="utf-8")
+    return value
+
+
+def fingerprint(packages: Iterable[str]) -> str:
+    """Return a hash of the code of packages and of sympy. Printed code depends on both."""
+    import sympy
+
+    files = (f for name in packages for f in sorted(Path(str(import_module(name).__file__)).parent.glob("*.py")))
+    return f"{sympy.__version__} {hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()}"
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

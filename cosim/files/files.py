@@ -1,0 +1,233 @@
+"""Text files written completely or not at all, stop signals, and checks of output folders."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import math
+import os
+import signal
+import stat
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Any, TextIO
+
+from cosim.core.drafts import draft_of
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.scratch import ScratchFolder, scratch
+from cosim.core.settings import FilePath as FilePath
+
+NOT_BLANK = "give a name, or . for the current folder"
+STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+MOST_HOLES, SMALL = 1000, 1 << 26  # size over stored bytes, more than any file system compresses; [bytes] always read
+READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
+
+
+def open_regular(path: Path) -> int:
+    """Return a descriptor of a regular file, for reading.
+
+    Raises:
+        OSError: The file is unreadable, or a pipe or device, which may block or never end, or almost only holes.
+    """
+    descriptor = os.open(path, READING)
+    status = os.fstat(descriptor)
+    stored = 512 * getattr(status, "st_blocks", status.st_size)
+    if stat.S_ISREG(status.st_mode) and status.st_size <= MOST_HOLES * stored + SMALL:
+        return descriptor
+    os.close(descriptor)
+    reason = "is almost without content" if stat.S_ISREG(status.st_mode) else "is no regular file"
+    raise OSError(errno.EINVAL, reason, str(path))
+
+
+def open_bytes(path: Path) -> io.BufferedReader:
+    """Open a regular file for reading; raise OSError for others."""
+    return os.fdopen(open_regular(path), "rb")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the content of JSON; raise ValueError for other text, and for numbers that no double holds."""
+
+    def number(digits: str, kind: Callable[[str], float]) -> float:
+        if math.isinf(float(digits)):
+            raise ValueError(f"no double holds {digits[:20]}")
+        return kind(digits)
+
+    return json.loads(text, parse_int=partial(number, kind=int), parse_float=partial(number, kind=float))
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[TextIO]:
+    r"""Open a text file that replaces `path` after success; half a surrogate pair is written as \ud800, as in JSON."""
+    with draft_of(path) as draft, draft.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
+        yield stream
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text completely or not at all."""
+    with atomic_write(path) as stream:
+        stream.write(text)
+
+
+def write_json(path: Path, content: Any, *, indent: int = 2, allow_nan: bool = True) -> None:
+    """Write JSON with a final line break, completely or not at all."""
+    write_text(path, json.dumps(content, indent=indent, ensure_ascii=False, allow_nan=allow_nan) + "\n")
+
+
+def check_text(names: Iterable[str]) -> None:
+    """Raise InputError for names that are not valid text, as from a machine with another encoding."""
+    faults = []
+    for name in names:
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            try:
+                os.fsencode(name).decode()
+                message = "cannot be read in the locale of this shell; set PYTHONUTF8=1, or LC_ALL=C.UTF-8"
+            except UnicodeDecodeError:
+                message = "is not UTF-8 text; give the file or folder another name"
+            faults.append(Fault(Path(name), 0, 0, message))
+    refuse(faults)
+
+
+@contextmanager
+def delay_stops() -> Iterator[None]:
+    """Delay stop signals to the end of the block."""
+    if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
+        yield
+        return
+    signals: list[int] = []
+    handlers = {n: signal.signal(n, lambda number, _: signals.append(number)) for n in STOPPING}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        if signals:
+            signal.raise_signal(signals[0])
+
+
+@dataclass
+class _Stops:
+    """Handling of stop signals by a verb: raise or hold back."""
+
+    handlers: dict[int, Callable[[int, FrameType | None], Any]]
+    is_holding: bool = False
+    is_stopped: bool = False
+    signals: list[int] = field(default_factory=list)
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if self.is_holding:
+            self.signals.append(number)
+        else:
+            self.is_holding = self.is_stopped = True
+            self.handlers[number](number, frame)
+
+    def release(self) -> None:
+        """Raise the first held signal, unless the verb was already stopped."""
+        signals, self.signals = self.signals, []
+        if signals and not self.is_stopped:
+            signal.raise_signal(signals[0])
+
+
+_stops: list[_Stops] = []  # of the running verbs, the innermost last
+
+
+@contextmanager
+def one_stop() -> Iterator[None]:
+    """Let the first signal stop a verb, and hold back later ones.
+
+    The verb can then write its results. Signals that are ignored or end the process by default are left alone.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    stops = _Stops({number: handler for number in STOPPING if callable(handler := signal.getsignal(number))})
+    for number in stops.handlers:
+        signal.signal(number, stops)
+    _stops.append(stops)
+    try:
+        yield
+    finally:
+        _stops.remove(stops)
+        for number, handler in stops.handlers.items():
+            signal.signal(number, handler)
+        stops.release()
+
+
+def hold_stops() -> None:
+    """Hold back the first signal too, because results must be written."""
+    if _stops and threading.current_thread() is threading.main_thread():
+        _stops[-1].is_holding = True
+
+
+def release_stops() -> None:
+    """Raise a held signal, and let later signals stop the verb."""
+    if _stops and threading.current_thread() is threading.main_thread():
+        _stops[-1].is_holding = False
+        _stops[-1].release()
+
+
+@contextmanager
+def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
+    """Yield a new folder in `beside`, removed at the end. After a kill the next command removes the folder."""
+    folder: ScratchFolder | None = None
+    try:
+        with delay_stops():
+            folder = scratch(prefix, beside)
+        yield folder.path
+    finally:
+        if folder is not None:
+            with delay_stops():
+                folder.remove()
+
+
+def named_path(out: FilePath) -> Path:
+    """Return the path given as --out; raise InputError if blank, which would mean the current folder."""
+    if not os.fspath(out).strip():
+        raise InputError.at(Path("--out"), f"is blank; {NOT_BLANK}")
+    return Path(out)
+
+
+def path_from_here(path: FilePath) -> Path:
+    """Return a path relative to the current folder if it lies in it, else unchanged."""
+    path = Path(path)
+    return path.relative_to(Path.cwd()) if path.is_absolute() and path.is_relative_to(Path.cwd()) else path
+
+
+def check_folder(folder: Path) -> None:
+    """Raise InputError if a file stands in place of a folder."""
+    with suppress(OSError):  # The maker of the folder reports a name that is too long.
+        if file := next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None):
+            raise InputError.at(folder, f"cannot be the folder for results: {file} is a file; give a folder as --out")
+
+
+def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
+    """Make a folder for files.
+
+    Args:
+        read: Input files, not to be overwritten.
+
+    Raises:
+        InputError: A file cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        check_folder(folder)
+        raise InputError.at(
+            folder, f"cannot be the folder for results: {error.strerror}; give another folder as --out"
+        ) from None
+    paths, cure = [folder / name for name in names], "give another folder as --out"
+    faults = [Fault(p, 0, 0, f"is a folder; a file is to be written there; {cure}") for p in paths if p.is_dir()]
+    for source in dict.fromkeys(read):
+        if source.is_file() and any(path.is_file() and source.samefile(path) for path in paths):
+            faults.append(Fault(source, 0, 0, f"is read, and results would be written over it; {cure}"))
+    if not os.access(folder, os.W_OK):
+        faults.append(Fault(folder, 0, 0, f"cannot be written; {cure}"))
+    refuse(faults)

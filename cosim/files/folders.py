@@ -1,0 +1,309 @@
+"""Folders of results: every run is written once, to results/NAME/0001, 0002 and so on, or to a folder of the user.
+
+A folder that a command writes into has a file STARTED until the command ends, with its process. After `kill -9` the
+file remains, so that the folder is listed as interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from cosim.core.errors import InputError
+from cosim.core.messages import Note
+from cosim.core.scratch import temporary_folder
+from cosim.core.version import __version__
+from cosim.files.artefact import artefacts
+from cosim.files.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json, write_json
+from cosim.files.record_types import sound_part
+
+RESULTS = Path("results")
+NUMBERED = RESULTS / "NAME"  # output folder that the workflow chooses: a new number, for which it knows the name
+RUN_NUMBER = re.compile(r"\d{4,15}")  # name of the folder of a run
+STARTED = "started.json"
+COMMAND, STATUS = "command", "status"  # keys of each record
+RUNNING, INTERRUPTED = "running", "interrupted"
+ELSEWHERE = "running or interrupted"  # on another machine, whose processes are unknown here
+REPLAY = "replay.json"  # stored with the rows of a replay
+SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
+MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
+
+
+# -- names ----------------------------------------------------------------------------------------
+
+
+def name_of_file(path: Path, of: str = "") -> str:
+    """Return the name of results for a file.
+
+    Files with a general name, e.g. results.csv, take the name of their folder, or of the runs that it is one of.
+    """
+    if path.stem in {"results", "refine"} and path.resolve().parent.name:
+        return f"{run_name(path.resolve().parent).split('/')[0]}-{of or 'replayed'}"
+    return f"{path.stem}-{of}" if of else path.stem
+
+
+def name_of(model: str) -> str:
+    """Return a short name of a model.
+
+    Args:
+        model: `base`, a file, file.py:Class, a refine's folder or refine.json.
+    """
+    file, _, name = model.rpartition(":") if ".py:" in model else (model, "", "")
+    if name:
+        return name
+    path = Path(file)
+    if not path.is_dir() and path.name not in {"refine.json", "model.yaml"}:
+        return path.stem
+    return run_name(path if path.is_dir() else path.parent).split("/")[0] or "model"
+
+
+# -- writing --------------------------------------------------------------------------------------
+
+
+@contextmanager
+def new_run(
+    out: FilePath | None, name: str, verb: str, *, force: bool = False, goes_on: bool = False
+) -> Iterator[Path]:
+    """Yield the folder that a command writes into: a new number in results/NAME, or `out`.
+
+    A folder that is empty at the end is removed. Within the folder of an outer command nothing happens.
+
+    Args:
+        verb: Such as `cosim run`.
+        force: Whether `out` may have files.
+        goes_on: Whether `out` may have files, but for results of other verbs.
+
+    Raises:
+        InputError: `out` is not empty, cannot be written, or another command writes into it.
+    """
+    with delay_stops():
+        folder = new_number(runs_named(name)) if out is None else named_path(out)
+        content = content_of(folder / STARTED)
+        is_inner = _is_alive(content) and content["pid"] == os.getpid()
+        if not is_inner:
+            new = [path for path in (folder, *folder.parents) if not path.is_dir()]
+            _take(folder, verb, force=force, goes_on=goes_on)
+            new += [folder, *folder.parents][:3] if out is None else []
+    try:
+        yield folder
+    finally:
+        if not is_inner:
+            with delay_stops(), suppress(OSError):
+                (folder / STARTED).unlink(missing_ok=True)
+                for path in dict.fromkeys(new):
+                    path.rmdir()
+
+
+def runs_named(name: str) -> Path:
+    """Return results/NAME, safe for shells."""
+    safe = re.sub(r"\s+", "-", re.sub(r"[^\w.\-\s]+", "_", name).strip(" .")) or "run"
+    return RESULTS / safe[:100]
+
+
+def new_number(runs: Path) -> Path:
+    """Make and return the folder 0001, or the next number: the system makes each folder once only."""
+    for attempts_left in reversed(range(1000)):
+        try:
+            runs.mkdir(parents=True, exist_ok=True)
+            numbers = [int(path.name) for path in runs.iterdir() if RUN_NUMBER.fullmatch(path.name)]
+            (folder := runs / f"{max(numbers, default=0) + 1:04d}").mkdir()
+            return folder
+        except OSError as error:
+            # Another command was faster, or just removed the empty folder.
+            if not (attempts_left and isinstance(error, (FileExistsError, FileNotFoundError))):
+                raise InputError.at(runs, f"cannot be the folder for results: {error.strerror}") from None
+    raise AssertionError
+
+
+def _take(folder: Path, verb: str, *, force: bool, goes_on: bool) -> None:
+    """Make a folder and its STARTED."""
+    if state_of(folder) == RUNNING:
+        raise InputError.at(folder, "another command is writing into this folder; name another one as --out")
+    check_writable(folder, ())
+    names = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
+    others = [a for a in artefacts() if a.verb not in {"", verb} and a.is_left_in(folder, unfinished=True)]
+    if names and not (force or (goes_on and not others)):
+        raise InputError.at(folder, "is not empty; name another folder as --out, or add --force")
+    try:
+        (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
+        about = {"pid": os.getpid(), "begun": _beginning(os.getpid()), "host": platform.node()}
+        about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__, COMMAND: verb, STATUS: INTERRUPTED}
+        with (folder / STARTED).open("x", encoding="utf-8") as stream:
+            json.dump(about, stream)
+    except FileExistsError:
+        raise InputError.at(folder, "another command is writing into this folder") from None
+
+
+def describe_run(folder: Path, record: Mapping[str, Any]) -> None:
+    """Add a record to STARTED, so that an interrupted run can be repeated from it."""
+    if about := content_of(folder / STARTED):
+        with suppress(OSError):  # The command goes on without it.
+            write_json(folder / STARTED, {**record, **about})
+
+
+def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
+    """Remove results from a folder that is written again, but not files of the user.
+
+    The files are those declared by verbs whose marks are in the folder.
+
+    Args:
+        read: Input files, and folders of them, which stay.
+    """
+    from cosim.files.table import suffixes  # numpy, which `cosim list` does not need
+
+    inputs = {path.resolve() for path in read}
+    for artefact in artefacts():
+        if not artefact.verb or not artefact.is_left_in(folder, unfinished=True):
+            continue
+        tables = [f"{stem}{suffix}" for stem in artefact.tables for suffix in suffixes()]
+        for pattern in (*artefact.marks, *artefact.unfinished, *artefact.files, *tables):
+            for path in [*folder.glob(pattern)]:
+                if path.is_file() and inputs.isdisjoint((path.resolve(), path.parent.resolve())):
+                    path.unlink()
+
+
+# -- state ----------------------------------------------------------------------------------------
+
+
+def state_of(folder: Path) -> str:
+    """Return RUNNING, INTERRUPTED or ELSEWHERE for a folder whose command has not ended, else ""."""
+    if not (folder / STARTED).is_file():
+        return ""
+    content = content_of(folder / STARTED)
+    if content.get("host", platform.node()) != platform.node():
+        return ELSEWHERE
+    return RUNNING if _is_alive(content) else INTERRUPTED
+
+
+def _is_alive(content: Mapping[str, Any]) -> bool:
+    """Return whether the process of a STARTED exists. Systems give its number again, but with another beginning."""
+    pid = content.get("pid")
+    return isinstance(pid, int) and content.get("host") == platform.node() and content["begun"] == _beginning(pid)
+
+
+def _beginning(pid: int) -> str | None:
+    """Return the time when a process began as the system gives it; None without such a process."""
+    if sys.platform == "linux":
+        try:
+            return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
+        except (OSError, IndexError):
+            return None
+    command = ["ps", "-o", "lstart=", "-p", str(pid)]
+    if os.name == "nt":
+        command = ["powershell", "-NoProfile", "-Command", f"(Get-Process -Id {pid}).StartTime.Ticks"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+# -- reading --------------------------------------------------------------------------------------
+
+
+def newest_run(folder: Path) -> Path:
+    """Return the newest of the numbered runs in a folder, or the folder itself if it has none."""
+    try:
+        numbers = [path for path in folder.iterdir() if RUN_NUMBER.fullmatch(path.name) and path.is_dir()]
+    except OSError:
+        return folder
+    return max(numbers, key=lambda path: int(path.name), default=folder)
+
+
+def run_name(folder: Path) -> str:
+    """Return the name of a run's folder: `tank/0001` for a numbered one."""
+    *_, before, name = ("", *folder.resolve().parts)
+    return f"{before}/{name}" if RUN_NUMBER.fullmatch(name) else name
+
+
+def has_results(folder: Path) -> bool:
+    """Return whether a folder has results or rows."""
+    if any(a.is_left_in(folder, unfinished=True) for a in artefacts() if a.verb) or (folder / STARTED).is_file():
+        return True
+    return any(folder.glob("results.*"))
+
+
+def manifest_in(folder: Path) -> dict[str, Any]:
+    """Return the sound part of the manifest in a folder, or of the record of an interrupted run."""
+    file = folder / "manifest.json"
+    started = {} if file.is_file() else content_of(folder / STARTED)
+    return sound_part(file, started if "scenario" in started else content_of(file))[0]
+
+
+def warnings_on(folder: Path) -> tuple[str, ...]:
+    """Return warnings and notes on the record in a folder."""
+    file = next((path for name in ("manifest.json", REPLAY) if (path := folder / name).is_file()), None)
+    if file is None:
+        return ()
+    if not (content := content_of(file)):
+        return (f"{file} is damaged: units, texts, inputs and criteria of its run are not known; run it again",)
+    record, wrong = sound_part(file, content)
+    return (*other_version(file, record), *wrong)
+
+
+def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a warning or note on another version's record."""
+    schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
+    if schema != SCHEMA_VERSION:
+        text = f"{file} has the schema version {schema}, written by cosim {by or 'of an unknown version'}; "
+        known = f"{SCHEMA_VERSION} is known here: keys that are new or changed are not read, use that version of cosim"
+        return (text + known,)
+    is_other = by not in {"", __version__}
+    return (Note(f"{file} was written by cosim {by}, and this is {__version__}"),) if is_other else ()
+
+
+def version_of(record: Mapping[str, Any]) -> str:
+    """Return the version that wrote a record; "" if unknown."""
+    version = record.get("cosim_version", record.get("version"))
+    return version if isinstance(version, str) else ""
+
+
+def content_of(path: Path) -> dict[str, Any]:
+    """Return a file's JSON mapping, empty if unreadable or with a number that no double holds."""
+    try:
+        stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
+        try:
+            size = os.fstat(stream).st_size
+            content = parse_json(os.read(stream, size) if size <= MOST_BYTES else b"")
+        finally:
+            os.close(stream)
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def status_in(folder: Path) -> str:
+    """Return an incomplete command's status as a phrase, else ""."""
+    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS, "ok")
+    return "" if status == "ok" else f" (status: {state_of(folder) or status})"
+
+
+def replay_record(folder: Path) -> dict[str, Any]:
+    """Return a replay's description of its rows.
+
+    Keys are `log`, `fmu`, `units` and `sentence`; values of wrong types are left out, and all if unreadable.
+    """
+    return sound_part(folder / REPLAY, content_of(folder / REPLAY))[0]
+
+
+@contextmanager
+def results_in(out: FilePath | None, verb: str, name: str = "", *, force: bool = False) -> Iterator[Any]:
+    """Yield the folder `out`, which must be empty without `force`, or a temporary folder.
+
+    For NUMBERED it is a new number in results/NAME, or None if the workflow knows the name.
+    """
+    if out is NUMBERED and not name:
+        yield None
+    elif out is not None:
+        with new_run(None if out is NUMBERED else out, name, verb, force=force) as folder:
+            yield folder
+    else:
+        with temporary_folder("run") as scratch:
+            yield scratch

@@ -1,0 +1,212 @@
+"""Kinds of files and folders, for messages that name the right command."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+
+from cosim.core.errors import InputError
+from cosim.files.artefact import (
+    ANSWER,
+    BINARY,
+    CODE,
+    FIT_STUDY,
+    FMU,
+    LOG,
+    MANIFEST,
+    MODEL,
+    RESULTS,
+    SCENARIO,
+    SSP,
+    STUDY,
+    SWEEP,
+    TABLE,
+    TEXT,
+    Artefact,
+    artefacts,
+    folder_kind,
+    kind_by_keys,
+    kind_where,
+    of_kind,
+)
+from cosim.files.files import open_bytes
+from cosim.files.table import sources, suffixes
+from cosim.files.yaml_file import YamlFile
+
+__all__ = [
+    "ANSWER",
+    "BINARY",
+    "CODE",
+    "FIT_STUDY",
+    "FMU",
+    "LOG",
+    "MANIFEST",
+    "MODEL",
+    "RESULTS",
+    "SCENARIO",
+    "SSP",
+    "STUDY",
+    "SWEEP",
+    "TABLE",
+    "TEXT",
+    "UNREAD",
+    "check_form",
+    "check_given",
+    "kind_by_form",
+    "kind_of",
+    "next_step",
+    "refuse_folder",
+    "refuse_other",
+    "refuse_unreadable",
+    "shell_path",
+]
+
+WRITTEN = {".yaml", ".yml", ".json"}  # endings of files identified by their keys
+PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
+COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of an instrument
+ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
+FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
+KEYED = re.compile(r'(?!time\b)\w+:(\s|$)|\{\s*"')
+UTF_16 = b"\xff\xfe", b"\xfe\xff"
+HEAD = 1024  # examined bytes
+UNREAD = "no command reads it; `cosim --help` lists what each takes"
+
+
+def kind_by_form(path: Path) -> str | None:
+    """Return the kind of a file by first bytes or ending; None if only its keys can decide."""
+    head, ending = b"", path.suffix.lower()
+    with suppress(OSError, ValueError), open_bytes(path) as stream:
+        head = stream.read(HEAD)
+    text = head.decode("utf-8", errors="replace").lstrip("\ufeff")
+    begin = "" if ending in WRITTEN else text.lstrip("\ufeff \t\r\n")
+    members: list[str] = []
+    if head.startswith(b"PK") and ending not in {".fmu", ".ssp"}:
+        with suppress(OSError, ValueError, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
+            members = archive.namelist()
+
+    def is_of(a: Artefact) -> bool:
+        begins = bool(a.heads and head.startswith(a.heads)) or bool(begin and a.text and re.match(a.text, begin))
+        return begins or bool(a.member and any(a.member == "*" or n.startswith(a.member) for n in members))
+
+    def is_beside(a: Artefact) -> bool:
+        if not a.beside:
+            return False
+        name, other = a.beside  # For rows in formats other than CSV, only the suffix differs.
+        is_rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
+        return (path.name == name or is_rows) and (path.parent / other).is_file()
+
+    if (kind := kind_where(is_of) or kind_where(is_beside)) is not None:
+        return kind
+    if any(source.magic and head.startswith(source.magic) for source in sources()):
+        return LOG  # Later checks examine its columns.
+    if ending == ".csv":
+        if _is_binary(head):
+            return BINARY
+        if _has_keys(text):
+            return _by_keys(path) or LOG
+    elif ending in suffixes():
+        return LOG
+    if (kind := kind_where(lambda a: ending in a.endings)) is not None:
+        return kind
+    if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
+        return BINARY
+    is_text = ending in PROSE or (ending in COLUMNS and not _is_tabular(text))
+    return TEXT if head and is_text else None
+
+
+def _is_tabular(text: str) -> bool:
+    """Return whether a text begins as a table or a mapping: with a row of numbers, a column name or a key."""
+    lines = text.splitlines()
+    return any(map(ROW.match, lines[1:])) or bool(lines and FIRST.match(lines[0]))
+
+
+def _is_binary(head: bytes) -> bool:
+    """Return whether a file's first bytes are binary.
+
+    Loggers use various encodings, and a truncated row contains zero bytes.
+    """
+    controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
+    is_odd = controls > 0.05 * len(head) and any(byte > 127 for byte in head)
+    return not head.startswith(UTF_16) and (is_odd or b"\0" in head.partition(b"\n")[0])
+
+
+def _has_keys(text: str) -> bool:
+    """Return whether a text begins with a YAML or JSON key."""
+    lines = (line.strip() for line in text.splitlines())
+    first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
+    return bool(first == "{" or KEYED.match(first))
+
+
+def next_step(kind: str, path: Path) -> str:
+    """Return a sentence on what to do with a file of a kind."""
+    artefact = of_kind(kind)
+    return UNREAD if artefact is None else artefact.next_step.format(file=shell_path(path))
+
+
+def kind_of(path: Path) -> str | None:
+    """Return the kind of a file by form or keys, if recognised."""
+    return kind_by_form(path) or (_by_keys(path) if path.suffix.lower() in WRITTEN else None)
+
+
+def _by_keys(path: Path) -> str | None:
+    try:
+        return kind_by_keys(YamlFile(path).root)
+    except InputError:
+        return None
+
+
+def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
+    """Raise InputError for a file of an unwanted kind. The message names the command for the file."""
+    if kind is None or not path.is_file():
+        return
+    artefact = of_kind(kind)
+    if {kind, artefact.taken_as if artefact is not None else kind}.isdisjoint(wanted):
+        raise InputError.at(path, f"is {kind}, not {' or '.join(wanted)}: {next_step(kind, path)}")
+
+
+def refuse_unreadable(path: Path, *wanted: str) -> None:
+    """Raise InputError for a missing, empty or special file."""
+    kinds = " or ".join(wanted)
+    try:
+        if path.is_dir():
+            refuse_folder(path, kinds)
+            endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
+            names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
+            some = f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "none by its ending"
+            raise InputError.at(path, f"is a folder, not {kinds}; in it: {some}")
+        if not path.exists():
+            raise InputError.at(path, f"no such file; give {kinds}")
+        if not path.is_file():  # A pipe would block.
+            raise InputError.at(path, "is no file")
+        if not path.stat().st_size:
+            raise InputError.at(path, f"is empty; give {kinds}")
+    except (OSError, ValueError):  # a name too long, a loop of links, or a folder without access
+        raise InputError.at(path, f"no such file, or none that can be read; give {kinds}") from None
+
+
+def check_form(path: Path, *wanted: str) -> None:
+    """Raise InputError for an unusable file or unwanted form."""
+    refuse_unreadable(path, *wanted)
+    refuse_other(path, kind_by_form(path), *wanted)
+
+
+def check_given(path: Path, *wanted: str) -> None:
+    """Raise InputError for an unusable file or unwanted kind."""
+    refuse_unreadable(path, *wanted)
+    refuse_other(path, kind_of(path), *wanted)
+
+
+def shell_path(path: Path) -> str:
+    """Return a path quoted for a shell."""
+    return shlex.quote(str(path))
+
+
+def refuse_folder(path: Path, kinds: str) -> None:
+    """Raise InputError for the folder of another command, not for an incomplete folder of a wanted kind."""
+    artefact = folder_kind(path)
+    if artefact is not None and artefact.folder not in kinds:
+        step = artefact.folder_step.format(file=shell_path(path))
+        raise InputError.at(path, f"is {artefact.folder}, not {kinds}: {step}")

@@ -1,0 +1,182 @@
+"""Results of a run: a row per communication point, a column per `component.variable`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.core.arrays import Array
+from cosim.core.drafts import is_full
+from cosim.files.table import (
+    Column,
+    Faults,
+    Use,
+    as_text,
+    is_time,
+    note_wrong_first,
+    numbers_of,
+    read_source,
+    source_named,
+    suffixes,
+    time_scale,
+)
+
+EXACT = 2**53  # integers below this size are doubles
+INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
+FEWER = 0.7  # share of the rows to try next on a full disk
+
+
+@dataclass(frozen=True)
+class Results:
+    """Recorded signals.
+
+    Row k holds the measurements at `time[k]` and the command acting until `time[k + 1]`.
+
+    Attributes:
+        time: Communication points [s], shape (rows,).
+        columns: Names `component.variable` of the columns of `values`.
+        values: Shape (rows, columns).
+        units: Name → unit, "" without unit.
+        exact: Name → column of values beyond doubles: text, 64-bit integers, binary data.
+        whole: Columns of integers, Booleans and enumerations.
+        notes: Notes on the run.
+        loop: Stepping loop: "C", or "Python: " with the reason; "" if unknown.
+        events: Handled events and ticks of a run with event mode: time [s], component, cause; the first ones.
+        event_counts: Their numbers, by component and cause.
+        details: Entries of the manifest about the steps.
+        words: Names in `exact` of text and binary data, which may look like integers; none if that is not known.
+    """
+
+    time: Array
+    columns: tuple[str, ...]
+    values: Array
+    units: Mapping[str, str] = field(default_factory=dict)
+    exact: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    whole: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
+    loop: str = ""
+    events: tuple[tuple[float, str, str], ...] = ()
+    event_counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
+    words: frozenset[str] = frozenset()
+
+    def __getitem__(self, name: str) -> Array:
+        return self.values[:, self._places[name]]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._places
+
+    def with_integers(self) -> Results:
+        """Return results whose columns of 64-bit integers beside the doubles are numbers too, rounded to doubles."""
+        found: dict[str, Array] = {}
+        for name, values in self.exact.items():
+            is_whole = (INTEGER.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
+            if name not in self.words and len(values) and all(is_whole):
+                found[name] = np.array([float(int(value)) for value in values])
+        if not found:
+            return self
+        every = np.column_stack([self.values, *found.values()])
+        return replace(self, columns=(*self.columns, *found), values=every, whole=self.whole | {*found})
+
+    def texts(self) -> dict[str, list[str]]:
+        """Return the columns beside the doubles as text."""
+        return {name: [as_text(value) for value in values] for name, values in self.exact.items()}
+
+    @cached_property
+    def _places(self) -> Mapping[str, int]:
+        return {name: k for k, name in enumerate(self.columns)}
+
+    def write(self, path: Path) -> None:
+        """Write time and all columns in the format of the suffix."""
+        columns = [Column("time", "s", self.time)]
+        for name, values in zip(self.columns, self.values.T, strict=True):
+            exact = values.astype(np.int64) if name in self.whole else values
+            columns.append(Column(name, self.units.get(name, ""), exact))
+        columns += [Column(name, self.units.get(name, ""), list(values)) for name, values in self.exact.items()]
+        source_named(path.suffix).write(path, columns)
+
+    def write_what_fits(self, path: Path) -> int:
+        """Write as many first rows as fit on the disk and return their number; raise OSError if none fits."""
+        count = len(self.time)
+        while True:
+            exact = {name: values[:count] for name, values in self.exact.items()}
+            try:
+                replace(self, time=self.time[:count], values=self.values[:count], exact=exact).write(path)
+                return count
+            except OSError as error:
+                if not (count and is_full(error)):
+                    raise
+                count = int(FEWER * count)
+
+
+def is_rounded(values: Any) -> bool:
+    """Return whether integers, perhaps already as doubles, are too large for doubles to hold each of them."""
+    return bool(values.size) and bool(values.max() >= EXACT or values.min() <= -EXACT)
+
+
+# -- reading results ------------------------------------------------------------------------------------
+
+
+def read_results(
+    path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = (), *, words: Collection[str] = ()
+) -> Results:
+    """Return written results, or any table with time first.
+
+    Times in other units become seconds.
+
+    Args:
+        units: Units of columns without unit in the header.
+        text: Columns of text; other columns are classified by their cells.
+        words: Columns of `text` that are no integers, also if they look like it.
+
+    Raises:
+        InputError: The file has faults.
+    """
+    faults, units = Faults(path), units or {}
+    table = read_source(faults, units, text)
+    faults.raise_any()
+    first = table.columns[0] if table.columns else Column("")
+    if not is_time(first.name):
+        note_wrong_first(faults, table)
+        faults.raise_any()
+    use = Use("time", time_scale(faults, table.header, first.unit), role="the time")
+    time = numbers_of(replace(first, name="time", cell=1), use, table, faults, jumps=True)
+    numbers: dict[str, Array] = {}
+    exact, whole = dict[str, list[Any]](), set[str]()
+    for cell, column in enumerate(table.columns[1:], 2):
+        if column.fault:
+            faults.note(0, cell, f"column {column.name} {column.fault}")
+        elif not column.numeric:
+            exact[column.name] = list(column.values)
+        else:
+            values = np.asarray(column.values)
+            if values.dtype.kind in "iu" and is_rounded(values):
+                exact[column.name] = values.tolist()
+                continue
+            numbers[column.name] = values.astype(np.float64)
+            whole |= {column.name} if values.dtype.kind == "i" else set()
+    faults.raise_any()
+    assert time is not None  # as it is not spare
+    values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
+    own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
+    own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
+    words = frozenset(exact) & {*words, *(c.name for c in table.columns[1:] if c.is_text)}
+    return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), words=words)
+
+
+def rows_name(stem: str, format_: str) -> str:
+    """Return the name of a rows file; raise InputError if the format cannot be written."""
+    source = source_named(format_)
+    source.check_writable()
+    return f"{stem}{source.suffixes[0]}"
+
+
+def rows_in(folder: Path, stem: str = "results") -> Path | None:
+    """Return a folder's rows file, in any format."""
+    return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)

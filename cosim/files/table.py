@@ -1,0 +1,515 @@
+"""Tables of signals with time and units in any format: reading, conversion, and the place of every fault.
+
+A format is a subclass of `Source` with an object registered in the group `cosim.sources`; see docs/extending.md.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+import shlex
+import sys
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.core.arrays import Array, Rows
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.registry import SOURCES, load, names, resolve
+from cosim.core.units import alternatives, factor
+from cosim.files.files import open_bytes
+from cosim.files.yaml_file import did_you_mean
+
+OWN = (
+    "cosim.files.csv_source:CSV",
+    "cosim.files.parquet_source:PARQUET",
+    "cosim.files.mat_source:MAT",
+    "cosim.files.hdf5_source:HDF5",
+)
+HEAD = 64  # bytes examined to detect a format
+SHOWN_FAULTS = 5  # faults of cells that are shown for a file; the rest are counted
+MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square a double holds
+FLOAT_RESOLUTION_S = 1e-6  # spacing of doubles from which equal times are due to their size
+INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # end of a name like p.e[1]; a unit follows a blank or is not numeric
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A signal of a table.
+
+    Attributes:
+        unit: Unit, "" if absent.
+        values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
+        fault: Reason for missing numbers, e.g. "holds timestamps; write seconds", or "".
+        is_text: Whether the file says that values are text or binary data, also if they look like numbers.
+        cell: Number of the column in the file, from 1; set by `read_table`.
+    """
+
+    name: str
+    unit: str = ""
+    values: Array | Sequence[Any] = ()
+    fault: str = ""
+    is_text: bool = False
+    cell: int = 0
+
+    @property
+    def numeric(self) -> bool:
+        """Return whether the column holds numbers."""
+        return isinstance(self.values, np.ndarray) and not self.fault
+
+    @property
+    def holds_words(self) -> bool:
+        """Return whether the column holds text or another type: no number, and not only decimal commas."""
+        if self.numeric or self.fault:
+            return bool(self.fault)
+        cells = [str(value) for value in self.values]
+        numbers = [number_of(cell) for cell in cells]
+        is_word = (n is None and not DECIMAL_COMMA.fullmatch(c.strip()) for n, c in zip(numbers, cells, strict=True))
+        return any(is_word) and all(number is None or math.isnan(number) for number in numbers)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Signals of a file, by default time first.
+
+    Attributes:
+        lines: Line of each row; empty in formats without lines.
+        header: Line of the header; 0 in formats without lines.
+        faults: Faults after which rows are missing.
+        first: Name of the first column in the file, and `spoiled`: names of columns with a cell without a finite
+            number that were left out; set by `read_table`.
+    """
+
+    columns: Sequence[Column] = ()
+    lines: Sequence[int] = ()
+    header: int = 0
+    faults: Sequence[Fault] = ()
+    first: str = ""
+    spoiled: Sequence[str] = ()
+
+    @property
+    def rows(self) -> int:
+        """Return the number of rows."""
+        return len(self.lines) or max((len(column.values) for column in self.columns), default=0)
+
+    @property
+    def row_lines(self) -> Sequence[int]:
+        """Return the line of each row, or its number."""
+        return self.lines or range(1, self.rows + 1)
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Column]:
+        """Return name → column."""
+        return {column.name: column for column in self.columns}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.by_name
+
+    def __getitem__(self, name: str) -> Array:
+        return np.asarray(self.by_name[name].values, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Use:
+    """How a caller uses a column.
+
+    Attributes:
+        name: Name of the signal.
+        factor: Factor on the numbers of the column, `offset` is added after it.
+        role: Description, "the time" or "an input", of a column without gaps; "" allows empty cells as NaN.
+        spare: Whether a cell without a finite number leaves the column out.
+    """
+
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+    role: str = ""
+    spare: bool = False
+
+
+class Source:
+    """A table format.
+
+    Attributes:
+        name: Name in messages.
+        suffixes: Lower-case suffixes with the dot.
+        magic: First bytes of every file, b"" if undefined.
+        writes: Whether results can be written in the format.
+    """
+
+    name = ""
+    suffixes: tuple[str, ...] = ()
+    magic = b""
+    writes = False
+
+    def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
+        """Read all columns.
+
+        Args:
+            names: Known names, whose brackets are not units.
+            text: Columns of text, even with numeric content.
+
+        Raises:
+            InputError: The file cannot be read.
+        """
+        raise NotImplementedError
+
+    def write(self, path: Path, columns: Sequence[Column]) -> None:
+        """Write columns, time first, completely or not at all."""
+        raise NotImplementedError
+
+    def check_writable(self) -> None:
+        """Raise InputError if a library for writing is missing."""
+
+    def column_names(self, path: Path) -> list[str]:
+        """Return the column names; raise InputError or OSError if unreadable."""
+        return [column.name for column in self.read(path).columns]
+
+
+class Faults:
+    """Faults of a file: all faults of its header, and the first ones of its cells.
+
+    Attributes:
+        header: Line of the header.
+        faulty: Numbers of the columns with faulty cells.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.header = path, 0
+        self.items: list[Fault] = []
+        self.faulty: set[int] = set()
+        self._cells: list[Fault] = []
+        self._count = 0
+
+    def note(self, line: int, cell: int, message: str) -> None:
+        """Note a fault; line and cell count from 1, 0 means the file."""
+        self.items.append(Fault(self.path, line, cell, message))
+
+    def note_cells(self, rows: Rows, lines: Sequence[int], cell: int, message: Callable[[int], str]) -> None:
+        """Note faulty cells of a column.
+
+        Args:
+            message: Function from a row to its message.
+        """
+        if len(rows):
+            self.faulty.add(cell)
+        self._count += len(rows)
+        self._cells += [Fault(self.path, lines[row], cell, message(row)) for row in rows[:SHOWN_FAULTS].tolist()]
+
+    def raise_any(self) -> None:
+        """Raise InputError if any fault was noted."""
+        shown = sorted(self._cells, key=lambda fault: (fault.line, fault.column))[:SHOWN_FAULTS]
+        more = self._count - len(shown)
+        rest = [Fault(self.path, 0, 0, f"{more} more cells have faults; correct the first ones")] if more else []
+        refuse([*self.items, *shown, *rest])
+
+
+# -- reading --------------------------------------------------------------------------------------
+
+
+def read_source(faults: Faults, names: Container[str] = (), text: Collection[str] = ()) -> Table:
+    """Return all columns of a file, and note its faults; an empty table if it cannot be read."""
+    path = faults.path
+    try:
+        if not path.is_file():
+            faults.note(0, 0, "is no file" if path.exists() else "no such file")
+            return Table()
+        table = source_of(path).read(path, names, text)
+    except InputError as error:
+        faults.items += error.faults
+        return Table()
+    except OSError as error:
+        faults.note(0, 0, f"cannot be read: {error.strerror}")
+        return Table()
+    faults.header = table.header
+    faults.items += table.faults
+    return table
+
+
+def read_table(
+    faults: Faults,
+    choose: Callable[[Column], Use | None],
+    description: str,
+    *,
+    names: Container[str] = (),
+    times: Collection[str] = (),
+    jumps: bool = False,
+) -> Table | None:
+    """Return the columns that a caller wants, as numbers in the wanted units, and note all faults.
+
+    Args:
+        choose: Function from a column to its use; None skips the column, perhaps with a fault.
+        description: Description of the columns after time, for messages on empty files.
+        names: Known names, whose brackets are not units.
+        times: Alternative names of the first column.
+        jumps: Whether equal times are allowed, which are a jump.
+
+    Returns:
+        None if the file has no header that can be read. If the first column is no time, which is a fault, the rest
+        follows without it.
+    """
+    table = read_source(faults, names)
+    if not table.columns:
+        if not faults.items:
+            faults.note(0, 0, f"has no columns; the first line of a CSV names them: time, then {description}")
+        return None
+    first = table.columns[0].name
+    has_time = first in times or is_time(first)
+    if not has_time:
+        note_wrong_first(faults, table)
+    uses: dict[str, tuple[Use, Column]] = {}
+    for cell, column in enumerate(table.columns, 1):
+        if not has_time and (cell == 1 or is_time(column.name)):
+            continue
+        column = replace(column, cell=cell, name="time" if cell == 1 else column.name)
+        if column.name in uses:
+            before = uses[column.name][1].cell
+            faults.note(table.header, cell, f'column "{column.name}" stands twice, first as column {before}; keep one')
+        elif (use := choose(column)) is not None and use.name in uses:
+            before = uses[use.name][1].cell
+            faults.note(table.header, cell, f'column "{column.name}" is {use.name}, as column {before} is; keep one')
+        elif use is not None:
+            uses[use.name] = use, column
+    columns, spoiled = list[Column](), list[str]()
+    for use, column in uses.values():
+        values = numbers_of(column, use, table, faults, jumps=jumps)
+        if values is None:
+            spoiled.append(use.name)
+        else:
+            columns.append(replace(column, name=use.name, values=values))
+    return replace(table, columns=columns, lines=table.row_lines, first=first, spoiled=spoiled)
+
+
+def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps: bool = False) -> Array | None:
+    """Return a column's numbers in the wanted unit, and note its faulty cells; None for a spoiled spare column.
+
+    Times that are too large or do not increase are faults too; equal times are allowed if they are `jumps`.
+    """
+    lines, cell = table.row_lines, column.cell
+    wrong = np.zeros(len(lines), bool)
+    values = np.full(len(lines), np.nan)
+    if column.numeric:
+        values[:] = column.values
+    elif column.fault or not table.header:  # Only the cells of a text have places.
+        if use.spare:
+            return None
+        faults.faulty.add(cell)
+        faults.note(table.header, cell, f"column {use.name} {column.fault or 'holds text; write numbers'}")
+        return values
+    else:
+        for row, text in enumerate(column.values):
+            number = number_of(text)
+            wrong[row], values[row] = number is None, np.nan if number is None else number
+    if use.spare:
+        return use.factor * values if np.isfinite(values).all() else None
+    cure = "write a number or leave the row out" if use.role else "leave the cell empty where there is no value"
+    infinite, missing = np.isinf(values), np.isnan(values) & ~wrong & bool(use.role)
+
+    def message(row: int) -> str:
+        text = str(column.values[row]).strip()[:30]
+        if missing[row]:
+            known = f"{use.role} is known at every row, so fill the cell or leave the row out"
+            return f"{use.name} has no value here; {known}"
+        if DECIMAL_COMMA.fullmatch(text):
+            return f'"{text}" in column {use.name} has a decimal comma: write a point'
+        return f'"{text}" in column {use.name} is {"not finite" if infinite[row] else "no number"}; {cure}'
+
+    faults.note_cells(np.flatnonzero(wrong | infinite | missing), lines, cell, message)
+    values[infinite] = np.nan
+    scaled: Array = values * use.factor
+    if use.name == "time":
+        _check_times(scaled, lines, faults, jumps=jumps)
+        return scaled
+    return scaled + use.offset if use.offset else scaled  # Without offset, a negative zero keeps its sign.
+
+
+def number_of(text: str) -> float | None:
+    """Return the number of a cell, NaN of a blank one; None without a number."""
+    if not text or text.isspace():
+        return math.nan
+    try:
+        return None if "_" in text else float(text)  # Python reads over an underscore.
+    except ValueError:
+        return None
+
+
+def _check_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: bool) -> None:
+    """Note times that are too large or do not increase."""
+    cure = "too large to count differences of times; write seconds, or leave the row out"
+    large = np.abs(time) > MOST_TIME
+    faults.note_cells(np.flatnonzero(large), lines, 1, lambda row: f"time is {time[row]:g} s, {cure}")
+    rows = np.flatnonzero(np.isfinite(time) & ~large)
+    steps = np.diff(time[rows])
+    late = np.flatnonzero(steps < 0.0 if jumps else steps <= 0.0) + 1
+    before = dict(zip(rows[late].tolist(), time[rows[late - 1]].tolist(), strict=True))
+
+    def message(row: int) -> str:
+        cure, spacing = "sort the rows, keep one of each", math.ulp(time[row])
+        if time[row] == before[row] and spacing > FLOAT_RESOLUTION_S:
+            cure = f"doubles of this size are {spacing:.2g} s apart: subtract the first time from all before writing"
+        return f"time {time[row]:g} s does not increase, {before[row]:g} s stands before it; {cure}"
+
+    faults.note_cells(rows[late], lines, 1, message)
+
+
+def note_wrong_first(faults: Faults, table: Table) -> None:
+    """Note a first column that is not time."""
+    first = table.columns[0].name if table.columns else ""
+    place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
+    if place:
+        hint = f"; time is column {place}: move it to the front"
+    elif number_of(first) is not None and first:
+        hint = "; the file has no header: write the names of the columns into the first line"
+    else:
+        rename = f"; rename it, or say it by --column {shlex.quote(f'{first}=time')} where a command has that option"
+        hint = did_you_mean(first, ["time"]) or rename
+    faults.note(table.header, 1, f'the first column is "{first}"; it must be "time" [s]{hint}')
+
+
+def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] = ()) -> Table:
+    """Read time [s] and every fully numeric column. Equal times are a jump.
+
+    Args:
+        names: Required columns, whose brackets are not units. If given, other columns may hold non-numbers and are then
+            ignored.
+        text: Columns to leave out, because they hold text.
+
+    Raises:
+        InputError: The file has faults.
+    """
+    faults = Faults(path)
+
+    def choose(column: Column) -> Use | None:
+        if column.name == "time":
+            return Use("time", time_scale(faults, faults.header, column.unit), role="the time")
+        if not column.name:
+            faults.note(faults.header, column.cell, "the column has no name; name it in the header")
+        if not column.name or column.name in text:
+            return None
+        spare = bool(names) and column.name not in names
+        return Use(column.name, role="" if spare else "a column played back", spare=spare)
+
+    table = read_table(faults, choose, "signals", names=names, jumps=True)
+    if table is not None and not table.rows and not table.faults:
+        faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
+    faults.raise_any()
+    assert table is not None
+    return table
+
+
+def read_header(path: Path) -> list[str]:
+    """Return a file's column names, none if unreadable."""
+    try:
+        return source_of(path).column_names(path) if path.is_file() else []
+    except (InputError, OSError, ValueError):
+        return []
+
+
+# -- names, units and values ----------------------------------------------------------------------
+
+
+def is_time(name: str) -> bool:
+    """Return whether a name means time, in any case."""
+    return name.casefold() == "time"
+
+
+def table_by_time(columns: Sequence[Column]) -> Table:
+    """Return the columns as long as the time, which comes first, from a file of another tool; none without a time.
+
+    The time is `time` in any case, else `t`; `T` is rather a temperature.
+    """
+    names = [column.name for column in columns]
+    found = next((name for name in names if is_time(name)), "t" if "t" in names else None)
+    if found is None:
+        return Table()
+    time = columns[names.index(found)]
+    others = [column for column in columns if column is not time and len(column.values) == len(time.values)]
+    return Table([replace(time, name="time", unit=time.unit or "s"), *others])
+
+
+def time_scale(faults: Faults, line: int, unit: str) -> float:
+    """Return the factor from the unit of time to seconds, and note an unknown unit."""
+    scale = factor(unit, "s")
+    if scale is None:
+        faults.note(line, 1, f'"{unit}" is no unit of time; known here: {", ".join(alternatives("s"))}')
+    return 1.0 if scale is None else scale
+
+
+def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
+    """Return name and unit of a header cell `name [unit]`.
+
+    Brackets of a known name or an index belong to the name. The unit is "" if absent.
+    """
+    whole = text.strip()
+    name, bracket, unit = whole.rpartition("[")
+    name, unit = name.strip(), unit.removesuffix("]").strip()
+    if not bracket or whole in names or "]" in unit:
+        return whole, ""
+    return (whole, "") if INDEX.search(whole) and name not in names else (name, unit)
+
+
+def plain_numbers(values: Array) -> Array:
+    """Return doubles, or integers with a sign, or without one if one is beyond 63 bits."""
+    if values.dtype.kind not in "biu":
+        return values.astype(np.float64)
+    is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
+    return values.astype(np.uint64 if is_beyond else np.int64)
+
+
+def as_text(value: Any) -> str:
+    """Return a value that is no double as text, binary data as hexadecimal digits."""
+    return value.hex() if isinstance(value, bytes) else str(value)
+
+
+# -- formats --------------------------------------------------------------------------------------
+
+
+@functools.cache
+def sources() -> tuple[Source, ...]:
+    """Return the formats, installed packages last."""
+    own = [resolve(place) for place in OWN]
+    added = (load(SOURCES, name) for name in names(SOURCES))
+    return (*own, *(source for source in added if isinstance(source, Source)))
+
+
+def suffixes() -> tuple[str, ...]:
+    """Return the suffixes of table files, `.csv` first."""
+    return tuple(suffix for source in sources() for suffix in source.suffixes)
+
+
+def source_of(path: Path) -> Source:
+    """Return the format of a file by first bytes or suffix.
+
+    Text with any other suffix is CSV.
+
+    Raises:
+        InputError: The format is unknown.
+    """
+    head = b""
+    with suppress(OSError, ValueError), open_bytes(path) as stream:
+        head = stream.read(HEAD)
+    by_suffix = [s for s in sources() if path.suffix.lower() in s.suffixes][:1]
+    if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:
+        return by_head[0]
+    if not by_suffix and b"\0" in head:
+        formats = ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in sources())
+        raise InputError.at(path, f"has none of the formats that are read: {formats}")
+    return (by_suffix or sources())[0]
+
+
+def source_named(name: str) -> Source:
+    """Return the named format for results; raise InputError if unknown or read-only."""
+    word = name.lower().removeprefix(".")
+    written = [source for source in sources() if source.writes]
+    found = [source for source in written if word == source.name.lower() or f".{word}" in source.suffixes]
+    if not found:
+        known = ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in written)
+        raise InputError.at(Path("--format"), f'no format "{name}"; known here: {known}')
+    return found[0]

@@ -1,0 +1,350 @@
+"""YAML with the place of every key and value, validated with all faults at once."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+)
+from pydantic_core.core_schema import CoreSchema, no_info_wrap_validator_function
+
+from cosim.core.errors import Fault, InputError
+from cosim.core.suggestions import closest as closest
+from cosim.core.suggestions import did_you_mean as did_you_mean
+from cosim.core.units import allowed_quantity, has_unit, read_quantity
+from cosim.files.files import open_bytes
+from cosim.files.yaml_nodes import Location, NotYaml, document_of
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+
+
+@dataclass(frozen=True)
+class InUnit:
+    """A number in a unit, or text such as `4 min` to convert; without unit, text waits for `YamlFile.in_units`."""
+
+    unit: str | None
+    difference: bool = False
+
+    def number(self, value: Any) -> Any:
+        """Return the number of a text with a unit; return other values unchanged."""
+        if not isinstance(value, str) or self.unit is None:
+            return value
+        if not has_unit(value):
+            raise ValueError(allowed_quantity(self.unit))
+        return read_quantity(value, self.unit, difference=self.difference)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+            waits = self.unit is None and isinstance(value, str) and has_unit(value)
+            return value if waits else inner(self.number(value))
+
+        return no_info_wrap_validator_function(number, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        number = handler(schema)
+        if "anyOf" in number:
+            return {**number, "anyOf": [*number["anyOf"], {"type": "string"}]}
+        return {**number, "type": ["number", "string"]}
+
+
+Seconds = Annotated[Number, InUnit("s")]
+PositiveSeconds = Annotated[Positive, InUnit("s")]
+NotNegativeSeconds = Annotated[NotNegative, InUnit("s")]
+# The unit is that of a signal, known only from the whole scenario: `cosim.scenario.signal_units` converts the text.
+NUMBER_OR_TEXT = Field(json_schema_extra={"type": ["number", "string"]})
+Amount = Annotated[Number, NUMBER_OR_TEXT]
+PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
+NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
+
+
+UNIT_OF_KEY = InUnit(None)
+Share = InUnit("1")  # a number, or text such as `5 %`
+
+MOST_BYTES = 8_000_000  # size of a file [bytes]
+MOST_FAULTS = 200  # reported faults per file
+LONGEST = 80  # shown characters of a name or value
+M = TypeVar("M", bound=BaseModel)
+Origin = Callable[[Location, str, int], Fault]
+
+
+class YamlFile:
+    """A YAML document with the places of its parts; `root` is its data, read-only.
+
+    Args:
+        origin: Maps faults to the source file of a generated document.
+    """
+
+    def __init__(self, path: Path, origin: Origin | None = None) -> None:
+        self.path, self.origin = path, origin
+        self.overrides: dict[Location, str] = {}  # parts set by options, e.g. `--set "step=0"`
+        try:
+            self._document = document_of(_text(path))
+        except NotYaml as error:
+            raise InputError([Fault(path, error.line, error.column, str(error))]) from None
+        self.root: Any = self._document.data
+        self._within: Location = ()
+        if not isinstance(self.root, dict):
+            raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
+
+    def enter(self, key: str) -> None:
+        """Use the part under a key as the document."""
+        self.root, self._within = self.root[key], (*self._within, key)
+
+    def place(self, location: Location, key: bool = False) -> tuple[int, int]:
+        """Return line and column of the nearest part at a location.
+
+        Args:
+            key: Whether to return the place of the key instead of the value.
+        """
+        return self._document.place((*self._within, *location), key)
+
+    def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
+        """Return a fault at the place where a value was set: an option, the source of a generated file, or the file."""
+        is_missing = location_in(self.root, location, "") != location
+        for at, option in reversed(self.overrides.items()):
+            # For a missing part, options that set something inside it count too.
+            if location[: len(at)] == at or (is_missing and at[: len(location)] == location):
+                return Fault(self.path, 0, 0, f"{option}: {message}" if option else message, exit_code)
+        if self.origin is not None:
+            return self.origin((*self._within, *location), message, exit_code)
+        return Fault(self.path, *self.place(location, key), message, exit_code)
+
+    def in_units(
+        self, at: Location, values: Mapping[str, Any], units: Mapping[str, str], *, difference: bool = False
+    ) -> tuple[dict[str, Any], list[Fault]]:
+        """Return values with text such as `400 kg` converted.
+
+        Args:
+            units: Name → unit of its number.
+
+        Returns:
+            Numbers and faults. A faulty value is omitted; a value with an unknown name becomes a number, because the
+            name is reported elsewhere.
+        """
+        numbers: dict[str, Any] = {}
+        faults = []
+        for name, value in values.items():
+            if not isinstance(value, str) or name not in units:
+                numbers[name] = 1.0 if isinstance(value, str) else value
+                continue
+            try:
+                numbers[name] = read_quantity(value, units[name], difference=difference)
+            except ValueError as error:
+                faults.append(self.fault((*at, name), wrong_value(name, value, str(error))))
+        return numbers, faults
+
+    def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
+        """Return the data at a location as a pydantic model; raise InputError with all faults."""
+        data = self.root if data is None else data
+        try:
+            return model.model_validate(data)
+        except ValidationError as error:
+            raise InputError(self._faults(model, error, data, at)) from None
+
+    def partly(self, model: type[M], first: str) -> tuple[M, list[Fault]]:
+        """Return the document as a model without its faulty parts, and the faults.
+
+        An unknown top-level key does not affect the rest, unless it resembles the key `first`, which the others need.
+
+        Raises:
+            InputError: A faulty part is essential, or a faulty key at the top may affect the rest.
+        """
+        data = copy.deepcopy(self.root)
+        try:
+            return model.model_validate(data), []
+        except ValidationError as error:
+            faults = self._faults(model, error, data)
+            places = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in error.errors(include_url=False)]
+        for place, kind in places:
+            is_alien = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
+            if len(place) < 2 and not is_alien:
+                raise InputError(faults)
+            part, key = data, place[0]
+            for step in place[1:]:
+                if not isinstance(part.get(key), dict):
+                    break  # A list is removed whole to keep its indices.
+                part, key = part[key], step
+            part.pop(key, None)
+        try:
+            return model.model_validate(data), faults
+        except ValidationError:
+            raise InputError(faults) from None
+
+    def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
+        errors = _errors_of_branches(error.errors(include_url=False), data)
+        faults = []
+        for each in errors[:MOST_FAULTS]:
+            within = location_in(data, each["loc"], each["type"])
+            location = (*at, *within)
+            name = ".".join(map(short, location)) or "it"
+            is_key = "[key]" in each["loc"][len(within) :]
+            if each["type"] == "missing":
+                location, message = location[:-1], f'"{name}" is missing; add it'
+            elif each["type"] == "extra_forbidden":
+                is_key, key, keys = True, str(location[-1]), _allowed_keys(model, each["loc"][:-1])
+                message = f'unknown key "{short(key)}"{did_you_mean(key, keys)} (known here: {", ".join(keys)})'
+                if cure := REMOVED_KEYS.get(key):
+                    message = f'"{short(key)}" is no longer supported. {cure}'
+            else:
+                reasons = dict.fromkeys(map(_reason, (each, *each.get("else", ()))))
+                message = wrong_value(name, each.get("input"), ", or ".join(reasons))
+            faults.append(self.fault(location, message, key=is_key))
+        if len(errors) > MOST_FAULTS:
+            faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
+        return faults
+
+
+def wrong_value(name: str, value: Any, reason: str) -> str:
+    """Return the message on a value."""
+    return f"{name} is {format_value(value)}: {reason.replace(', or it should be ', ' or ')}"
+
+
+def _text(path: Path) -> str:
+    """Return a file's text; raise InputError if unreadable."""
+    try:
+        with open_bytes(path) as stream:
+            content = stream.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            limit = f"the {MOST_BYTES / 1e6:.0f} MB that are read; make it shorter"
+            raise InputError.at(path, f"has {path.stat().st_size / 1e6:.0f} MB, more than {limit}")
+        return content.decode()
+    except UnicodeDecodeError:
+        raise InputError.at(path, "is not UTF-8 text; save it as UTF-8") from None
+    except FileNotFoundError:
+        raise InputError.at(path, "no such file") from None
+    except OSError as error:
+        raise InputError.at(path, f"cannot be read: {error.strerror}") from None
+    except ValueError:  # an impossible file name
+        raise InputError.at(Path(format_value(str(path))), "no such file") from None
+
+
+def format_value(value: Any) -> str:
+    """Return a value in file notation, shortened if long."""
+    if isinstance(value, (str, float)):
+        return repr(short(value) if isinstance(value, str) else value)
+    if isinstance(value, int) and abs(value) >= 10**LONGEST:
+        return "a very large number"
+    if value is None or isinstance(value, int):
+        return "empty" if value is None else str(value).lower()
+    if isinstance(value, dict):
+        return "a mapping"
+    return "a list" if isinstance(value, (list, tuple)) else "of another kind"
+
+
+def short(text: object) -> str:
+    """Return a text shortened for a message."""
+    whole = str(text)
+    return whole if len(whole) <= LONGEST else f"{whole[: LONGEST - 1]}…"
+
+
+def _reason(error: Any) -> str:
+    """Return pydantic's message without Python terms."""
+    kind, context = error["type"], error.get("ctx") or {}
+    if kind == "value_error":
+        return str(context["error"])
+    if kind == "string_pattern_mismatch":
+        of = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
+        return f"it should be {of} of letters, digits and _ that begins with no digit"
+    if kind in {"too_short", "too_long"} and context.get("field_type") in {"List", "Tuple"}:
+        bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return f"it should have {bound} entries, not {context.get('actual_length')}"
+    reason = str(error["msg"]).replace("Input should", "it should")
+    return _WORDS.get(kind, reason[:1].lower() + reason[1:])
+
+
+REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
+    "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
+    "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
+    "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
+    "delivery": "A refined FMU holds the original and the terms: leave the key out.",
+    "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
+}
+_WORDS = {
+    **dict.fromkeys(("bool_type", "bool_parsing"), "it is on or off"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
+    **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
+    "string_type": "it should be text",
+    "float_type": "it should be a valid number",
+    "int_type": "it should be a whole number",
+    "int_parsing_size": "it should be a smaller number",
+}
+
+
+def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
+    """Return errors of the intended branch of each union.
+
+    A branch with nested errors fits the form of the value. If no branch fits, the first error holds the rest as `else`.
+    """
+    misfits: dict[Location, Any] = {}
+    selection = []
+    places = [location_in(data, e["loc"], e["type"]) for e in errors]
+    parents = {place[:k] for place in places for k in range(len(place))}
+    for error, place in zip(errors, places, strict=True):
+        if error["type"] not in _FORMS:
+            selection.append(error)
+        elif place in misfits:
+            misfits[place]["else"].append(error)
+        elif place not in parents:
+            misfits[place] = {**error, "else": []}
+            selection.append(misfits[place])
+    return selection
+
+
+_FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
+
+
+def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
+    """Return the location of a fault in the data.
+
+    Pydantic inserts names of union branches, which are not part of the data.
+
+    Args:
+        kind: Type of the fault; a missing key is absent from the data too.
+    """
+    location: list[str | int] = []
+    for k, part in enumerate(places):
+        indices = data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()
+        if part in indices:
+            data = data[part]
+            location.append(part)
+        elif kind in {"missing", "extra_forbidden"} and k == len(places) - 1:
+            location.append(part)
+    return tuple(location)
+
+
+def _allowed_keys(annotation: Any, places: Sequence[str | int]) -> list[str]:
+    """Return the allowed keys of the part at a place, whose names may be tags of a union's branches."""
+    for step in places:
+        while get_origin(annotation) is Annotated:
+            annotation = get_args(annotation)[0]
+        branches = {getattr(mark, "tag", None): b for b in get_args(annotation) for mark in get_args(b)[1:]}
+        field = getattr(annotation, "model_fields", {}).get(step)
+        otherwise = field.annotation if field is not None else (get_args(annotation) or (annotation,))[-1]
+        annotation = branches.get(step, otherwise)
+    return _keys(annotation)
+
+
+def _keys(annotation: Any) -> list[str]:
+    """Return the keys of the first model in an annotation."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [f.alias or name for name, f in annotation.model_fields.items()]
+    return next(filter(None, map(_keys, get_args(annotation))), [])
+
+
+class Part(BaseModel):
+    """A part of a file; unknown keys are rejected."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

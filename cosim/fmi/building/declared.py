@@ -1,0 +1,296 @@
+"""Checks of a user's model class: declarations, names, bounds, units, effects and sensor errors.
+
+All faults are reported at once with line and remedy, before any log is read.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
+from typing import Any
+
+from cosim.core.errors import refuse
+from cosim.core.units import parse
+from cosim.files.yaml_file import did_you_mean
+from cosim.fmi.building.equations import effect_faults, equation_faults
+from cosim.fmi.building.source import ModelText
+from cosim.fmi.ports import model_ports
+from cosim.model.delay import Delay, Gain
+from cosim.model.model import INTEGRATORS, Effect, Model, Validity, overrides
+from cosim.model.planar import PlanarFrame
+from cosim.model.quantities import Quantity, parameters_of
+from cosim.model.sensors import LeverArm, SensorError
+
+Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
+COMMA = "with a comma even after a single one"
+MAX_NUMBER = sys.float_info.max
+MAX_TOLERANCE = 2.0  # share of a value; larger tolerances are meaningless
+TUPLES: tuple[tuple[str, type, str], ...] = (
+    ("catalogue", type, f"catalogue is a tuple of subclasses of Effect, {COMMA}"),
+    ("sensors", type, f"sensors is a tuple of subclasses of SensorError, {COMMA}"),
+    ("forced", str, f'forced is a tuple of names, {COMMA}: ("name",)'),
+    ("calibrated", str, f'calibrated is a tuple of names, {COMMA}: ("name",)'),
+    ("measured", str, f'measured is a tuple of names, {COMMA}: ("name",)'),
+    ("valid", Validity, 'valid is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)'),
+)
+MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and values, written form
+    ("suspect", str, tuple, '{"parameter": ("input",)}'),
+    ("drawn_against", str, tuple, '{"effect": ("signal",)}'),
+    ("sensor_variance", str, (int, float), '{"output": variance}'),
+    ("start_variance", str, (int, float), '{"state": variance}'),
+    ("excursion", str, (int, float), '{"input or output": how far from its start}'),
+    ("told_apart_by", frozenset, str, '{frozenset({"name", "name"}): "what an experiment needs"}'),
+)
+
+
+def make_model(kind: type[Model], source: ModelText) -> Model:
+    """Return a model with default parameters; raise InputError with all faults of its class."""
+    refuse(source.fault(*fault) for fault in _form_faults(kind))
+    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind)]
+    values = [*_parameter_faults(kind)]
+    faults = [source.fault(*f) for f in (*declared, *_name_faults(kind), *_number_faults(kind), *values)]
+    if not values:
+        faults += equation_faults(kind, source)
+    if not faults:
+        faults += effect_faults(kind, source)
+    refuse(faults)
+    model = kind()
+    variables = "inputs, outputs, parameters and start values"
+    refuse(
+        source.fault(
+            kind, "", f'{count} of its {variables} ("state_start") are called "{name}"; give each its own name'
+        )
+        for name, count in Counter(port.name for port in model_ports(model)).items()
+        if count > 1
+    )
+    return model
+
+
+def _form_faults(kind: type[Model]) -> Faults:
+    """Yield faults of missing or mistyped declarations, and of classes that are no dataclasses."""
+    if kind.equations is Model.equations:
+        yield kind, "", f"{kind.__name__} has no equations; give it `def equations(self, m)` that returns Equations"
+    for name in ("base_states", "inputs", "outputs"):
+        value = getattr(kind, name, None)
+        if value is None:
+            yield kind, "", f'{kind.__name__} has no {name}; add {name} = (Quantity("name", "unit", "meaning"),)'
+        elif not _is_tuple_of(value, Quantity):
+            yield kind, name, f"{name} is a tuple of quantities, {COMMA}"
+    owners: list[type] = [kind]
+    for name, item, reason in TUPLES:
+        value = getattr(kind, name)
+        base = {"catalogue": Effect, "sensors": SensorError}.get(name, object)
+        if item is type and isinstance(value, (tuple, list)):
+            owners += [one for one in value if isinstance(one, type)]
+        if not (_is_tuple_of(value, item) and all(item is not type or issubclass(one, base) for one in value)):
+            yield kind, name, reason
+            continue
+        for owner in value if item is type else ():  # an effect or sensor error
+            for label in ("name", "equation"):
+                if not isinstance(getattr(owner, label, None), str):
+                    yield owner, label, f'{owner.__name__} has no {label}; add {label} = "…"'
+            if "." in (label := str(getattr(owner, "name", ""))):
+                yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
+            for group in ("states", "memory"):
+                if not _is_tuple_of(getattr(owner, group), Quantity):
+                    yield owner, group, f"{group} is a tuple of quantities, {COMMA}"
+    for name, key, item, form in MAPPINGS:
+        value = getattr(kind, name)
+        if not isinstance(value, Mapping) or not (
+            _is_tuple_of((*value,), key) and _is_tuple_of((*value.values(),), item)
+        ):
+            yield kind, name, f"{name} is a dictionary: {form}"
+    for owner in owners:
+        if name := next((n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)), ""):
+            reason = "is no field: put @dataclass(frozen=True, kw_only=True) above the class"
+            yield owner, name, f"{owner.__name__}.{name} {reason}"
+
+
+def _is_tuple_of(value: Any, kind: Any) -> bool:
+    return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
+
+
+def _parameter_faults(kind: type[Model]) -> Faults:
+    """Yield faults of defaults, neutral and typical values of the model, its effects and sensor errors."""
+    owners: Iterable[Any] = (kind, *kind.catalogue, *kind.sensors)
+    for owner, p in ((each, p) for each in owners for p in parameters_of(each)):
+        prefix = f"{owner.name}." if issubclass(owner, Effect) else ""
+        name = f"{prefix}{p.name}"
+        if not isinstance(p.default, bool) and not p.bounds[0] < p.bounds[1]:
+            yield owner, p.name, f"{name} has bounds {p.bounds}; write the lower one first"
+            continue
+        values = {"default": p.default, "neutral": p.neutral}
+        if p.neutral == p.bounds[0]:  # Its fit starts at the typical size; elsewhere the size is only a step.
+            values["typical"] = p.typical
+        for word, value in values.items():
+            if (word == "default" or value is not None) and (fault := p.fault(value)):
+                yield owner, p.name, f"the {word} of {prefix}{fault}; change the value or the bounds"
+        if p.tolerance is not None and not _is_size(p.tolerance, MAX_TOLERANCE):
+            reason = "it is a share of the value, as 0.1 for 10 %"
+            yield owner, p.name, f"the tolerance of {name} is {p.tolerance!r}; {reason}"
+        if p.typical is not None and not 0.0 < p.typical < math.inf:
+            yield owner, p.name, f"the typical of {name} is {p.typical!r}; it is a size above 0"
+
+
+def _is_size(value: Any, limit: float = MAX_NUMBER) -> bool:
+    """Return whether a value is a positive number up to a limit."""
+    return isinstance(value, (int, float)) and 0.0 < value <= limit
+
+
+def _number_faults(kind: type[Model]) -> Faults:
+    """Yield faults of declared numbers and units: times and variances not positive, start values out of bounds."""
+    for name, limit in (("rate", MAX_NUMBER), ("substep", MAX_NUMBER), ("horizon", math.inf)):
+        if not _is_size(value := getattr(kind, name), limit):
+            yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
+    if kind.integrator not in INTEGRATORS:
+        yield kind, "integrator", f"integrator is {kind.integrator!r}; it is one of {', '.join(INTEGRATORS)}"
+    for attribute in ("sensor_variance", "start_variance", "excursion"):
+        for name, value in getattr(kind, attribute).items():
+            if not _is_size(value):
+                yield kind, attribute, f"the {attribute} of {name} is {value!r}; it is a number above 0"
+    for attribute in ("base_states", "inputs", "outputs"):
+        for q in getattr(kind, attribute):
+            low, high = q.bounds
+            if not low < high:
+                yield kind, attribute, f"{q.name} has bounds {q.bounds}; write the lower one first"
+            elif not low <= q.start <= high:
+                yield kind, attribute, f"{q.name} starts at {q.start:g}, beyond its bounds {q.bounds}"
+    owners: Iterable[Any] = (kind, *kind.catalogue, *kind.sensors)
+    for owner in owners:
+        groups = ("states", "memory") if issubclass(owner, Effect) else ("base_states", "inputs", "outputs")
+        quantities = [(group, q) for group in groups for q in getattr(owner, group)]
+        for attribute, declared in (*quantities, *((p.name, p) for p in parameters_of(owner))):
+            if declared.unit and parse(declared.unit) is None:
+                form = "write it with SI symbols, as in N.m.s/rad or m/s2, and a pure number as 1"
+                yield owner, attribute, f'unknown unit "{declared.unit}" of {declared.name}; {form}'
+
+
+def _name_faults(kind: type[Model]) -> Faults:
+    """Yield faults of names with two meanings, and of declarations that refer to undefined names."""
+    quantities = {name: [q.name for q in getattr(kind, name)] for name in ("base_states", "inputs", "outputs")}
+    named = {name: list(getattr(kind, name)) for name in ("forced", "calibrated", "measured")}
+    for attribute, names in (quantities | named).items():
+        for name, count in Counter(names).items():
+            if count > 1:
+                yield kind, attribute, f'{attribute} has {count} called "{name}"; give each its own name'
+    states, inputs, outputs = quantities.values()
+    if "time" in (*inputs, *outputs):
+        yield kind, "", 'an input or output is called "time", which is the first column of a log; give it another name'
+    parameters = {p.name: not isinstance(p.default, bool) for p in parameters_of(kind)}
+    every = (*kind.catalogue, *kind.sensors)
+    for name, count in Counter(owner.name for owner in every).items():
+        last = [owner for owner in every if owner.name == name][-1]
+        if count > 1:
+            yield last, "name", f'{count} effects or sensor errors are called "{name}"; give each its own name'
+        if name in parameters:
+            yield last, "name", f'"{name}" is a parameter of the model too; give the effect another name'
+    if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
+        fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
+        yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
+    if states and not kind.forced:
+        reason = "name those whose equations may lack something, the accelerations usually"
+        yield kind, "forced", f"forced names no state; {reason} (states: {', '.join(states)})"
+    numbers = [name for name, is_number in parameters.items() if is_number]
+    candidates = [*(owner.name for owner in every), *numbers]
+    references: list[tuple[str, str, Iterable[str], list[str]]] = [
+        ("forced", "state", kind.forced, states),
+        ("calibrated", "parameter", kind.calibrated, numbers),
+        ("suspect", "parameter", kind.suspect, numbers),
+        ("suspect", "input", chain.from_iterable(kind.suspect.values()), inputs),
+        ("sensor_variance", "output", kind.sensor_variance, outputs),
+        ("start_variance", "state", kind.start_variance, states),
+        ("measured", "output", kind.measured, outputs),
+        ("excursion", "input or output", kind.excursion, [*inputs, *outputs]),
+        ("valid", "input", chain.from_iterable(v.inputs for v in kind.valid), inputs),
+        ("planar", "output", kind.planar.names if isinstance(kind.planar, PlanarFrame) else (), outputs),
+        ("told_apart_by", "candidate", sorted(chain.from_iterable(kind.told_apart_by)), candidates),
+        ("drawn_against", "candidate", kind.drawn_against, candidates),
+    ]
+    for attribute, sort, used, names in references:
+        for name in dict.fromkeys(used):
+            if name not in names:
+                yield kind, attribute, f"{attribute}: {_unknown(sort, name, names)}"
+    for name in kind.suspect:
+        if name in kind.calibrated:
+            yield kind, "suspect", f'"{name}" is in calibrated too; leave it out of suspect'
+
+
+def _unknown(sort: str, name: str, names: Iterable[str]) -> str:
+    """Return a message about an unknown or missing name."""
+    every = f"({sort.replace(' or', 's or')}s: {', '.join(names) or 'none'})"
+    return f'no {sort} "{name}"{did_you_mean(str(name), names)} {every}' if name else f"no {sort} is named {every}"
+
+
+def _effect_faults(kind: type[Model]) -> Faults:
+    """Yield faults of neutral values, starts and names of effects. An effect must be dormant at its default values."""
+    for owner in (*kind.catalogue, *kind.sensors):
+        switches = [p for p in parameters_of(owner) if p.neutral is not None]
+        if not switches:
+            reason = "has no parameter with a neutral value, so that it can never be awake; add one"
+            yield owner, "", f"{owner.name} {reason}"
+        for p in switches:
+            if p.default != p.neutral:
+                values = f"{p.default!r}, its neutral value {p.neutral!r}"
+                yield owner, p.name, f"the default of {owner.name}.{p.name} is {values}; let them be the same"
+        names = [p.name for p in parameters_of(owner)]
+        for attribute, groups in (("starts", owner.starts), ("at_least", owner.at_least.items())):
+            for name in dict.fromkeys(chain.from_iterable(groups)):
+                if name not in names:
+                    yield owner, attribute, f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
+    inputs = [q.name for q in kind.inputs]
+    for effect in kind.catalogue:
+        if issubclass(effect, Gain) and (name := getattr(effect, "input", "")) not in inputs:
+            yield effect, "input", f"{effect.name}: {_unknown('input', name, inputs)}"
+
+
+def _sensor_faults(kind: type[Model]) -> Faults:
+    """Yield faults of sensor errors' parameters and outputs."""
+    outputs = [q.name for q in kind.outputs]
+    for owner in kind.sensors:
+        names = [p.name for p in parameters_of(owner)]
+        if names != ["value"]:  # `value` is the only parameter
+            cure = "let another class hold the others" if "value" in names else "call it so"
+            given = f"{owner.name} has {' and '.join(names) or 'none'}"
+            yield owner, (names or [""])[0], f'a sensor error has one parameter, called "value"; {given}; {cure}'
+        if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
+            reason = "`read` returns one output, but the class declares several `outputs`"
+            yield owner, "outputs", f"{owner.name}: {reason}; declare one `output` instead, or define `readings`"
+        for attribute in ("outputs" if owner.outputs else "output", *(("others",) * issubclass(owner, LeverArm))):
+            value = getattr(owner, attribute, ())
+            if attribute != "output" and isinstance(value, str):
+                yield owner, attribute, f'{owner.name}: {attribute} is a tuple of names, {COMMA}: ("{value}",)'
+                continue
+            for name in (value,) if isinstance(value, str) else value or ("",):
+                if name not in outputs:
+                    yield owner, attribute, f"{owner.name}: {_unknown('output', name, outputs)}"
+
+
+def _delay_faults(kind: type[Model]) -> Faults:
+    """Yield faults of delays.
+
+    At most one effect delays the command. It comes before all shaping effects and stores every input.
+    """
+    shaping = overrides(tuple(object.__new__(k) for k in kind.catalogue), "shape", Effect)  # uninitialized instances
+    order = [type(e) for e in shaping]
+    delays: list[Any] = [k for k in kind.catalogue if k.delay is not None]
+    for owner in delays:
+        bounds = {p.name: p.bounds for p in parameters_of(owner)}
+        if owner.delay not in bounds:
+            unknown = f'has no parameter "{owner.delay}"{did_you_mean(str(owner.delay), bounds)}'
+            yield owner, "delay", f"{owner.name} {unknown}; `delay` names the one by which the command is late"
+        elif issubclass(owner, Delay) and (longest := bounds[owner.delay][1]) > owner.longest:
+            late = f"is up to {longest:g} s late and remembers {owner.longest:g} s"
+            yield owner, owner.delay, f"{owner.name} {late}; set longest = {longest:g}"
+        if owner not in order:
+            yield owner, "delay", f"{owner.name} delays the command but has no `shape`; give it one"
+        elif owner is not order[0] and owner is delays[0]:
+            yield kind, "catalogue", f"{owner.name} delays the command: put it before {order[0].name} in the catalogue"
+        if len(owner.memory) != len(kind.inputs):
+            counts = f"{len(kind.inputs)} inputs and has {len(owner.memory)} quantities of memory"
+            yield owner, "memory", f"{owner.name} delays {counts}; give it one for each input, in their order"
+        if owner is not delays[0]:
+            yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; let one of them do it"

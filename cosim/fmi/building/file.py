@@ -1,0 +1,367 @@
+"""Model files: a model with its parameters and sensor errors. `cosim refine` writes them, and studies name them."""
+
+from __future__ import annotations
+
+import linecache
+import os.path
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
+
+from cosim.core.errors import Fault, InputError, NotExecuted, refuse
+from cosim.core.registry import BASE, is_model, model_entry, resolve
+from cosim.core.registry import MODELS as MODEL_GROUP
+from cosim.core.registry import names as registered_names
+from cosim.files.artefact import kind_by_keys
+from cosim.files.files import write_text
+from cosim.files.kinds import CODE, MODEL, check_form, refuse_other
+from cosim.files.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
+from cosim.fmi.building.declared import make_model
+from cosim.fmi.building.refined import names_refine, refined_file
+from cosim.fmi.building.source import ModelText
+from cosim.model.model import Model
+from cosim.terms.language import Term
+
+if TYPE_CHECKING:
+    from cosim.fmi.fmu_build import Recipe
+
+SUBCLASS = "a model is a subclass of cosim.model.Model"
+ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
+
+
+def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+    """Return a number or a switch, with a single message on failure."""
+    try:
+        return inner(value)
+    except ValidationError:
+        cure = "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
+        raise ValueError(cure) from None
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Value = Annotated[Number | bool, WrapValidator(_number_or_switch), UNIT_OF_KEY]
+
+
+class Identified(BaseModel):
+    """Accuracy of an identified parameter.
+
+    ci95:   its 95 % confidence interval
+    unit:   of the interval
+    origin: the test that identified it
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ci95: tuple[float, float]
+    unit: str = ""
+    origin: str = ""
+
+
+class ModelFile(BaseModel):
+    """Model name, parameters by FMI name, and sensor errors.
+
+    schema_version:  version of the file format
+    model:           a registered name, or `file.py:Class` of a user's model
+    parameters_from: another model file, or a refine's folder, with values for common parameters
+    parameters:      name → value, in the unit of the parameter or text such as `400 g`; overrides `parameters_from`
+    sensors:         sensor error → value
+    substep:         longest substep of the integration [s], unless the model's class states one
+    integrator:      rk4, or stiff: the implicit method for stiff equations; by default the class's
+    identified:      parameter → accuracy, as written by `cosim identify`
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Literal[1] = 1
+    model: str = BASE
+    parameters_from: str = ""
+    parameters: dict[str, Value] = {}
+    sensors: dict[str, Annotated[Number, UNIT_OF_KEY]] = {}
+    substep: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)] | None = None
+    integrator: Literal["rk4", "stiff"] | None = None
+    identified: dict[str, Identified] = {}
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model with its effects, sensor errors and source file."""
+
+    model: Model
+    source: str
+    parameters: Mapping[str, float | bool] = field(default_factory=dict)
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Return the sensor errors by name, zero ones included."""
+        clean = {name: float(p.default) for name, p in self.model.sensor_parameters.items()}
+        return {**clean, **self.sensors}
+
+    def recipe(self) -> Recipe:
+        """Return the recipe of the model's FMU."""
+        from cosim.fmi.fmu_build import model_recipe
+
+        if is_model(self.source):
+            recipe: Recipe = resolve(model_entry(self.source).recipe)(dict(self.parameters))
+            return replace(recipe, substep=self.model.chosen_substep, integrator=self.model.chosen_integrator)
+        return model_recipe(self.model, Path(self.source.rpartition(":")[0]), dict(self.parameters))
+
+
+def named_model(name: str) -> Model:
+    """Return a registered model with default parameters."""
+    model: Model = resolve(model_entry(name).model)()
+    return model
+
+
+def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> LoadedModel:
+    """Load a model named in a command or study.
+
+    Args:
+        text: Registered name, path of a model.yaml, or `file.py:Class`.
+        folder: Folder of relative paths.
+        named_in: Study that names the model; a missing file is a fault of its key `model`.
+
+    Raises:
+        InputError: Every fault of the model.
+    """
+
+    def refusal(file: Path, *messages: str) -> InputError:
+        at = named_in
+        return InputError([at.fault(("model",), m) if at else Fault(file, 0, 0, m) for m in messages])
+
+    if text == BASE or is_model(text):
+        try:
+            return LoadedModel(named_model(text), model_entry(text).name)
+        except InputError as error:
+            if named_in is None:
+                raise
+            raise refusal(folder, *(f.message for f in error.faults)) from None
+    file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
+    path = folder / file
+    if named_in and not path.is_file():
+        raise refusal(path, f"no such model: {text}; {ALLOWED}")
+    if own:
+        return LoadedModel(own_model(text, folder), _absolute(text, folder))
+    if path.suffix == ".py":
+        kind = (ModelText(path).classes or ["Class"])[-1]
+        raise refusal(path, f"names no class: write {text}:{kind}; {ALLOWED}")
+    if not path.exists():
+        raise InputError.at(path, f"no such file; {ALLOWED}")
+    return read_model(path)
+
+
+def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
+    """Read a model.yaml; check names and bounds.
+
+    Args:
+        readers: Files that take parameters from this one, by `parameters_from`.
+    """
+    check_form(path, MODEL, CODE)
+    yaml = YamlFile(path)
+    kind = kind_by_keys(yaml.root)
+    refuse_other(path, kind, MODEL)
+    content, faults = yaml.partly(ModelFile, "model")
+    try:
+        model = _named_model(yaml, content)
+    except InputError as error:
+        raise InputError([*faults, *error.faults]) from None
+    except NotExecuted:
+        refuse(faults)
+        raise
+    for section, declared in (("parameters", model.declared), ("sensors", model.sensor_parameters)):
+        units, is_sensor = {n: p.unit for n, p in declared.items()}, section == "sensors"
+        numbers, wrong = yaml.in_units((section,), getattr(content, section), units, difference=is_sensor)
+        content = content.model_copy(update={section: numbers})
+        faults += wrong
+        for name, value in numbers.items():
+            if name not in declared:
+                unknown = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, declared)}'
+                faults.append(yaml.fault((section, name), unknown, key=True))
+            elif text := declared[name].fault(value):
+                effect, dot, _ = name.rpartition(".")
+                faults.append(yaml.fault((section, name), f"{effect}{dot}{text}; correct this value"))
+    values: dict[str, float | bool] = {}
+    if content.parameters_from:
+        try:
+            values = _read_common_parameters(yaml, content.parameters_from, model, (*readers, path.resolve()))
+        except InputError as error:
+            faults += error.faults
+    refuse(faults)
+    values |= content.parameters
+    source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
+    model = model.with_values(values).with_substep(content.substep, content.integrator)
+    return LoadedModel(model, source, values, content.sensors)
+
+
+def _read_common_parameters(
+    yaml: YamlFile, name: str, model: Model, readers: tuple[Path, ...]
+) -> dict[str, float | bool]:
+    """Return common parameters from another model's file.
+
+    A larger model can thus use parameters refined on a test rig.
+    """
+    path = yaml.path.parent / name
+    path = refined_file(path) if names_refine(path) else path
+    at = ("parameters_from",)
+    if not path.is_file():
+        raise InputError([yaml.fault(at, f"no such model file: {name}; name a model.yaml or the folder of a refine")])
+    if path.resolve() in readers:
+        raise InputError([yaml.fault(at, f"{name} takes its parameters from here itself; leave one of them out")])
+    common = {n: v for n, v in read_model(path, readers).parameters.items() if n in model.declared}
+    if not common:
+        raise InputError([yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")])
+    texts = [fault for n, v in common.items() if (fault := model.declared[n].fault(v))]
+    refuse(yaml.fault(at, f"{name}: {text}; correct it there, or write it under parameters") for text in texts)
+    return common
+
+
+def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
+    """Return a model.yaml's model with default parameters."""
+    if is_model(content.model):
+        return named_model(content.model)
+    registered, file = registered_names(MODEL_GROUP), yaml.path.parent / content.model.rpartition(":")[0]
+    names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
+    message = f"no such file: {file}"
+    if not re.fullmatch(r".+\.py:\w+", content.model):
+        message = f'no model "{content.model}"{did_you_mean(content.model, registered)}'
+    elif file.is_file():
+        return own_model(content.model, yaml.path.parent)
+    raise InputError([yaml.fault(("model",), f"{message}; a model is {', '.join(names)}")])
+
+
+def _absolute(text: str, folder: Path) -> str:
+    """Return `file.py:Class` with an absolute path, for model files in other folders."""
+    file, _, name = text.rpartition(":")
+    return f"{(folder / file).resolve()}:{name}"
+
+
+def own_model(text: str, folder: Path) -> Model:
+    """Return the model `Class` of `file.py`; raise InputError with all faults."""
+    file, _, name = text.rpartition(":")
+    source, module = _execute((folder / file).resolve())
+    kind: Any = getattr(module, name, None)
+    if not (isinstance(kind, type) and issubclass(kind, Model)):
+        names = _model_classes(module)
+        classes = f" (models here: {', '.join(names)})" if names else ""
+        message = f'has no model class "{name}"{did_you_mean(name, names)}{classes}; {SUBCLASS}'
+        raise InputError.at(source.path, message)
+    return make_model(kind, source)
+
+
+def only_model(path: Path) -> Model:
+    """Return the only model of `file.py`; raise InputError for faults, no model or several."""
+    source, module = _execute(path.resolve())
+    kinds: dict[Any, str] = {}  # name by class: a class with two names counts once
+    for name, kind in _model_classes(module).items():
+        if kind.__module__ == module.__name__:  # without imported classes
+            kinds.setdefault(kind, name)
+    if not kinds:
+        raise InputError.at(path, f"has no model class; {SUBCLASS}")
+    if len(kinds) > 1:
+        choice = " or ".join(f"{path}:{name}" for name in kinds.values())
+        raise InputError.at(path, f"has {len(kinds)} models; write {choice}")
+    return make_model(next(iter(kinds)), source)
+
+
+def own_terms(path: Path) -> list[type[Term]]:
+    """Return the terms of a user's file: classes derived from `cosim.terms.Term`.
+
+    Raises:
+        InputError: The file has faults, or no terms.
+    """
+    _, module = _execute(path.resolve())
+    terms = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Term)]
+    own = [v for v in terms if v.__module__ == module.__name__]
+    if not own:
+        raise InputError.at(
+            path, "holds no term; a term is a subclass of cosim.terms.Force, InputTerm or RateTerm with a kind"
+        )
+    return [dataclass(frozen=True, kw_only=True)(v) for v in own]
+
+
+_skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
+
+
+@contextmanager
+def without_execution() -> Iterator[list[Path]]:
+    """Prevent the execution of model files; yield skipped files.
+
+    A model in such a file raises NotExecuted.
+    """
+    skipped: list[Path] = []
+    token = _skipped.set(skipped)
+    try:
+        yield skipped
+    finally:
+        _skipped.reset(token)
+
+
+def is_execution_allowed() -> bool:
+    """Return False within `without_execution`."""
+    return _skipped.get() is None
+
+
+def _execute(path: Path) -> tuple[ModelText, ModuleType]:
+    """Execute a file; return its text and module.
+
+    This is the only place that executes a model's Python.
+
+    Raises:
+        InputError: The file does not exist, raises an exception or is not Python.
+        NotExecuted: Execution is disabled by `without_execution`.
+    """
+    if not path.is_file():
+        raise InputError.at(path, "no such model file; check the path")
+    source, name = ModelText(path), f"own_model_{path.stem}"
+    try:
+        code = compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError([source.convert_error(error, "does not load")]) from None
+    if (skipped := _skipped.get()) is not None:
+        skipped.append(path)
+        raise NotExecuted(path)
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    sys.modules[name] = module  # dataclasses resolve annotations in sys.modules
+    linecache.checkcache(str(path))
+    try:
+        exec(code, vars(module))
+    except (Exception, SystemExit) as error:  # A user's file may raise any error.
+        raise InputError([source.convert_error(error, "does not load")]) from error
+    return source, module
+
+
+def _model_classes(module: ModuleType) -> dict[str, type[Model]]:
+    """Return the classes in a module that derive from `Model`, by name."""
+    return {n: v for n, v in vars(module).items() if isinstance(v, type) and issubclass(v, Model) and v is not Model}
+
+
+def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
+    """Write a model.yaml for `read_model`.
+
+    Args:
+        folder: Final folder, if the file will be moved.
+    """
+    source, within = loaded.source, (folder or path.parent).resolve()
+    file, _, name = source.rpartition(":")
+    if file and within.is_relative_to(Path(file).parent):  # so that both can be moved together
+        source = f"{Path(os.path.relpath(file, within)).as_posix()}:{name}"
+    lines = ["schema_version: 1", f"model: {source}"]
+    if loaded.model.chosen_substep is not None:
+        lines.append(f"substep: {loaded.model.chosen_substep!r}")
+    if loaded.model.chosen_integrator is not None:
+        lines.append(f"integrator: {loaded.model.chosen_integrator}")
+    for section, values in (("parameters", loaded.parameters), ("sensors", loaded.sensors)):
+        lines.append(f"{section}:" if values else f"{section}: {{}}")
+        lines += [
+            f"  {name}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for name, v in values.items()
+        ]
+    write_text(path, "\n".join(lines) + "\n")

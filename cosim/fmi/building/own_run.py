@@ -1,0 +1,87 @@
+"""A model run along a log: recorded commands, and measured states if an output shows them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cosim.core.arrays import Array, Rows
+from cosim.model.integrate import Moment, Stepper
+from cosim.model.model import Model, Values
+from cosim.model.namespaces import SCALAR
+
+MAX_GAP = 10.0  # rows; integration over longer gaps is limited to this length
+
+
+RunLog = Any  # a `cosim.logs.log.Log`, of a room above: path, time, step, inputs, outputs
+
+
+def shown_states(model: Model) -> set[str]:
+    """Return states equal to an output of the same name, tested at a single state."""
+    state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
+    values = dict(zip((s.name for s in model.states), state, strict=True))
+    outputs = model.acting(SCALAR).output(0.0, state, model.start_command())
+    return {q.name for q, y in zip(model.outputs, outputs, strict=True) if values.get(q.name) == y}
+
+
+def moments(
+    stepper: Stepper, log: RunLog, ignored: Mapping[str, Rows] | None = None
+) -> Iterator[tuple[int, Moment, Moment]]:
+    """Yield row, predicted moment, and moment with the readings.
+
+    The iteration ends if the model diverges.
+
+    Args:
+        ignored: Output → rows with unused readings.
+    """
+    model, shown = stepper.model, shown_states(stepper.model)
+    commands = command_rows(model, log)
+    readings = {}
+    for place, name in enumerate(s.name for s in model.states):
+        if name in shown and name in log.outputs:
+            column = log.outputs[name].copy()
+            column[(ignored or {}).get(name, [])] = np.nan
+            readings[place] = column.tolist()
+    time, longest = log.time.tolist(), MAX_GAP * log.step
+    ahead = stepper.start(time[0])
+    for k, t in enumerate(time):
+        ahead = replace(ahead, t=t)
+        state = list(ahead.state)
+        for place, column in readings.items():
+            if math.isfinite(column[k]):
+                state[place] = column[k]
+        moment = replace(ahead, state=tuple(state))
+        yield k, ahead, moment
+        if k + 1 < len(time):
+            try:
+                ahead = stepper.step(moment, commands[k], min(time[k + 1] - t, longest))
+            except (ArithmeticError, ValueError):
+                return
+            if not all(map(math.isfinite, ahead.state)):
+                return
+
+
+def command_rows(model: Model, log: RunLog) -> list[Values]:
+    """Return the commands by row, in input order."""
+    columns = [log.inputs[q.name].tolist() for q in model.inputs]
+    return list(zip(*columns, strict=True)) if columns else [()] * len(log.time)
+
+
+def predicted_outputs(model: Model, log: RunLog, ignored: Mapping[str, Rows]) -> dict[str, Array]:
+    """Return one-step-ahead predictions of outputs, NaN after divergence.
+
+    Args:
+        ignored: Output → rows with unused readings.
+    """
+    stepper, commands = Stepper(model), command_rows(model, log)
+    table = np.full((len(log.time), len(model.outputs)), np.nan)
+    for k, ahead, _ in moments(stepper, log, ignored):
+        try:
+            table[k] = stepper.output(ahead.t, ahead.state, commands[k])
+        except (ArithmeticError, ValueError):
+            break
+    return dict(zip((q.name for q in model.outputs), table.T, strict=True))

@@ -1,0 +1,216 @@
+"""Choice of integrator and substep: stable and accurate for the model's modes.
+
+Kernel and FMU integrate by RK4 in equal substeps. In a substep of h, a mode of eigenvalue λ changes by R(λh),
+R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, instead of exp(λh). If |R| > 1, the mode grows although the model decays.
+
+A class keeps its stated `substep` unless unstable, and the default if accurate. Otherwise the longest accurate fraction
+1/n of `rate` is chosen. A model with a need for more than MOST_SUBSTEPS is stiff if all modes too fast for RK4 decay
+within a row. The implicit method then takes substeps accurate for the remaining modes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.core.errors import InputError
+from cosim.core.linear_algebra import eigenvalues
+from cosim.core.messages import Note
+from cosim.core.registry import is_model
+from cosim.core.text import amount, plain
+from cosim.files.artefact import Checking
+from cosim.fmi.building.file import LoadedModel, load_model, only_model, read_model
+from cosim.fmi.building.own_run import RunLog, command_rows, moments
+from cosim.fmi.building.source import ModelText
+from cosim.model.integrate import Stepper, substeps
+from cosim.model.model import AUTO, RK4, STIFF, Model, Values
+from cosim.model.symbolic.linearize import Linearizer
+
+MAX_DEFAULT = 1.0  # |λ|·h for keeping the default substep: R is within 2 % of exp(λh)
+MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh), and fits may move λ
+MOST_SUBSTEPS = 100  # RK4 substeps per `rate`; a model with more is stiff
+LEAST_STIFF = 8  # implicit substeps per row
+FOLLOWED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes decay within a row
+DEAD = 5.0  # -Re(λ) times a row after which a mode has decayed to 0.7 %
+GROWTH = 1e-9  # tolerance of |R| above 1
+POINTS = 500  # of a log for computing eigenvalues
+MAX_ROWS = 20_000  # of a log for running the model
+
+
+@dataclass(frozen=True)
+class StateMode:
+    """An eigenvalue of the Jacobian [1/s], the state with the largest participation, and its place."""
+
+    eigenvalue: complex
+    state: str
+    place: str
+
+    @property
+    def speed(self) -> float:
+        """Return the magnitude of the eigenvalue [1/s]."""
+        return abs(self.eigenvalue)
+
+    def __str__(self) -> str:
+        value = self.eigenvalue
+        pair = f" ± {plain(abs(value.imag))}i" if abs(value.imag) > 1e-9 * self.speed else ""
+        speed = f"time constant {_ms(1.0 / self.speed)}, eigenvalue {plain(value.real)}{pair} 1/s"
+        return f"{self.state} has a fast mode ({speed}, {self.place})"
+
+
+def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[str]]:
+    """Return the model with an integrator and a substep that suit its fastest mode, and notes.
+
+    Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
+
+    Raises:
+        InputError: The stated substep is unstable, or a mode too fast for RK4 does not decay within a row.
+    """
+    model, kinds = loaded.model, type(loaded.model).__mro__
+    # whether class or model file states a substep
+    is_stated = model.chosen_substep is not None or any("substep" in vars(k) for k in kinds[: kinds.index(Model)])
+    if not model.base_states or is_model(loaded.source) or (model.integrator == STIFF and is_stated):
+        return loaded, []
+    text = ModelText(Path(loaded.source.rpartition(":")[0]))
+    fastest = _Fastest(model, min([model.rate, *(log.step for log in logs)]))
+    rows = [(fastest.at_start(), model.rate), *((fastest.along(log), log.step) for log in logs)]
+    modes = [(mode, step / substeps(step, model.substep)) for mode, step in rows]
+    if is_stated:
+        for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
+            z = mode.eigenvalue * h
+            growth = abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
+            if z.real < 0.0 and growth > 1.0 + GROWTH:
+                reason = f"substep is {_ms(model.substep)}, unstable for this model: {mode}"
+                cure = f"state at most {_ms(MAX_DEFAULT / mode.speed)}, or leave substep out: then it follows the model"
+                message = f"{reason}, and RK4 in steps of {_ms(h)} lets it grow; {cure}"
+                raise InputError([text.fault(type(model), "substep", message)])
+        return loaded, []
+    if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
+        return loaded, []
+    mode = max((mode for mode, _ in modes), key=lambda m: m.speed)
+    count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
+    too_fast, integrator = model.integrator == AUTO and count > MOST_SUBSTEPS, model.chosen_integrator
+    if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
+        substep, integrator = fastest.stiff_substep(), STIFF
+        note = Note(f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}")
+    elif count > MOST_SUBSTEPS:
+        raise InputError([text.fault(type(model), "", _stiff(model, mode))])
+    else:
+        substep = model.rate / count
+        note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
+    return replace(loaded, model=model.with_substep(substep, integrator)), [note]
+
+
+class _Fastest:
+    """Fastest mode of a model at its start and along logs."""
+
+    def __init__(self, model: Model, row: float) -> None:
+        self.model, self.row = model, row
+        self.eigenvalues: list[NDArray[np.complex128]] = []
+        try:
+            self.linearized: Linearizer | None = Linearizer(model)
+        except (NotImplementedError, ValueError):  # A function without derivative, e.g. `%`: the default substep stays.
+            self.linearized = None
+
+    def at_start(self) -> StateMode:
+        """Return the fastest mode at the start values."""
+        return self._at(self.model.start(), self.model.start_command(), 0.0, "at the start")
+
+    def along(self, log: RunLog) -> StateMode:
+        """Return the fastest mode of the model at points of a log."""
+        rows = min(len(log.time), MAX_ROWS)
+        commands, every = command_rows(self.model, log), max(1, rows // POINTS)
+        stepper, fastest = Stepper(self.model), self.at_start()
+        for k, _, moment in islice(moments(stepper, log), 0, rows):
+            if k % every:
+                continue
+            place = f"at t = {moment.t:.6g} s of {log.path.name}"
+            mode = self._at(moment.state, commands[k], moment.t, place)
+            if not mode.speed <= fastest.speed:
+                fastest = mode
+            if self.model.rate * fastest.speed <= MOST_SUBSTEPS * MAX_CHOSEN:
+                accurate = MAX_CHOSEN / fastest.speed if fastest.speed > 0.0 else math.inf
+                stepper.model = self.model.with_substep(min(self.model.substep, accurate), RK4)
+            elif self.model.integrator != RK4 and self.die_within_a_row():
+                stepper.model = self.model.with_substep(self.stiff_substep(), STIFF)
+            else:
+                break  # The run would take too many substeps.
+        return fastest
+
+    def die_within_a_row(self) -> bool:
+        """Return whether modes too fast for RK4 decay within a row."""
+        values = np.concatenate(self.eigenvalues)
+        fast = values[self.model.rate * np.abs(values) > MOST_SUBSTEPS * MAX_CHOSEN]
+        return bool(np.all(-self.row * fast.real >= DEAD))
+
+    def stiff_substep(self) -> float:
+        """Return the longest accurate implicit substep [s]."""
+        z = self.row * np.abs(np.concatenate([np.zeros(1), *self.eigenvalues]))
+        return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
+
+    def _at(self, state: Values, command: Values, t: float, place: str) -> StateMode:
+        """Return the fastest mode at a point, with the state that participates most in it.
+
+        Participation is left times right eigenvector, independent of units.
+        """
+        from scipy.linalg import eig
+
+        try:
+            A = self.linearized(state, command, t).A if self.linearized else np.zeros((0, 0))
+        except (ArithmeticError, ValueError):  # no derivative at this point
+            A = np.zeros((0, 0))
+        values = eigenvalues(A)
+        if not values.size:
+            return StateMode(0.0, "", place)
+        self.eigenvalues.append(values)
+        value = complex(values[np.argmax(np.abs(values))])
+        values, rows, columns = eig(A, left=True, right=True)
+        k = int(np.argmin(np.abs(values - value)))
+        return StateMode(value, self.model.states[int(np.argmax(np.abs(rows[:, k] * columns[:, k])))].name, place)
+
+
+def _stiff(model: Model, mode: StateMode) -> str:
+    """Return the message on a mode too fast for the model's rate."""
+    name = type(model).__name__
+    if mode.eigenvalue.real > 0.0:
+        return f"{name} runs away: {mode} that grows; check its parameters, start values and the units of the log"
+    stiff = f"{name} is stiff: {mode}, for which RK4 takes more than {MOST_SUBSTEPS} substeps in a rate of"
+    if model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
+        return f"{stiff} {_ms(model.rate)}; state integrator = 'stiff', or leave it out"
+    cure = f"let {mode.state} follow the rest at once, as an algebraic equation, or state a substep of at most"
+    return f"{stiff} {_ms(model.rate)}; {cure} {_ms(MAX_DEFAULT / mode.speed)} and take the time that it costs"
+
+
+def _ms(seconds: float) -> str:
+    """Return a duration as text with a suitable unit."""
+    return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
+
+
+def check_model_file(path: Path, checking: Checking) -> list[str]:
+    """Check a model.yaml and return notes on it; InputError lists its faults."""
+    return substep_notes(read_model(path))
+
+
+def check_model_class(path: Path, checking: Checking) -> list[str]:
+    """Return notes on a model class; InputError lists faults.
+
+    The class is `FILE.py:Class`, or the only class in FILE.py.
+    """
+    text = str(path)
+    if text.endswith(".py:"):
+        only_model(Path(text.removesuffix(":")))
+        return []
+    if not path.suffix.startswith(".py:"):
+        text = f"{path}:{type(only_model(path)).__name__}"
+    return substep_notes(load_model(text, Path()))
+
+
+def substep_notes(loaded: LoadedModel, logs: Sequence[Any] = ()) -> list[str]:
+    """Return notes on a chosen substep; raise InputError if none is suitable."""
+    return [f"note: {note}" for note in with_substep(loaded, logs)[1]]

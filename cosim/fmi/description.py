@@ -1,0 +1,256 @@
+"""The model description of an FMU, read leniently, and the FMU's fitness to run."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+from xml.etree import ElementTree
+
+from cosim.core.errors import FmuError
+from cosim.core.units import SI
+from cosim.files.archive import DESCRIPTION
+from cosim.fmi.fmi_types import element_names
+from cosim.fmi.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
+
+REALS = ("Real", "Float64")
+
+Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
+PARTS: dict[Way, str] = {
+    "co-simulation": "coSimulation",
+    "model-exchange": "modelExchange",
+    "scheduled-execution": "scheduledExecution",
+}  # of FMPy's description
+PLATFORMS, SOURCES = "binaries/", "sources/"
+LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
+C_CODE = "c-code"  # name of the source platform in FMI
+MOST_ELEMENTS = 1_000_000  # elements of an array; each gets a name
+_slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
+
+
+def read_description(path: Path) -> Any:
+    """Return FMPy's model description of a runnable FMU.
+
+    Violations of the schema alone are accepted; see `slips_of`.
+
+    Raises:
+        FmuError: The FMU is invalid or cannot be run.
+    """
+    import fmpy
+
+    from cosim.fmi.unread_attributes import add_unread_attributes
+
+    check_fmu_file(path)
+    slips: tuple[str, ...] = ()
+    try:
+        try:
+            description = fmpy.read_model_description(str(path))
+        except fmpy.model_description.ValidationError as error:
+            description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
+    except Exception as error:  # FMPy raises bare Exceptions, lxml its own.
+        raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
+    check_identifiers(path, description)
+    if slips:
+        check_numbers(path, description)
+    for variable in description.modelVariables:
+        if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
+            size = "×".join(map(str, variable.shape))
+            text = f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
+            raise FmuError(text)
+    if not ways(description):
+        kind = ", ".join(way for way, part in PARTS.items() if getattr(description, part) is not None) or "nothing"
+        raise FmuError(
+            f"{path} is FMI {description.fmiVersion} for {kind}; FMI 1.0, 2.0 and 3.0 for co-simulation or model "
+            "exchange, and 3.0 for scheduled execution, are run here"
+        )
+    if description.guid is None:
+        attribute = "instantiationToken" if description.fmiVersion.startswith("3") else "guid"
+        raise FmuError(
+            f"{path} is not a valid FMU: its modelDescription.xml has no {attribute}, which its library compares "
+            "when it is loaded; export the FMU again, or ask the tool that made it"
+        )
+    add_unread_attributes(path, description)
+    _slips[description] = slips
+    return description
+
+
+def slips_of(description: Any) -> tuple[str, ...]:
+    """Return tolerated violations of FMI's schema or rules."""
+    return _slips.get(description, ())
+
+
+def ways(description: Any) -> tuple[Way, ...]:
+    """Return the usable interfaces, the preferred one first."""
+    version = description.fmiVersion
+    if version not in {"1.0", "2.0", "3.0"} and not version.startswith("3.0."):
+        return ()
+    parts = {way: getattr(description, part) for way, part in PARTS.items()}
+    return tuple(
+        way
+        for way, part in parts.items()
+        if part is not None and (way != "scheduled-execution" or version.startswith("3"))
+    )
+
+
+def state_names(description: Any) -> list[str]:
+    """Return the names of the continuous states.
+
+    FMI 1.0 does not list states; here each x with a variable der(x) counts.
+    """
+    if description.fmiVersion != "1.0":
+        derivatives = (unknown.variable.derivative for unknown in description.derivatives)
+        return [state.name for state in derivatives if state is not None]
+    names = {v.name for v in description.modelVariables if v.type == "Real"}
+    return [v.name for v in description.modelVariables if f"der({v.name})" in names and v.name in names]
+
+
+def takes_any_step(description: Any) -> bool:
+    """Return whether communication steps may have any length."""
+    cosimulation = description.coSimulation
+    return cosimulation is None or bool(cosimulation.canHandleVariableCommunicationStepSize)
+
+
+def declares_slopes(path: Path, way: Way) -> bool:
+    """Return whether an FMU declares directional derivatives for an interface."""
+    tag = "CoSimulation" if way == "co-simulation" else "ModelExchange"
+    about = ElementTree.fromstring(zipfile.ZipFile(path).read(DESCRIPTION)).find(tag)
+    # FMPy reads the attribute of FMI 2.0 only; FMI 3.0 has a plural s.
+    flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
+    return any(flag in ("true", "1") for flag in flags)
+
+
+def platform_of(description: Any) -> str:
+    """Return this platform's name in the FMU's version."""
+    import fmpy
+
+    return str(fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform)
+
+
+def platforms_among(names: Sequence[str]) -> list[str]:
+    """Return the platforms of an FMU by its file names. The list ends with `c-code` if C or C++ sources exist."""
+    parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
+    platforms = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
+    sources = any(n.startswith(SOURCES) and n.lower().endswith((*C, *CPP)) for n in names)
+    return [*sorted(platforms), *([C_CODE] if sources else [])]
+
+
+def no_library(here: str, platforms: Sequence[str]) -> str:
+    """Return a message on a missing library, with remedy."""
+    others = ", ".join(p for p in platforms if p != C_CODE)
+    text = f"it has no library for {here}{f'; it has some for {others}' if others else ' or another platform'}"
+    if C_CODE in platforms:
+        text += "; it has sources: --compile (in Python compile=True) compiles and runs them"
+    return text
+
+
+def library_file(folder: Path, description: Any, identifier: str) -> Path:
+    """Return the library's standard path on this platform."""
+    import fmpy
+
+    return folder / "binaries" / platform_of(description) / f"{identifier}{fmpy.sharedLibraryExtension}"
+
+
+def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str] | None:
+    """Return the library for this platform and a warning.
+
+    The warning is about an unexpected file name.
+
+    Raises:
+        FmuError: Several libraries with unexpected names exist.
+    """
+    library = library_file(folder, description, identifier)
+    if library.is_file():
+        return library, ""
+    libraries = sorted(library.parent.glob(f"*{library.suffix}"))
+    if len(libraries) == 1:
+        return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
+    if libraries:
+        names = ", ".join(p.name for p in libraries)
+        raise FmuError(f"none of its libraries is {library.name}, as its modelIdentifier says: {names}")
+    return None
+
+
+def matches(pattern: str, component: str, variable: str) -> bool:
+    """Return whether a pattern with * matches a variable. Brackets are literal, as in array names."""
+    return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
+
+
+# -- units ----------------------------------------------------------------------------------------
+
+
+def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
+    """Return a defined unit's SI exponents, factor and offset."""
+    for definition in description.unitDefinitions:
+        if definition.name == unit and definition.baseUnit is not None:
+            base = definition.baseUnit
+            return (*(float(getattr(base, name) or 0) for name in SI), float(base.factor), float(base.offset))
+    return None
+
+
+def enumeration_items(variable: Any) -> dict[str, int]:
+    """Return the items of an enumeration, name → number; items without a name are omitted."""
+    declared = variable.declaredType
+    return {i.name: int(i.value) for i in (declared.items or () if declared else ()) if i.name}
+
+
+def is_difference(variable: Any) -> bool:
+    """Return whether a variable is declared as a difference."""
+    own, declared = variable.relativeQuantity, variable.declaredType
+    return bool((declared is not None and declared.relativeQuantity) if own is None else own)
+
+
+def unit_of(variable: Any) -> str:
+    """Return the unit of a variable or its type."""
+    unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+    return unit or ""
+
+
+def states_of(description: Any) -> list[Any]:
+    """Return the continuous states, ordered as the derivatives.
+
+    The list is empty if the FMU does not declare them.
+    """
+    states = [unknown.variable.derivative for unknown in description.derivatives]
+    return [] if None in states else states
+
+
+def hides_states(description: Any) -> bool:
+    """Return whether a description has a number of states without names, as in FMI 1.0; the library may name them."""
+    return bool(description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives))
+
+
+def name_states(path: Path, description: Any, references: Sequence[int]) -> None:
+    """Add derivatives of named states to an FMI 1.0 description.
+
+    Aliases share a value reference, and a negated alias has the opposite sign. Therefore the variable itself is used.
+    """
+    from fmpy.model_description import ModelVariable, Unknown
+
+    root = ElementTree.fromstring(zipfile.ZipFile(path).read(DESCRIPTION))
+    aliases = {v.get("name") for v in root.iter("ScalarVariable") if v.get("alias", "noAlias") != "noAlias"}
+    variables = {v.valueReference: v for v in description.modelVariables if v.type == "Real" and v.name not in aliases}
+    for k, reference in enumerate(references, 1):
+        state = variables.get(reference) or ModelVariable(name=f"state[{k}]", valueReference=reference, type="Real")
+        rate = ModelVariable(name=f"der({state.name})", type="Real")
+        rate.derivative = state
+        description.derivatives.append(Unknown(variable=rate))
+
+
+def reals(description: Any, causality: str) -> list[Any]:
+    """Return real outputs, or continuous real inputs."""
+    variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
+    return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
+
+
+def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
+    """Return the element names of variables."""
+    return tuple(name for v in variables for name in element_names(v))
+
+
+def units_of(variables: Sequence[Any]) -> dict[str, str]:
+    """Return element names with units."""
+    return {name: unit_of(v) for v in variables for name in element_names(v)}
