@@ -54,8 +54,8 @@ def plants_own(f: Any, t: float, x: Any, end: float) -> Any:
 @pytest.mark.parametrize(
     ("effects", "near"),
     [
-        *((effects, TIGHT) for effects in
-          [SMOOTH, *some([{}, *(case for case, _ in CASES if not set(case) & set(REMEMBERING))], every=4)]),
+        (SMOOTH, TIGHT),
+        *some([({}, TIGHT), *((case, TIGHT) for case, _ in CASES if not set(case) & set(REMEMBERING))], every=4),
         # What remembers is updated at events. Whole substeps of delay: nothing is blurred by the mean over a substep.
         ({"actuator_delay": {"time": 0.06}}, 1e-9),
         ({"servo_backlash": {"width": 0.05}}, 1e-9),
