@@ -1,4 +1,4 @@
-"""The layout of the project: names of the public functions, floors, circles, files of the repository."""
+"""The layout of the project: names of the public functions, files of the repository."""
 
 from __future__ import annotations
 
