@@ -24,7 +24,7 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.fmi.description import read_description
 from cosim.fmi.native.compiler import compiler, load_library
 from cosim.fmi.wrapping.wrap import wrap

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import compiler, load_library
 from cosim.master.master import PROGRESS_EVERY, simulate
 from cosim.scenario.scenario_file import ScenarioFile

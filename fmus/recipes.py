@@ -8,9 +8,8 @@ from functools import partial
 from types import ModuleType
 
 from cosim.core.registry import resolve
-from cosim.fmi.documentation import docstrings_html, model_text
 from cosim.fmi.fmu_build import Recipe, about_model, sort_values
-from cosim.fmi.model_description import Description
+from cosim.fmi.model_description import Description, docstrings_html, model_text
 from cosim.model import Model
 from fmus import PACKAGES
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from cosim.core.program import collect_seldom
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.fmi.fmu_build import Recipe, build
 from cosim.fmi.native import compiler as c_compiler
 from cosim.fmi.native.compiler import compiler

@@ -17,7 +17,7 @@ def copied_sources(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a copy of the packages for the next builds of this test."""
     for package in ("plant", "controller", "fmus", "cosim"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-    spec_of = fmu_build._spec
+    spec_of = fmu_build.find_spec
 
     def spec_in_copy(name: str) -> ModuleSpec | None:
         spec = spec_of(name)
@@ -26,5 +26,5 @@ def copied_sources(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         origin = folder / Path(spec.origin).relative_to(ROOT)
         return ModuleSpec(name, None, origin=str(origin), is_package=spec.submodule_search_locations is not None)
 
-    monkeypatch.setattr(fmu_build, "_spec", spec_in_copy)
+    monkeypatch.setattr(fmu_build, "find_spec", spec_in_copy)
     return folder

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from cosim.estimation.subject.base_parameters import base_parameters
-from cosim.estimation.subject.candidates import values_of_special_case
+from cosim.estimation.subject.candidates import base_parameters, values_of_special_case
 from cosim.estimation.subject.model_subject import ModelSubject, neutral_values
 from cosim.model import Equations, Model, Namespace, parameter
 from plant.hovercraft import Hovercraft

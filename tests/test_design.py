@@ -16,7 +16,7 @@ from controller.design_model import design_model
 from controller.settings import GAINS, Settings
 from controller.synthesis import numbers_of
 from cosim.core.errors import InputError
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.fmi.fmu_build import build
 from cosim.sweeps.store import TABLE, read_table
 from fmus.recipes import plant_recipe

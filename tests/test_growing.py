@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.estimation.growing import leaves_the_motion
+from cosim.estimation.free_runs import leaves_the_motion, with_likely_starts
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.estimation.start_states import with_likely_starts
 from cosim.refinement.search.fits import Search
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, log_of_fmu

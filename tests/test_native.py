@@ -17,7 +17,7 @@ from fmpy.validation import validate_fmu
 from controller.loop import Loop
 from controller.settings import Settings
 from cosim.core.errors import InputError
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import can_cross, compiler, glibc_floor, this_platform
 from cosim.fmi.state import MEMORY as MEMORY_PART
 from cosim.fmi.state import STATE, own_of, with_memory

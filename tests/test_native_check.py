@@ -8,7 +8,7 @@ import pytest
 
 from cosim.core.errors import InputError
 from cosim.estimation.kernel.backend import kernel
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.fmi.building.file import load_model
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.printing import ModelPrinter

@@ -12,7 +12,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.model import SCALAR
 from plant.hovercraft import Hovercraft
 from tests.cases import some

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cosim.estimation import fit as fitting
+from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.propagation import lasting, propagations
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.estimation.start_states import with_likely_starts
 from cosim.refinement.decision.evidence import Replays
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, log_of_fmu

@@ -19,8 +19,7 @@ import cosim
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.estimation.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
-from cosim.estimation.subject.base_parameters import base_parameter
-from cosim.estimation.subject.candidates import Candidate, effect
+from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model import Quantity, parameter

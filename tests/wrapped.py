@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import compiler
 from cosim.model.quantities import Parameter
 from cosim.terms.code import HOOKS, Hook, TermCode

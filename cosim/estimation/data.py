@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
 UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
+STARTING = 0.2  # [s] within which a measurement counts as initial
 JITTER = 0.01  # share of a row from which rows are not equally spaced
 
 
@@ -31,7 +33,8 @@ def data_of(
     last = np.searchsorted(grid, np.arange(rows), side="right") - 1
     u = np.column_stack([np.zeros((rows, 0)), *(log.inputs[name][last] for name in layout.inputs)])  # perhaps none
     y = np.full((rows, len(layout.outputs)), np.nan)
-    y[grid] = _outputs(log, layout)
+    nothing = np.full(log.rows, np.nan)
+    y[grid] = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
     late = np.zeros_like(y)
     late[grid] = (grid - (log.time - log.time[0]) / log.step)[:, None]  # rows by which a reading is older than its row
     is_jittery = bool((np.abs(late) > JITTER).any())
@@ -41,12 +44,6 @@ def data_of(
         log.step, float(log.time[0]), u, y, subject.substeps(log.step), 0, interpolated, late if is_jittery else None
     )
     return replace(data, settle=int(min(settle / log.step, count_unscored(data))))
-
-
-def _outputs(log: Log, layout: Layout) -> Array:
-    """Return the measurements of all outputs, NaN if missing."""
-    nothing = np.full(log.rows, np.nan)
-    return np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
 
 
 def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
@@ -68,3 +65,20 @@ def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
 def count_unscored(data: Data) -> int:
     """Return the number of rows before scoring, in which the filter settles."""
     return round(UNSCORED * slowness(data.step) / data.step)
+
+
+def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
+    """Return the subject's start state, with initial measurements inserted."""
+    start = subject.start_of_log(first_measured(subject, data, measured))
+    return np.array([start.get(name, 0.0) for name in states])
+
+
+def first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
+    """Return state → first measurement near the start."""
+    states, first = subject.measured_states, {}
+    early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
+    for j, name in enumerate(measured):
+        column = early[:, j][~np.isnan(early[:, j])]
+        if name in states and len(column):
+            first[name] = float(column[0])
+    return first

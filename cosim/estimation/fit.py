@@ -48,16 +48,6 @@ class Patience:
     fair: int = FAIR
     reached: float = np.inf
 
-    def ends(self, done: int, objective: float, promised: float, paced: float) -> bool:
-        """Return whether a fit is abandoned.
-
-        Args:
-            done: Iterations so far.
-            promised, paced: Improvements that the quadratic model promises, and that the last pace would reach.
-        """
-        hope = max(promised, paced) if objective > self.reached else promised
-        return done >= self.fair and objective - hope > self.goal
-
 
 ENDLESS = Patience()
 
@@ -121,7 +111,11 @@ class Fit:
         """
         names = [f.name for f in self.free]
         k, fixed = names.index(name), [names.index(n) for n in held]
-        return float(np.sqrt(max(0.0, *(_variance(covariance, k, fixed) for covariance in self._covariances))))
+        variances = []
+        for covariance in self._covariances:
+            across = covariance[fixed, k]
+            variances.append(covariance[k, k] - across @ inverse(covariance[np.ix_(fixed, fixed)]) @ across)
+        return float(np.sqrt(max(0.0, *map(float, variances))))
 
     def sigma_between(self, one: str, other: str) -> float:
         """Return the standard deviation of a difference.
@@ -135,12 +129,6 @@ class Fit:
     @property
     def _covariances(self) -> list[Array]:
         return [inverse(self.information), *([] if self.scattered is None else [self.scattered])]
-
-
-def _variance(covariance: Array, k: int, fixed: Sequence[int]) -> float:
-    """Return the variance of a normal variable, given some others."""
-    across = covariance[fixed, k]
-    return float(covariance[k, k] - across @ inverse(covariance[np.ix_(fixed, fixed)]) @ across)
 
 
 def initial_fit(problem: Problem) -> Fit:
@@ -265,10 +253,12 @@ class _Scoring:
             if not np.isfinite([*gradient, *curvature.flat]).all():
                 break  # The model diverges near this point, so no search direction exists.
             information = curvature
-            before = self._objective(self.theta, self.scored)
+            before = self.scored.nll + self._penalty(self.theta)
             expected = 0.5 * float(gradient @ least_squares(information, gradient))
             limit = iterations * (LONGER if before > patience.reached else 1)  # the optimum is far away
-            if patience.ends(done, before, PROMISE * expected, pace * (limit - done)):
+            promised, paced = PROMISE * expected, pace * (limit - done)
+            hope = max(promised, paced) if before > patience.reached else promised
+            if done >= patience.fair and before - hope > patience.goal:
                 break
             damping = self.damping
             pace = self._move(gradient, information)
@@ -308,9 +298,6 @@ class _Scoring:
         of_values = float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
         return self.problem.scatter * (of_noise + of_values)
 
-    def _objective(self, theta: Array, scored: Scored) -> float:
-        return scored.nll + self._penalty(theta)
-
     def sensitivities(self, *, both: bool = False) -> tuple[Array, Array]:
         """Return ∂e and ∂ln s by θ in units of the parameters' sizes.
 
@@ -322,23 +309,22 @@ class _Scoring:
         shape = (len(self.theta), len(self.scored.errors))
         de, dls = np.empty(shape), np.empty(shape)
 
+        def after_step(i: int, h: float) -> Scored:
+            theta = self.theta.copy()
+            theta[i] += h
+            return self._evaluate(theta)
+
         def row(i: int) -> None:
             h = self.difference[i]
             h = h if self.theta[i] + h <= self.high[i] else -h
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
-            ahead, behind = self._evaluate_step(i, h), self._evaluate_step(i, -back) if back else self.scored
+            ahead, behind = after_step(i, h), after_step(i, -back) if back else self.scored
             with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # A diverged filter gives NaN.
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
 
         in_parallel(row, range(len(self.theta)))
         return np.nan_to_num(de, posinf=0.0, neginf=0.0), np.nan_to_num(dls, posinf=0.0, neginf=0.0)
-
-    def _evaluate_step(self, i: int, h: float) -> Scored:
-        """Return errors and variances after a step of θ_i."""
-        theta = self.theta.copy()
-        theta[i] += h
-        return self._evaluate(theta)
 
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
         """Return the gradient ∂NLL/∂θ and the information matrix for scaled θ; both include the priors."""
@@ -358,7 +344,7 @@ class _Scoring:
 
     def _move(self, gradient: Array, information: Array) -> float:
         """Take a damped Newton step within the limits; return the improvement of the objective, or 0 without one."""
-        before = self._objective(self.theta, self.scored)
+        before = self.scored.nll + self._penalty(self.theta)
         for _ in range(8):
             # A parameter pushed beyond its limit stays fixed.
             pinned = ((self.theta <= self.low) & (gradient > 0)) | ((self.theta >= self.high) & (gradient < 0))
@@ -368,7 +354,7 @@ class _Scoring:
             step[rest] = -least_squares(F + self.damping * np.diag(np.diag(F) + 1e-12), gradient[rest])
             theta = self._within(self.theta + step * self.size)
             scored = self._evaluate(theta)
-            after = self._objective(theta, scored)
+            after = scored.nll + self._penalty(theta)
             if after < before:
                 self.theta, self.scored, self.damping = theta, scored, max(self.damping / 5, 1e-6)
                 return before - after

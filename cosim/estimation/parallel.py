@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from threading import Event, Semaphore, Thread, local
 from typing import TypeVar
 
@@ -17,23 +16,11 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _idle = Semaphore(min(2, os.cpu_count() or 1) - 1)  # cores besides the calling thread's
-_thread = local()  # `calls`: calls of `in_parallel` for which a thread works, outermost first
+_thread = local()  # `calls`: errors by item of the calls of `in_parallel` for which a thread works, outermost first
 
 
 class _Abandoned(BaseException):
     """End of work that was stopped in another thread."""
-
-
-@dataclass
-class _Call:
-    """Errors of a call of `in_parallel` by item, and whether it was stopped from outside."""
-
-    faults: dict[int, BaseException] = field(default_factory=dict)
-    is_stopped: bool = False
-
-    def fail(self, item: int, error: BaseException) -> None:
-        self.faults[item] = error
-        self.is_stopped |= not isinstance(error, Exception)
 
 
 def check_wanted() -> None:
@@ -41,34 +28,35 @@ def check_wanted() -> None:
 
     Long work without parallel parts calls this function now and then.
     """
-    if any(call.is_stopped for call in getattr(_thread, "calls", ())):
-        raise _Abandoned
+    for faults in getattr(_thread, "calls", ()):
+        if not all(isinstance(error, Exception) for error in [*faults.values()]):
+            raise _Abandoned
 
 
 def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Return the results of `work` in the order of the items; raise the first error."""
     results: dict[int, Result] = {}
     numbers = iter(range(len(items)))  # shared by the threads
-    outer: tuple[_Call, ...] = getattr(_thread, "calls", ())
-    call, helpers = _Call(), list[Event]()
+    outer: tuple[dict[int, BaseException], ...] = getattr(_thread, "calls", ())
+    faults, helpers = dict[int, BaseException](), list[Event]()
 
     def process(k: int) -> None:
-        if call.faults:
+        if faults:
             return
         try:
             check_wanted()
             results[k] = work(items[k])
         except BaseException as error:
-            call.fail(k, error)
+            faults[k] = error
 
     def help_out(end: Event) -> None:
-        _thread.calls = (*outer, call)
+        _thread.calls = (*outer, faults)
         for k in numbers:
             process(k)
         _idle.release()
         end.set()
 
-    _thread.calls = (*outer, call)
+    _thread.calls = (*outer, faults)
     try:
         for k in numbers:
             if k + 1 < len(items) and _idle.acquire(blocking=False):
@@ -76,20 +64,20 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
                 Thread(target=help_out, args=(end,), daemon=True).start()
                 helpers.append(end)
             process(k)
-        _wait(call, helpers)
+        _wait(faults, helpers)
     except BaseException as error:  # a signal between two items, or while waiting
-        call.fail(-1, error)
-        _wait(call, helpers)
+        faults[-1] = error
+        _wait(faults, helpers)
         raise
     finally:
         _thread.calls = outer
-    if call.faults:
-        errors = [error for _, error in sorted(call.faults.items())]
+    if faults:
+        errors = [error for _, error in sorted(faults.items())]
         raise next((error for error in errors if not isinstance(error, _Abandoned)), errors[0])
     return [results[k] for k in range(len(items))]
 
 
-def _wait(call: _Call, helpers: Sequence[Event]) -> None:
+def _wait(faults: dict[int, BaseException], helpers: Sequence[Event]) -> None:
     """Wait for the ends of helper threads; meanwhile other work may use this thread's core.
 
     A signal during `Thread.join` may mark a running thread as ended (Python 3.11), so that each has an event.
@@ -100,7 +88,7 @@ def _wait(call: _Call, helpers: Sequence[Event]) -> None:
             for end in helpers:
                 end.wait()
         except BaseException as error:  # a signal; the helpers must know of it before they are waited for
-            call.fail(-1, error)
+            faults[-1] = error
             for end in helpers:
                 end.wait()
             raise

@@ -17,8 +17,7 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.kernel.kernel import Data, Kernel
-from cosim.estimation.subject.base_parameters import spread_of_base
-from cosim.estimation.subject.candidates import Candidate, Free, usual_size
+from cosim.estimation.subject.candidates import Candidate, Free, spread_of_base, usual_size
 from cosim.estimation.subject.interface import Subject
 
 STEP = 1e-4  # step of differences relative to max(1, value); readings are nearly linear

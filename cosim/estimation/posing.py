@@ -10,14 +10,12 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.estimation.data import count_unscored, data_of
+from cosim.estimation.data import count_unscored, data_of, first_measured, start_state
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of
-from cosim.estimation.subject.candidates import Free
 from cosim.estimation.subject.interface import Subject
-from cosim.estimation.subject.start_state import first_measured, start_state
 from cosim.logs.log import Log, slowness
 
 FEW = 2  # steps of co-simulation between rows while a search ranks candidates
@@ -47,11 +45,18 @@ def build_problem(
     data = [data_of(subject, log, layout, settle, settings.interpolated) for log in logs]
     readings = [readings_of(d.y, count_unscored(d)) for d in data]
     begins = origins(subject, layout, logs, data, settings)
-    values, own = _start_values(subject, layout, data, begins, settings)
+    values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
+    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
+    groups = [begin.group for begin in begins]
+    own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
+    values |= {f.name: values[f.parameter] for f in own}
     x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
     stated_noise = {n: s * s for n, s in noise.items()}
     r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
-    late, lagging = (_places(of, measured) for of in (subject.late, subject.lagging))
+    late, lagging = (
+        {name: [measured.index(n) for n in of if n in measured] for name, of in outputs_of.items()}
+        for outputs_of in (subject.late, subject.lagging)
+    )
     stated, adjusted = np.isin(measured, [*subject.sensor_variance, *noise]), np.ones(len(measured), bool)
     problem = Problem(
         kernel,
@@ -71,22 +76,6 @@ def build_problem(
         origins=begins,
     )
     return replace(problem, P0=start_covariance(subject, problem))
-
-
-def _places(outputs_of: Mapping[str, Sequence[str]], measured: Sequence[str]) -> dict[str, list[int]]:
-    """Return sensor parameter → indices of its measured outputs."""
-    return {name: [measured.index(n) for n in of if n in measured] for name, of in outputs_of.items()}
-
-
-def _start_values(
-    subject: Subject, layout: Layout, data: Sequence[Data], begins: Sequence[Origin], settings: Settings
-) -> tuple[dict[str, float], tuple[Free, ...]]:
-    """Return the value of every parameter, and the free parameters of each group of logs."""
-    values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
-    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
-    groups = [begin.group for begin in begins]
-    own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
-    return values | {f.name: values[f.parameter] for f in own}, own
 
 
 def origins(

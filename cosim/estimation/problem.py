@@ -138,31 +138,6 @@ class Problem:
         for known, noise in self.ranges:
             if len(known) == len(matter) and all(a is b for a, b in zip(known, matter, strict=True)):
                 return noise
-        self.ranges.append((matter, self._range_of_noise()))
-        return self.ranges[-1][1]
-
-    @property
-    def _matter(self) -> tuple[Any, ...]:
-        """Return what the range of process noise depends on."""
-        return self.kernel, self.values, self.P0, self.r, *self.logs, *self.x0
-
-    def with_shapes(self, values: Mapping[str, float]) -> Problem:
-        """Return the problem with other values of parameters that do nothing as long as their effects are dormant."""
-        return self._with_own_range(replace(self, values={**self.values, **values}))
-
-    def with_starts(self, x0: Sequence[Array]) -> Problem:
-        """Return the problem with other start states.
-
-        The range of process noise stays the same.
-        """
-        return self._with_own_range(replace(self, x0=x0))
-
-    def _with_own_range(self, other: Problem) -> Problem:
-        """Return another problem with this range of process noise."""
-        other.ranges.append((other._matter, self.noise))
-        return other
-
-    def _range_of_noise(self) -> NoiseRange:
         short = self._short()
         lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None
 
@@ -172,12 +147,27 @@ class Problem:
             return short.score(self.values, noise).variances
 
         found = noise_range(variances, len(self.layout.noisy))
-        if not self.layout.is_free_run:
-            return found
-        # the error of a free run is as large as the motion, from row to row far more than the noise
-        spread = np.max([r.spread for r in self.readings], axis=0)
-        fastest = np.maximum(spread / self.values[MEMORY], 1e-150)
-        return replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
+        if self.layout.is_free_run:
+            # the error of a free run is as large as the motion, from row to row far more than the noise
+            spread = np.max([r.spread for r in self.readings], axis=0)
+            fastest = np.maximum(spread / self.values[MEMORY], 1e-150)
+            found = replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
+        self.ranges.append((matter, found))
+        return found
+
+    @property
+    def _matter(self) -> tuple[Any, ...]:
+        """Return what the range of process noise depends on."""
+        return self.kernel, self.values, self.P0, self.r, *self.logs, *self.x0
+
+    def with_same_range(self, **changes: Any) -> Problem:
+        """Return the problem with changes that leave the range of process noise as it is.
+
+        These are other start states, and other values of parameters whose effects are dormant.
+        """
+        other = replace(self, **changes)
+        other.ranges.append((other._matter, self.noise))
+        return other
 
     def _short(self) -> Problem:
         """Return the problem on the first rows of few logs, to find the range of the noise.
@@ -189,32 +179,27 @@ class Problem:
         measured = [np.isfinite(log.y[:rows]).any(axis=0) for log in self.logs]
         # the first log, and logs with further outputs
         chosen = [k for k in range(len(self.logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
-        short = replace(self._first_rows(rows, chosen), sensing=None)  # limits must not depend on fitted noise
+        short = replace(self, sensing=None, **self._first_rows(rows, chosen))  # limits must not depend on fitted noise
+        nothing = short.at(np.full(len(self.layout.noisy), GRID[0]))
+        if all(short._follows(nothing, k) for k in range(len(short.logs))):
+            return short
         # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
-        return short if short._follows_all() else short._on_own_outputs()
+        runs = [np.where(np.isfinite(log.y), short.own_run(k).outputs, np.nan) for k, log in enumerate(short.logs)]
+        return replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
 
     def first_rows(self, rows: int) -> Problem:
         """Return the problem with logs cut short.
 
         The range of process noise stays that of the whole logs.
         """
-        return self._with_own_range(self._first_rows(rows, range(len(self.logs))))
+        return self.with_same_range(**self._first_rows(rows, range(len(self.logs))))
 
-    def _first_rows(self, rows: int, chosen: Sequence[int]) -> Problem:
+    def _first_rows(self, rows: int, chosen: Sequence[int]) -> dict[str, Any]:
+        """Return the attributes that belong to the first rows of some logs."""
         logs = [self.logs[k].rows(0, rows) for k in chosen]
         readings = [readings_of(log.y, count_unscored(log)) for log in logs]
         origins = [self.origins[k] for k in chosen if self.origins]
-        return replace(self, logs=logs, readings=readings, x0=[self.x0[k] for k in chosen], origins=origins)
-
-    def _follows_all(self) -> bool:
-        """Return True if the filter with the least process noise follows all logs."""
-        nothing = self.at(np.full(len(self.layout.noisy), GRID[0]))
-        return all(self._follows(nothing, k) for k in range(len(self.logs)))
-
-    def _on_own_outputs(self) -> Problem:
-        """Return the problem with the outputs of the model's own run in place of the measurements."""
-        runs = [np.where(np.isfinite(log.y), self.own_run(k).outputs, np.nan) for k, log in enumerate(self.logs)]
-        return replace(self, logs=[replace(log, y=y) for log, y in zip(self.logs, runs, strict=True)])
+        return {"logs": logs, "readings": readings, "x0": [self.x0[k] for k in chosen], "origins": origins}
 
     @property
     def longest_memory(self) -> float:

@@ -83,15 +83,13 @@ class ScoreTest:
         moves: list[tuple[dict[str, float], Noise | None, float]] = [
             ({f.name: DIFFERENCE * f.size}, None, DIFFERENCE) for f in at.free if f.name not in on_trial
         ]
-        moves += [({}, self._noisier(k), NOISE_DIFFERENCE) for k in problem.limits.free]
+        for k in problem.limits.free:
+            vector = self.noise.vector
+            vector[k] += NOISE_DIFFERENCE
+            moves.append(({}, self.noise.like(vector), NOISE_DIFFERENCE))
         rows = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
         self.basis = orthonormal(np.array(rows).reshape(len(moves), residual.size).T)
         self.residual = self._project(residual)
-
-    def _noisier(self, place: int) -> Noise:
-        vector = self.noise.vector
-        vector[place] += NOISE_DIFFERENCE
-        return self.noise.like(vector)
 
     def _project(self, row: Array) -> Array:
         """Return the part of a row orthogonal to the effects of the free parameters."""
@@ -121,51 +119,32 @@ class ScoreTest:
 
     def terms(self, c: Candidate) -> Terms:
         """Return a candidate's terms: from neutral towards its usual size if inactive, else about the fitted values."""
-        if c.kind == "parameter" and c.parameters[0] in self.priors:
-            return self._terms_without_prior(c)
+        if c.kind == "parameter" and c.parameters[0] in self.priors:  # on trial, it loses its prior
+            (name,) = c.parameters
+            row = np.zeros(self.residual.size)
+            row[len(row) - len(self.priors) + self.priors[name]] = 1.0
+            return Terms(c, self._project(row)[None, :], ({name: 0.0},), np.inf)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
         distances = {n: d for n in c.parameters if (d := c.starts[0][n] - self.values[n])}
-        if distances and at_neutral and c.kind != "parameter":
-            return self._toward_usual_size(c, distances)
-        return self._away_from_fit(c, SHARE if at_neutral else DIFFERENCE)
-
-    def _away_from_fit(self, c: Candidate, share: float) -> Terms:
-        """Return a candidate's linear terms, each from a finite step of one parameter."""
-        rows, steps = [], []
-        for f in c.free:
-            step = share * f.size
-            step = step if self.values[f.name] + step <= f.high else -step
-            rows.append(SHARE / share * self.row({f.name: step}))
-            steps.append({f.name: SHARE / share * step})
-        return self._make_terms(c, rows, steps)
-
-    def _toward_usual_size(self, c: Candidate, distances: Mapping[str, float]) -> Terms:
-        """Return a candidate's terms from neutral towards the usual size, joint and single."""
-        steps = [{n: SHARE * d for n, d in distances.items()}]
-        if len(distances) > 1:
-            steps += [{n: SHARE * d} for n, d in distances.items()]
-        rows = [self.row(s) for s in steps]
-        jump = self.row({n: TINY * d for n, d in distances.items()})
-        switched = float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0]))
-        return self._make_terms(c, rows, steps, switched)
-
-    def _make_terms(
-        self, c: Candidate, rows: Sequence[Array], steps: Sequence[Mapping[str, float]], switched: bool = False
-    ) -> Terms:
-        """Return a candidate's terms from their rows and steps, and the largest χ² of a term at the usual size.
-
-        The χ² is that of the innovations alone, scaled to the usual size of the term.
-        """
+        switched, rows = False, list[Array]()
+        steps: list[dict[str, float]] = []
+        if distances and at_neutral and c.kind != "parameter":  # joint and single
+            steps = [{n: SHARE * d for n, d in distances.items()}]
+            if len(distances) > 1:
+                steps += [{n: SHARE * d} for n, d in distances.items()]
+            rows = [self.row(s) for s in steps]
+            jump = self.row({n: TINY * d for n, d in distances.items()})
+            switched = float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0]))
+        else:  # linear, each from a finite step of one parameter
+            share = SHARE if at_neutral else DIFFERENCE
+            for f in c.free:
+                step = share * f.size
+                step = step if self.values[f.name] + step <= f.high else -step
+                rows.append(SHARE / share * self.row({f.name: step}))
+                steps.append({f.name: SHARE / share * step})
         innovations = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
-
-    def _terms_without_prior(self, c: Candidate) -> Terms:
-        """Return the terms of a base parameter on trial, which loses its prior."""
-        (name,) = c.parameters
-        row = np.zeros(self.residual.size)
-        row[len(row) - len(self.priors) + self.priors[name]] = 1.0
-        return Terms(c, self._project(row)[None, :], ({name: 0.0},), np.inf)
 
     def _row(self, steps: Mapping[str, float], noise: Noise | None = None) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}
@@ -202,7 +181,12 @@ class Choice:
 
         The gain may be negative for a set that lacks a candidate of the fit. `within` tells if estimates are in limits.
         """
-        back = self._steps_to_neutral([name for name in self.parts if name not in names])
+        back = np.zeros(len(self.against))  # steps of the removed parts from fitted values to neutral
+        for name in self.parts:
+            if name not in names:
+                for k, step in zip(self.places[name], self.terms[name].steps, strict=True):
+                    ((parameter, size),) = step.items()
+                    back[k] = (self.neutral[parameter] - self.test.values[parameter]) / size
         places = [k for name in names for k in self.places[name]]
         # r without the removed parts: r + R·back
         against = self.against + self.products @ back
@@ -214,41 +198,26 @@ class Choice:
         multiples = dict(zip(places, scaled.tolist(), strict=True))
         sigma = np.sqrt(np.diag(pseudo_inverse(G / np.outer(scale, scale))).clip(min=0.0)) / scale
         spread = dict(zip(places, sigma.tolist(), strict=True))
-        values, within = self._values(names, multiples, spread)
+        values: dict[str, float] = {}
+        within = True
+        for name in names:
+            terms = self.terms[name]
+            estimates = {f.name: self.test.values[f.name] for f in terms.candidate.free}
+            deviations = dict.fromkeys(estimates, 0.0)
+            for k, step in zip(self.places[name], terms.steps, strict=True):
+                for parameter, size in step.items():
+                    estimates[parameter] += multiples[k] * size
+                    deviations[parameter] += spread[k] * abs(size)
+            for f in terms.candidate.free:
+                slack = BEYOND * deviations[f.name]
+                low = max(f.low, estimates.get(f.above, f.low))
+                is_valid = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
+                # An effect of the model may be removed completely; a larger removal stops at zero.
+                within = within and (is_valid or self.neutral[f.name] != f.neutral)
+                values[f.name] = float(np.clip(estimates[f.name], low, f.high))
         return Promise(0.5 * (self.square - remaining), values, within)
 
     def extensions(self, names: Sequence[str]) -> dict[str, Promise]:
         """Return further candidate → prediction for these candidates with it, best first."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))
-
-    def _steps_to_neutral(self, names: Sequence[str]) -> Array:
-        """Return the steps from fitted values to neutral."""
-        back = np.zeros(len(self.against))
-        for name in names:
-            for k, step in zip(self.places[name], self.terms[name].steps, strict=True):
-                ((parameter, size),) = step.items()
-                back[k] = (self.neutral[parameter] - self.test.values[parameter]) / size
-        return back
-
-    def _values(
-        self, names: Sequence[str], multiples: Mapping[int, float], spread: Mapping[int, float]
-    ) -> tuple[dict[str, float], bool]:
-        values: dict[str, float] = {}
-        within = True
-        for name in names:
-            terms = self.terms[name]
-            estimates = {f.name: self.test.values[f.name] for f in terms.candidate.free}
-            sigma = dict.fromkeys(estimates, 0.0)
-            for k, step in zip(self.places[name], terms.steps, strict=True):
-                for parameter, size in step.items():
-                    estimates[parameter] += multiples[k] * size
-                    sigma[parameter] += spread[k] * abs(size)
-            for f in terms.candidate.free:
-                slack = BEYOND * sigma[f.name]
-                low = max(f.low, estimates.get(f.above, f.low))
-                is_valid = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
-                # An effect of the model may be removed completely; a larger removal stops at zero.
-                within = within and (is_valid or self.neutral[f.name] != f.neutral)
-                values[f.name] = float(np.clip(estimates[f.name], low, f.high))
-        return values, within

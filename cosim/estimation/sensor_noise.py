@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.core.arrays import Array, Flags
+from cosim.core.arrays import Flags
 from cosim.core.text import join_names, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
@@ -27,26 +27,27 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
     estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
-    levels = _deviations(problem).items()
-    return {name: math.sqrt(read**2 - motion**2) for name, (read, motion) in levels if motion < SMOOTH * read}
+    return _noise_and_motion(problem)[0]
 
 
 def first_noise(problem: Problem) -> dict[str, float]:
     """Return output → first guess of its noise; where motion hides the noise, the level of both together."""
-    both = {name: read for name, (read, _) in _deviations(problem).items()}
-    return both | sensor_noise(problem)
+    noise, both = _noise_and_motion(problem)
+    return both | noise
 
 
-def _deviations(problem: Problem) -> dict[str, tuple[float, float]]:
-    """Return output → deviation of its readings from four neighbours, and that of the model's own run."""
-    levels = {}
+def _noise_and_motion(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
+    """Return output → noise, where it can be estimated, and output → deviation of its readings from four neighbours."""
+    noise, both = {}, {}
     runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
     for j, name in enumerate(problem.layout.outputs):
         columns = [log.y[:, j] for log in problem.logs]
         simulated = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
         read, motion = (white_noise(np.concatenate([surprise(y) for y in each])) for each in (columns, simulated))
-        levels[name] = read, motion
-    return levels
+        both[name] = read
+        if motion < SMOOTH * read:
+            noise[name] = math.sqrt(read**2 - motion**2)
+    return noise, both
 
 
 def erring_stamps(problem: Problem, at: Fit) -> Flags:
@@ -102,16 +103,11 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
     cells = [f"{name} reads in cells of {plain(cell, 3)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
-    return (
-        (
-            (
-                f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its "
-                "cell over √12; this is read off the logs, and no candidate"
-            ),
-        )
-        if cells
-        else ()
+    text = (
+        f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its "
+        "cell over √12; this is read off the logs, and no candidate"
     )
+    return (text,) if cells else ()
 
 
 def _line(levels: Mapping[str, float]) -> str:
@@ -121,10 +117,10 @@ def _line(levels: Mapping[str, float]) -> str:
 def at_rest(problem: Problem) -> bool:
     """Return True if no input moves and no output exceeds its noise in any log."""
     return all(
-        not np.ptp(log.u, axis=0).any() and all(_is_noise(column[np.isfinite(column)]) for column in log.y.T)
+        not np.ptp(log.u, axis=0).any()
+        and all(
+            not known.size or float(np.std(known)) <= REST * noise_level(known)
+            for known in (column[np.isfinite(column)] for column in log.y.T)
+        )
         for log in problem.logs
     )
-
-
-def _is_noise(values: Array) -> bool:
-    return values.size == 0 or float(np.std(values)) <= REST * noise_level(values)

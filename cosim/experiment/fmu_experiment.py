@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from cosim.core.errors import Fault, refuse
-from cosim.estimation.data import data_of
+from cosim.estimation.data import data_of, start_state
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import neutral_values
-from cosim.estimation.subject.start_state import start_state
 from cosim.experiment.ranges import limits_and_ranges
 from cosim.experiment.rigs import OpenLoop, Ranges, Signals, Trial, clip
 from cosim.fmi.description import read_description

@@ -18,15 +18,13 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares
-from cosim.estimation.data import count_unscored, data_of
+from cosim.estimation.data import count_unscored, data_of, start_state
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
-from cosim.estimation.subject.base_parameters import base_parameters
-from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
-from cosim.estimation.subject.start_state import start_state
 from cosim.logs.log import Log
 
 PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -125,11 +125,6 @@ def artefacts() -> tuple[Artefact, ...]:
 def of_kind(kind: str) -> Artefact | None:
     """Return the declaration of a kind, if any."""
     return next((a for a in artefacts() if a.kind == kind), None)
-
-
-def kind_where(is_of: Callable[[Artefact], object]) -> str | None:
-    """Return the first kind that fulfils a condition."""
-    return next((a.kind for a in artefacts() if is_of(a)), None)
 
 
 def kind_by_keys(root: Any) -> str | None:

@@ -85,12 +85,28 @@ def new_run(
         InputError: `out` is not empty, cannot be written, or another command writes into it.
     """
     with delay_stops():
-        folder = new_number(runs_named(name)) if out is None else named_path(out)
+        folder = _new_number(runs_named(name)) if out is None else named_path(out)
         content = content_of(folder / STARTED)
         is_inner = _is_alive(content) and content["pid"] == os.getpid()
         if not is_inner:
             new = [path for path in (folder, *folder.parents) if not path.is_dir()]
-            _take(folder, verb, force=force, goes_on=goes_on)
+            if state_of(folder) == RUNNING:
+                reason = "another command is writing into this folder; name another one as --out"
+                raise InputError.at(folder, reason)
+            check_writable(folder, ())
+            has_files = any(not path.name.startswith(".") for path in folder.iterdir())
+            others = [a for a in artefacts() if a.verb not in {"", verb} and a.is_left_in(folder, unfinished=True)]
+            if has_files and not (force or (goes_on and not others)):
+                raise InputError.at(folder, "is not empty; name another folder as --out, or add --force")
+            (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
+            about = {"pid": os.getpid(), "begun": _beginning(os.getpid()), "host": platform.node()}
+            about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__}
+            about |= {COMMAND: verb, STATUS: INTERRUPTED}
+            try:
+                with (folder / STARTED).open("x", encoding="utf-8") as stream:
+                    json.dump(about, stream)
+            except FileExistsError:
+                raise InputError.at(folder, "another command is writing into this folder") from None
             new += [folder, *folder.parents][:3] if out is None else []
     try:
         yield folder
@@ -108,7 +124,7 @@ def runs_named(name: str) -> Path:
     return RESULTS / safe[:100]
 
 
-def new_number(runs: Path) -> Path:
+def _new_number(runs: Path) -> Path:
     """Make and return the folder 0001, or the next number: the system makes each folder once only."""
     for attempts_left in reversed(range(1000)):
         try:
@@ -121,25 +137,6 @@ def new_number(runs: Path) -> Path:
             if not (attempts_left and isinstance(error, (FileExistsError, FileNotFoundError))):
                 raise InputError.at(runs, f"cannot be the folder for results: {error.strerror}") from None
     raise AssertionError
-
-
-def _take(folder: Path, verb: str, *, force: bool, goes_on: bool) -> None:
-    """Make a folder and its STARTED."""
-    if state_of(folder) == RUNNING:
-        raise InputError.at(folder, "another command is writing into this folder; name another one as --out")
-    check_writable(folder, ())
-    names = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
-    others = [a for a in artefacts() if a.verb not in {"", verb} and a.is_left_in(folder, unfinished=True)]
-    if names and not (force or (goes_on and not others)):
-        raise InputError.at(folder, "is not empty; name another folder as --out, or add --force")
-    try:
-        (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
-        about = {"pid": os.getpid(), "begun": _beginning(os.getpid()), "host": platform.node()}
-        about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__, COMMAND: verb, STATUS: INTERRUPTED}
-        with (folder / STARTED).open("x", encoding="utf-8") as stream:
-            json.dump(about, stream)
-    except FileExistsError:
-        raise InputError.at(folder, "another command is writing into this folder") from None
 
 
 def describe_run(folder: Path, record: Mapping[str, Any]) -> None:

@@ -25,11 +25,9 @@ from cosim.files.artefact import (
     SWEEP,
     TABLE,
     TEXT,
-    Artefact,
     artefacts,
     folder_kind,
     kind_by_keys,
-    kind_where,
     of_kind,
 )
 from cosim.files.files import open_bytes
@@ -87,57 +85,37 @@ def kind_by_form(path: Path) -> str | None:
         with suppress(OSError, ValueError, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
             members = archive.namelist()
 
-    def is_of(a: Artefact) -> bool:
-        begins = bool(a.heads and head.startswith(a.heads)) or bool(begin and a.text and re.match(a.text, begin))
-        return begins or bool(a.member and any(a.member == "*" or n.startswith(a.member) for n in members))
-
-    def is_beside(a: Artefact) -> bool:
-        if not a.beside:
-            return False
-        name, other = a.beside  # For rows in formats other than CSV, only the suffix differs.
+    for a in artefacts():
+        begins = (a.heads and head.startswith(a.heads)) or (begin and a.text and re.match(a.text, begin))
+        if begins or (a.member and any(a.member == "*" or n.startswith(a.member) for n in members)):
+            return a.kind
+    for a in artefacts():
+        name, other = a.beside or ("", "")  # For rows in formats other than CSV, only the suffix differs.
         is_rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
-        return (path.name == name or is_rows) and (path.parent / other).is_file()
-
-    if (kind := kind_where(is_of) or kind_where(is_beside)) is not None:
-        return kind
+        if a.beside and (path.name == name or is_rows) and (path.parent / other).is_file():
+            return a.kind
     if any(source.magic and head.startswith(source.magic) for source in sources()):
         return LOG  # Later checks examine its columns.
     if ending == ".csv":
-        if _is_binary(head):
+        # Loggers use various encodings, and a truncated row contains zero bytes.
+        controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
+        is_odd = controls > 0.05 * len(head) and any(byte > 127 for byte in head)
+        if not head.startswith(UTF_16) and (is_odd or b"\0" in head.partition(b"\n")[0]):
             return BINARY
-        if _has_keys(text):
+        lines = (line.strip() for line in text.splitlines())
+        first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
+        if first == "{" or KEYED.match(first):
             return _by_keys(path) or LOG
     elif ending in suffixes():
         return LOG
-    if (kind := kind_where(lambda a: ending in a.endings)) is not None:
-        return kind
+    for a in artefacts():
+        if ending in a.endings:
+            return a.kind
     if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
-    is_text = ending in PROSE or (ending in COLUMNS and not _is_tabular(text))
-    return TEXT if head and is_text else None
-
-
-def _is_tabular(text: str) -> bool:
-    """Return whether a text begins as a table or a mapping: with a row of numbers, a column name or a key."""
-    lines = text.splitlines()
-    return any(map(ROW.match, lines[1:])) or bool(lines and FIRST.match(lines[0]))
-
-
-def _is_binary(head: bytes) -> bool:
-    """Return whether a file's first bytes are binary.
-
-    Loggers use various encodings, and a truncated row contains zero bytes.
-    """
-    controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
-    is_odd = controls > 0.05 * len(head) and any(byte > 127 for byte in head)
-    return not head.startswith(UTF_16) and (is_odd or b"\0" in head.partition(b"\n")[0])
-
-
-def _has_keys(text: str) -> bool:
-    """Return whether a text begins with a YAML or JSON key."""
-    lines = (line.strip() for line in text.splitlines())
-    first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
-    return bool(first == "{" or KEYED.match(first))
+    begin, *rows = text.splitlines() or [""]
+    is_tabular = any(map(ROW.match, rows)) or FIRST.match(begin)  # a row of numbers, a column name or a key
+    return TEXT if head and (ending in PROSE or (ending in COLUMNS and not is_tabular)) else None
 
 
 def next_step(kind: str, path: Path) -> str:

@@ -5,7 +5,7 @@ A file of another tool may have a variable of numbers per signal instead, as lon
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,15 @@ class Mat(Source):
             cure = "write it with -v7, or as HDF5 with one dataset a signal"
             raise InputError.at(path, f"is no MAT file of version 5 that can be read: {reason}; {cure}") from None
         if "names" in content:
-            return Table([*_own_columns(content)])
+            columns = [Column("time", "s", np.ravel(content["time"]).astype(np.float64))]
+            whole = np.ravel(content["whole"])
+            for k, head in enumerate(zip(_words(content["names"]), _words(content["units"]), strict=True)):
+                numbers: Array = np.ascontiguousarray(content["values"][:, k], dtype=np.float64)
+                columns.append(Column(*head, numbers.astype(np.int64) if whole[k] else numbers))
+            if "text" in content:
+                heads = zip(_words(content["text_names"]), _words(content["text_units"]), strict=True)
+                columns += [Column(*head, _words(content["text"][:, k])) for k, head in enumerate(heads)]
+            return Table(columns)
         columns = []
         for heading, values in content.items():
             if isinstance(values, np.ndarray) and values.dtype.kind in "biuf" and max(values.shape) == values.size:
@@ -84,19 +92,6 @@ class Mat(Source):
 
 
 MAT = Mat()
-
-
-def _own_columns(content: Mapping[str, Any]) -> Iterator[Column]:
-    """Yield the columns of a file written by `Mat.write`."""
-    yield Column("time", "s", np.ravel(content["time"]).astype(np.float64))
-    whole = np.ravel(content["whole"])
-    for k, (name, unit) in enumerate(zip(_words(content["names"]), _words(content["units"]), strict=True)):
-        values: Array = np.ascontiguousarray(content["values"][:, k], dtype=np.float64)
-        yield Column(name, unit, values.astype(np.int64) if whole[k] else values)
-    if "text" in content:
-        heads = zip(_words(content["text_names"]), _words(content["text_units"]), strict=True)
-        for k, (name, unit) in enumerate(heads):
-            yield Column(name, unit, _words(content["text"][:, k]))
 
 
 def _cells(texts: Sequence[str]) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -107,8 +107,15 @@ def entries(results: Path | None = None) -> list[Entry]:
     for entry, content in _results_within(root, Path(root.resolve().name), 0):
         by_name.setdefault(entry.of, []).append((entry, content))
     every: list[Entry] = []
+
+    def age(found: tuple[Entry, Mapping[str, Any]]) -> tuple[int, int]:
+        *before, last = found[0].name.split("/")
+        if not RUN_NUMBER.fullmatch(last):  # between runs of cosim 0.9 and new ones
+            return 1, 0
+        return (0 if before and before[-1] == EARLIER else 2), int(last)
+
     for group in by_name.values():
-        group.sort(key=lambda each: _age(each[0].name))
+        group.sort(key=age)
         before: Mapping[str, Any] = {}
         for entry, content in group:
             inputs = input_leaves(content)
@@ -116,16 +123,16 @@ def entries(results: Path | None = None) -> list[Entry]:
             every.append(replace(entry, changes=changes, is_newest=entry is group[-1][0]))
             before = inputs or before
     every.sort(key=lambda entry: (entry.time, entry.name))
-    numbers = _numbers_of([entry.name for entry in every], root)
-    return [replace(entry, number=number) for entry, number in zip(every, numbers, strict=True)]
-
-
-def _age(name: str) -> tuple[int, int]:
-    """Return the place of a run among those of its name: earlier ones of cosim 0.9, the folder itself, new ones."""
-    *before, last = name.split("/")
-    if not RUN_NUMBER.fullmatch(last):
-        return 1, 0
-    return (0 if before and before[-1] == EARLIER else 2), int(last)
+    lines = [entry.name.replace("\n", "\0") for entry in every]
+    known = numbered_lines(root)
+    if new := [line for line in lines if line not in known]:  # They get the next numbers, in their order.
+        with suppress(OSError):  # Commands that add lines at the same time agree: the first line of a name counts.
+            with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
+                stream.write("".join(f"{line}\n" for line in new))
+            known = numbered_lines(root)
+        for line in new:  # where the file cannot be written
+            known.setdefault(line, len(known) + 1)
+    return [replace(entry, number=known[line]) for entry, line in zip(every, lines, strict=True)]
 
 
 def _results_within(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
@@ -213,23 +220,6 @@ def _outcome(content: Mapping[str, Any]) -> str:
     if judged:
         return f"{sum(bool(c['met']) for c in judged)} of {len(judged)} criteria met"
     return next((content[key] for key in OUTCOMES if isinstance(content.get(key), str)), "")
-
-
-# -- numbers --------------------------------------------------------------------------------------
-
-
-def _numbers_of(names: Sequence[str], root: Path) -> list[int]:
-    """Return the number of each name; names without a number get the next ones, in their order."""
-    lines = [name.replace("\n", "\0") for name in names]
-    known = numbered_lines(root)
-    if new := [line for line in lines if line not in known]:
-        with suppress(OSError):  # Commands that add lines at the same time agree: the first line of a name counts.
-            with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
-                stream.write("".join(f"{line}\n" for line in new))
-            known = numbered_lines(root)
-        for line in new:  # where the file cannot be written
-            known.setdefault(line, len(known) + 1)
-    return [known[line] for line in lines]
 
 
 def numbered_lines(root: Path) -> dict[str, int]:

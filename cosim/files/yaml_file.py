@@ -146,13 +146,13 @@ class YamlFile:
                 faults.append(self.fault((*at, name), wrong_value(name, value, str(error))))
         return numbers, faults
 
-    def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
-        """Return the data at a location as a pydantic model; raise InputError with all faults."""
+    def validate(self, model: type[M], data: Any = None) -> M:
+        """Return the data, by default the whole, as a pydantic model; raise InputError with all faults."""
         data = self.root if data is None else data
         try:
             return model.model_validate(data)
         except ValidationError as error:
-            raise InputError(self._faults(model, error, data, at)) from None
+            raise InputError(self._faults(model, error, data)) from None
 
     def partly(self, model: type[M], first: str) -> tuple[M, list[Fault]]:
         """Return the document as a model without its faulty parts, and the faults.
@@ -183,14 +183,27 @@ class YamlFile:
         except ValidationError:
             raise InputError(faults) from None
 
-    def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
-        errors = _errors_of_branches(error.errors(include_url=False), data)
+    def _faults(self, model: type[BaseModel], error: ValidationError, data: Any) -> list[Fault]:
+        # Of each union, the intended branch counts: one with nested errors fits the form of the value.
+        # If none fits, the first error holds the rest as `else`.
+        every: list[Any] = error.errors(include_url=False)
+        places = [location_in(data, e["loc"], e["type"]) for e in every]
+        parents = {place[:k] for place in places for k in range(len(place))}
+        misfits: dict[Location, Any] = {}
+        errors: list[Any] = []
+        for each, place in zip(every, places, strict=True):
+            if each["type"] not in _FORMS:
+                errors.append(each)
+            elif place in misfits:
+                misfits[place]["else"].append(each)
+            elif place not in parents:
+                misfits[place] = {**each, "else": []}
+                errors.append(misfits[place])
         faults = []
         for each in errors[:MOST_FAULTS]:
-            within = location_in(data, each["loc"], each["type"])
-            location = (*at, *within)
+            location = location_in(data, each["loc"], each["type"])
             name = ".".join(map(short, location)) or "it"
-            is_key = "[key]" in each["loc"][len(within) :]
+            is_key = "[key]" in each["loc"][len(location) :]
             if each["type"] == "missing":
                 location, message = location[:-1], f'"{name}" is missing; add it'
             elif each["type"] == "extra_forbidden":
@@ -281,26 +294,6 @@ _WORDS = {
     "int_type": "it should be a whole number",
     "int_parsing_size": "it should be a smaller number",
 }
-
-
-def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
-    """Return errors of the intended branch of each union.
-
-    A branch with nested errors fits the form of the value. If no branch fits, the first error holds the rest as `else`.
-    """
-    misfits: dict[Location, Any] = {}
-    selection = []
-    places = [location_in(data, e["loc"], e["type"]) for e in errors]
-    parents = {place[:k] for place in places for k in range(len(place))}
-    for error, place in zip(errors, places, strict=True):
-        if error["type"] not in _FORMS:
-            selection.append(error)
-        elif place in misfits:
-            misfits[place]["else"].append(error)
-        elif place not in parents:
-            misfits[place] = {**error, "else": []}
-            selection.append(misfits[place])
-    return selection
 
 
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}

@@ -16,12 +16,12 @@ ARTEFACTS = (
         schema="cosim.fmi.building.file:ModelFile",
         schema_name="model",
         title="cosim model file",
-        check="cosim.fmi.building.substep:check_model_file",
+        check="cosim.fmi.building.substep:check_model",
     ),
     Artefact(
         CODE,
         "`cosim build --model {file}:Class` builds its FMU, a study names it as model:",
         endings=(".py",),
-        check="cosim.fmi.building.substep:check_model_class",
+        check="cosim.fmi.building.substep:check_model",
     ),
 )

@@ -12,16 +12,15 @@ import re
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.core.drafts import draft_of
 from cosim.core.scratch import temporary_folder
 from cosim.core.version import __version__
-from cosim.fmi.documentation import ASSETS, documentation, model_text
-from cosim.fmi.model_description import Description, complete
+from cosim.fmi.model_description import ASSETS, Description, complete, documentation, model_text
 from cosim.fmi.ports import Value, with_starts
 from cosim.model.model import Model
 from cosim.model.traits import Traits
@@ -117,7 +116,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     from pythonfmu.builder import FmuBuilder
 
     sources = dict(_sources(recipe))
-    _, class_name = recipe.slave
+    module, class_name = recipe.slave
     identity: tuple[object, ...] = (recipe.slave, recipe.values)
     if recipe.own:
         class_name = f"{recipe.own[1]}Plant"
@@ -136,24 +135,8 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
         source = re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
         file.write_bytes(source.encode())
     script = folder / f"{package}_slave.py"
-    script.write_text(_script(recipe, package, class_name), encoding="utf-8")
-    path, modules, keeps_none = list(sys.path), set(sys.modules), sys.dont_write_bytecode
-    sys.dont_write_bytecode = True  # the folder is temporary
-    try:
-        draft = folder / "draft.fmu"
-        FmuBuilder.build_FMU(script, draft, [folder / package])
-        return draft
-    finally:
-        sys.path[:], sys.dont_write_bytecode = path, keeps_none
-        for name in set(sys.modules) - modules:
-            if name.startswith(package):
-                del sys.modules[name]
-
-
-def _script(recipe: Recipe, package: str, class_name: str) -> str:
-    """Return pythonfmu's script: the slave class with changed defaults."""
-    module, base = recipe.slave
-    lines = [f"from {package}.cosim.fmi.lifetime import keep", f"from {package}.{module} import {base} as Base"]
+    lines = [f"from {package}.cosim.fmi.lifetime import keep"]
+    lines.append(f"from {package}.{module} import {recipe.slave[1]} as Base")
     has_substep = recipe.substep is not None or recipe.integrator is not None
     has_model = bool(recipe.values or recipe.own or has_substep)
     if has_model:
@@ -170,7 +153,18 @@ def _script(recipe: Recipe, package: str, class_name: str) -> str:
         lines += ["", f"    model = {model}", "    ports = model_ports(model)"]
     if recipe.starts:
         lines += ["", f"    ports = with_starts(Base.ports, {dict(recipe.starts)!r})"]
-    return "\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n"
+    script.write_text("\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n", encoding="utf-8")
+    path, modules, keeps_none = list(sys.path), set(sys.modules), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True  # the folder is temporary
+    try:
+        draft = folder / "draft.fmu"
+        FmuBuilder.build_FMU(script, draft, [folder / package])
+        return draft
+    finally:
+        sys.path[:], sys.dont_write_bytecode = path, keeps_none
+        for name in set(sys.modules) - modules:
+            if name.startswith(package):
+                del sys.modules[name]
 
 
 def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
@@ -188,21 +182,17 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
             continue
         if name in printed:
             modules[name] = (f"{name.replace('.', '/')}.py", printed[name].encode())
-        elif (spec := _spec(name)) is not None and spec.origin is not None:
+            continue
+        spec = None
+        with suppress(ModuleNotFoundError):  # an object in a module
+            spec = find_spec(name)
+        if spec is not None and spec.origin is not None:
             path = f"{name.replace('.', '/')}{'/__init__' if spec.submodule_search_locations is not None else ''}.py"
             # The framework's own __init__ is the whole command line, not needed in an FMU.
             modules[name] = (path, b"" if name == FRAMEWORK else Path(spec.origin).read_bytes())
             queue += [*_imports(modules[name][1]), name.rpartition(".")[0]]
     yield "__init__.py", b""
     yield from modules.values()
-
-
-def _spec(name: str) -> ModuleSpec | None:
-    """Return a module's import spec, None if the name is not a module but an object in one."""
-    try:
-        return find_spec(name)
-    except ModuleNotFoundError:
-        return None
 
 
 def _imports(source: bytes) -> Iterator[str]:

@@ -18,8 +18,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
-from cosim.estimation.subject.base_parameters import kind_within
-from cosim.estimation.subject.candidates import Candidate, Kind
+from cosim.estimation.subject.candidates import Candidate, Kind, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
 from cosim.refinement.decision.sentences import sentence

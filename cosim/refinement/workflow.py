@@ -19,6 +19,7 @@ from cosim.core.errors import Fault, TimedOut, refuse
 from cosim.core.text import counted, join_names, plain
 from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import Fit, initial_fit
+from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.nameless import RATE
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import drop_own_parameters
@@ -26,7 +27,6 @@ from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, noise_warnings, sensor_noise
-from cosim.estimation.start_states import with_likely_starts
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject, Workplace
 from cosim.files.files import (

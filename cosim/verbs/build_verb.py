@@ -26,7 +26,7 @@ def command(*, json: bool = False, **given: Any) -> None:
     """
     given["platforms"] = [p.strip() for text in given["platforms"] for p in text.split(",") if p.strip()]
     if given.pop("native"):
-        from cosim.fmi.building.build_native import build_native
+        from cosim.fmi.building.build import build_native
 
         fmus = build_native(**given, tell=warn)
         say(*(fmu.sentence for fmu in fmus))

@@ -5,7 +5,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from cosim.fmi.building.build_native import build_native
+from cosim.fmi.building.build import build_native
 
 HERE = Path(__file__).parent
 CLASSES = {"chassis": "Chassis", "wheel": "Wheel", "battery": "Battery", "converter": "Converter"}

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import cosim.fmi.native
 from cosim.core.arrays import Array, Rows
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated
 from cosim.fmi.native.compiler import load_library
 
 NATIVE = Path(cosim.fmi.native.__file__).parent
@@ -23,6 +24,7 @@ class _Log(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("step", "start")),
         *((name, ctypes.c_void_p) for name in ("u", "y", "ramps", "late", "lags")),
     )
+    arrays: list[Array]  # to which it has addresses
 
 
 class CompiledKernel:
@@ -51,47 +53,44 @@ class CompiledKernel:
         filtered = np.full((state_rows, len(self.layout.states)), np.nan)
         memory = np.full((state_rows, self.layout.memory), np.nan)
         covariances = np.full((state_rows, *[len(self.layout.stochastic)] * 2), np.nan)
-        past = [_contiguous(np.empty(0) if a is None else a) for a in (data.late, data.lags)]
-        u, y, ramps = _contiguous(data.u), _contiguous(data.y), self._ramps(data)
         inputs = [_contiguous(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
         arrays = [_address(a) for a in (*inputs, errors, variances, filtered, memory, covariances)]
-        done = self._library.filter(ctypes.byref(_log(data, u, y, ramps, *past)), *arrays)
+        done = self._library.filter(ctypes.byref(self._log(data, data.y, data.late, data.lags)), *arrays)
         if done < rows:
             errors[done:], variances[done:] = np.inf, 1.0
         return Filtered(errors, variances, filtered, memory, covariances)
 
     def simulate(
-        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
         rows, nx = len(data.u), len(self.layout.states)
         outputs, states = np.full((rows, len(self.layout.outputs)), np.nan), np.full((rows, nx), np.nan)
         memories = np.zeros((rows, self.layout.memory))
-        u, ramps, nothing = _contiguous(data.u), self._ramps(data), np.empty(0)
         inputs = [_contiguous(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
         arrays = [_address(a) for a in (*inputs, outputs, states, memories)]
-        self._library.simulate(ctypes.byref(_log(data, u, nothing, ramps, nothing, nothing)), first, *arrays)
+        self._library.simulate(ctypes.byref(self._log(data)), first, *arrays)
         return Simulated(outputs, states, memories)
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
         rows, (nx, ny) = np.ascontiguousarray(points[0], np.int32), (len(self.layout.states), len(self.layout.outputs))
         outputs, following = np.empty((len(rows), ny)), np.empty((len(rows), nx))
-        u, ramps, nothing = _contiguous(data.u), self._ramps(data), np.empty(0)
         arrays = [_contiguous(a) for a in (p, *points[1:])]
         arrays += [np.empty((back + 2, ny)), np.empty((back + 2, nx)), outputs, following]
-        log = _log(data, u, nothing, ramps, nothing, nothing)
-        self._library.single_steps(ctypes.byref(log), len(rows), rows.ctypes.data, back, *map(_address, arrays))
+        log, addresses = self._log(data), [*map(_address, arrays)]
+        self._library.single_steps(ctypes.byref(log), len(rows), rows.ctypes.data, back, *addresses)
         return following, outputs
 
-    def _ramps(self, data: Data) -> Array:
-        """Return the flags of interpolated inputs for C."""
-        return np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
-
-
-def _log(data: Data, *arrays: Array) -> _Log:
-    times = (len(data.u), data.substeps, data.settle, data.step, data.start)
-    return _Log(*times, *map(_address, arrays))
+    def _log(self, data: Data, y: Array | None = None, late: Array | None = None, lags: Array | None = None) -> _Log:
+        """Return a log for C, by default without readings; it keeps its arrays."""
+        u, *past = (_contiguous(np.empty(0) if a is None else a) for a in (data.u, y, late, lags))
+        ramps: Any = np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
+        arrays = [u, past[0], ramps, *past[1:]]
+        times = len(data.u), data.substeps, data.settle, data.step, data.start
+        log = _Log(*times, *map(_address, arrays))
+        log.arrays = arrays
+        return log
 
 
 def _contiguous(a: Array) -> Array:
@@ -106,15 +105,17 @@ def _address(a: Array) -> int | None:
 def _source(generated: Generated) -> str:
     """Return the C source of the filter: sizes, generated functions and hand-written code."""
     stepped, library = generated.stepped, generated.library
-    sizes = _sizes(generated.layout) | {"STIFF": str(int(generated.stiff)), "STEPPED": str(int(stepped))}
-    before = []
+    layout, before = generated.layout, list[Path]()
+    groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
+    numbers = {name: len(group) for name, group in groups.items()} | {"NM": layout.memory, "DELAY": layout.delay}
+    sizes = {name: f"({number})" for name, number in numbers.items()}
+    sizes["STOCHASTIC"] = f"{{{', '.join(map(str, layout.stochastic or (0,)))}}}"
+    sizes |= {"STIFF": str(int(generated.stiff)), "STEPPED": str(int(stepped))}
     if library is not None:
         states, _, outputs = library
         sizes |= {"NB": f"({outputs if stepped else states})", "NL": f"({outputs})"}
-        names = "library_calls.c", "stepped_library.c" if stepped else "library.c"
-        before = [_text(FOLDER / name) for name in names]
+        before = [FOLDER / "library_calls.c", FOLDER / ("stepped_library.c" if stepped else "library.c")]
     if stepped:
-        layout = generated.layout
         sizes["UNNAMED"] = str(int(generated.unnamed))
         sizes["LASTING"] = f"({layout.parameters.index(MEMORY)})"
         sizes["POSITIONS"] = f"({len(layout.positions)})"
@@ -122,20 +123,8 @@ def _source(generated: Generated) -> str:
             "READ_PLACES": layout.positions,
             "RUN_PLACES": [layout.states.index(layout.outputs[k]) for k in layout.positions],
         }
-        sizes |= {name: f"{{{', '.join(map(str, numbers or (0,)))}}}" for name, numbers in places.items()}
+        sizes |= {name: f"{{{', '.join(map(str, each or (0,)))}}}" for name, each in places.items()}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    own = "lags.c", "free_run.c" if stepped else "filter.c"
-    bodies = [_text(NATIVE / "step.c"), *(_text(FOLDER / name) for name in own)]
-    return "\n".join(("#include <math.h>", head, *before, generated.source, *bodies))
-
-
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
-
-
-def _sizes(layout: Layout) -> dict[str, str]:
-    """Return name → value of constants in the C source."""
-    groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
-    numbers = {name: len(group) for name, group in groups.items()} | {"NM": layout.memory, "DELAY": layout.delay}
-    places = ", ".join(map(str, layout.stochastic or (0,)))
-    return {name: f"({number})" for name, number in numbers.items()} | {"STOCHASTIC": f"{{{places}}}"}
+    after = NATIVE / "step.c", FOLDER / "lags.c", FOLDER / ("free_run.c" if stepped else "filter.c")
+    first, last = ([path.read_text(encoding="utf-8") for path in paths] for paths in (before, after))
+    return "\n".join(("#include <math.h>", head, *first, generated.source, *last))

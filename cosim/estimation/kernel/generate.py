@@ -50,23 +50,6 @@ class Generated:
     unnamed: bool = False
 
 
-@dataclass(frozen=True)
-class Reach:
-    """States of the base model, classified by influence of process noise and influence on measured outputs.
-
-    Attributes:
-        forced: States with process noise and influence on a measured output.
-        uncertain: States reached by the noise, with influence on a measured output; includes `forced`.
-        drifting: States reached by the noise, without influence on a measured output.
-        driven: States with influence on a measured output, unreached by the noise.
-    """
-
-    forced: tuple[str, ...]
-    uncertain: tuple[str, ...]
-    drifting: frozenset[str]
-    driven: tuple[str, ...]
-
-
 def generate(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> Generated:
     """Return the C functions for a model and the outputs of a log.
 
@@ -78,14 +61,24 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     import sympy
     from sympy import srepr
 
-    body, reach = Body.of(model), _reach(model, measured)
-    rates = _rates(body)
-    shapes = _add_nameless(body, reach) if unnamed else []
+    body, (forced, uncertain, drifting, driven) = Body.of(model), _reach(model, measured)
+    equal = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
+    rates = {name: equal[e] for name, e in body.derivative.items() if e in equal}
+    shapes: list[LocalShape] = []
+    if unnamed:
+        sums, shapes = _nameless(body, Known.of(body.symbols, excluded=drifting), forced)
+        body.derivative.update({state: body.derivative[state] + term for state, term in sums.items()})
     _add_sensor_errors(body, model)
-    body = _add_disturbances(body, reach)
-    body, carrying = _with_constants(body, reach, measured, constant)
-    names, unknown = list(body.derivative), [DISTURBANCE + n for n in reach.forced]
-    random = (*reach.uncertain, *unknown, *carrying, *(CONSTANT + n for n in constant))
+    if forced:  # an unknown input as additional state in each forced equation
+        lasting = body.parameter(MEMORY)
+        added = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in forced}
+        for name, d in added.items():
+            body.derivative[name] += d
+            body.derivative[DISTURBANCE + name] = -d / lasting
+        body = replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *added.values())))
+    body, carrying = _with_constants(body, driven, measured, constant)
+    names, unknown = list(body.derivative), [DISTURBANCE + n for n in forced]
+    random = (*uncertain, *unknown, *carrying, *(CONSTANT + n for n in constant))
     stochastic = tuple(names.index(n) for n in random)
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
@@ -104,10 +97,10 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         inputs=tuple(q.name for q in model.inputs),
         outputs=tuple(measured),
         stochastic=stochastic,
-        noisy=tuple(range(len(reach.uncertain), len(reach.uncertain) + len(unknown))),
+        noisy=tuple(range(len(uncertain), len(uncertain) + len(unknown))),
         memory=len(body.shaping.remembered),
         delay=body.delay,
-        driven=tuple(names.index(n) for n in reach.driven),
+        driven=tuple(names.index(n) for n in driven),
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
     )
@@ -141,7 +134,20 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
         x = [near.get(prefix + n, sympy.Symbol(f"no {prefix}{n}")) for prefix in ("", RATE) for n in measured]
         of_outputs = replace(body, symbols=replace(body.symbols, state=tuple(x)))
         texts.append(of_outputs.function(C(), "add_unnamed", [*sums.values()], _stages(shapes)))
-    along, places = _forces_along_positions(model)
+    # parameter → neutral value of the terms that depend on a position or level, and the names of these
+    m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)
+    along, places = dict[str, float](), dict[str, None]()
+    for kind in model.catalogue:
+        if not issubclass(kind, (Force, RateTerm)):
+            continue
+        declared = parameters_of(kind)
+        term = kind(**{p.name: sympy.Symbol(f"p:{p.name}", real=True) for p in declared})
+        with number_guard(smooth=True):
+            force = sympy.sympify(term.force(m, at, speed) if isinstance(term, Force) else term.rate(m, at))
+        if at in force.free_symbols:
+            along |= {f"{kind.name}.{p.name}": p.neutral for p in declared if p.neutral is not None}
+            place = kind.place.position if issubclass(kind, Force) else kind.place.state
+            places[model.outputs[place].name] = None
     prefixes = (EARLIER, DISTURBANCE, DEVIATION)
     states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
     layout = Layout(
@@ -161,26 +167,6 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
     return Generated(
         layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True, unnamed=unnamed
     )
-
-
-def _forces_along_positions(model: FmuModel) -> tuple[dict[str, float], list[str]]:
-    """Return parameter → neutral value of the terms that depend on a position or level, and the names of these."""
-    import sympy
-
-    m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)
-    sizes, places = dict[str, float](), dict[str, None]()
-    for kind in model.catalogue:
-        if not issubclass(kind, (Force, RateTerm)):
-            continue
-        declared = parameters_of(kind)
-        term = kind(**{p.name: sympy.Symbol(f"p:{p.name}", real=True) for p in declared})
-        with number_guard(smooth=True):
-            force = sympy.sympify(term.force(m, at, speed) if isinstance(term, Force) else term.rate(m, at))
-        if at in force.free_symbols:
-            sizes |= {f"{kind.name}.{p.name}": p.neutral for p in declared if p.neutral is not None}
-            place = kind.place.position if issubclass(kind, Force) else kind.place.state
-            places[model.outputs[place].name] = None
-    return sizes, [*places]
 
 
 def _library_inputs(body: Body) -> list[Any]:
@@ -224,12 +210,6 @@ def _print_functions(
     return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
 
 
-def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
-    sums, shapes = _nameless(body, Known.of(body.symbols, excluded=reach.drifting), reach.forced)
-    body.derivative.update({state: body.derivative[state] + term for state, term in sums.items()})
-    return shapes
-
-
 def _nameless(body: Body, known: Known, forced: Sequence[str]) -> tuple[dict[str, Any], list[LocalShape]]:
     """Return the unnamed terms of each forced equation, and their local shapes; their parameters are added."""
     import sympy
@@ -264,12 +244,6 @@ def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
     return slope
 
 
-def _rates(body: Body) -> dict[str, str]:
-    """Return state → state equal to its derivative."""
-    names = {symbol: q.name for q, symbol in zip(body.symbols.model.states, body.symbols.state, strict=False)}
-    return {name: names[e] for name, e in body.derivative.items() if e in names}
-
-
 def _add_sensor_errors(body: Body, model: Model) -> None:
     import sympy
 
@@ -284,22 +258,8 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
         body.outputs.update({name: sympy.sympify(e) for name, e in readings.items()})
 
 
-def _add_disturbances(body: Body, reach: Reach) -> Body:
-    """Return the equations with an unknown input as additional state in each forced equation."""
-    import sympy
-
-    if not reach.forced:
-        return body
-    memory = body.parameter(MEMORY)
-    unknown = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in reach.forced}
-    for name, d in unknown.items():
-        body.derivative[name] += d
-        body.derivative[DISTURBANCE + name] = -d / memory
-    return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *unknown.values())))
-
-
 def _with_constants(
-    body: Body, reach: Reach, measured: Sequence[str], constant: Sequence[str]
+    body: Body, driven: Sequence[str], measured: Sequence[str], constant: Sequence[str]
 ) -> tuple[Body, tuple[str, ...]]:
     """Return the equations with parameters as constant states, and the states that become uncertain thereby."""
     import sympy
@@ -312,7 +272,7 @@ def _with_constants(
     places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
     between = _downstream(body, places) & _upstream(body, [body.outputs[n] for n in measured])
     # base states coupled only by an effect are excluded, as for noise
-    apart = {q.name for q in body.symbols.model.base_states} - {*reach.driven}
+    apart = {q.name for q in body.symbols.model.base_states} - {*driven}
     carrying = tuple(
         n for k, n in enumerate(body.derivative) if k in between and not (n in apart or n.startswith(DISTURBANCE))
     )
@@ -320,10 +280,14 @@ def _with_constants(
     return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), carrying
 
 
-def _reach(model: Model, measured: Sequence[str]) -> Reach:
-    """Return the states reached by process noise without effects.
+def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str], frozenset[str], list[str]]:
+    """Return the states of the base model by influence of process noise, and influence on a measured output.
 
-    The filter's covariance thus ignores couplings between states that only effects cause.
+    Without effects, the filter's covariance ignores couplings between states that only effects cause.
+
+    Returns:
+        States with process noise and influence, all states reached by the noise with influence, those reached without
+        influence, and unreached ones with influence.
     """
     body = Body.of(replace(model, effects=()), effects=False)
     names = list(body.derivative)
@@ -331,11 +295,11 @@ def _reach(model: Model, measured: Sequence[str]) -> Reach:
     outputs = [body.outputs[n] for n in measured]
     reached, reaching = _downstream(body, forced), _upstream(body, outputs)
     both = sorted(reached & reaching)
-    return Reach(
-        tuple(names[k] for k in forced if k in both),
-        tuple(names[k] for k in both),
+    return (
+        [names[k] for k in forced if k in both],
+        [names[k] for k in both],
         frozenset(names[k] for k in reached - reaching),
-        tuple(names[k] for k in sorted(reaching - reached)),
+        [names[k] for k in sorted(reaching - reached)],
     )
 
 

@@ -75,11 +75,6 @@ class Layout:
         return [k for k, name in enumerate(self.states) if name.startswith(START)]
 
     @property
-    def deviation_places(self) -> list[int]:
-        """Return the indices of the deviations of a free run's outputs."""
-        return [k for k, name in enumerate(self.states) if name.startswith(DEVIATION)]
-
-    @property
     def forced_places(self) -> list[int]:
         """Return the indices of the states with forced equations."""
         return [self.states.index(name) for name in self.forced]

@@ -19,9 +19,9 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Rows
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated, steps_one_by_one
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated, steps_one_by_one
 from cosim.estimation.kernel.nameless import LOCAL, PREFIX
-from cosim.estimation.kernel.propagation import lasting, propagations
+from cosim.estimation.kernel.propagation import propagations
 from cosim.fmi.description import reals, takes_any_step
 from cosim.isolation.limits import Limits
 from cosim.terms.language import Direction
@@ -149,7 +149,11 @@ class LibraryKernel(CompiledKernel):
             self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
         follows = any(p[k] != neutral for k, neutral in self._along.items())
-        run = self._nothing(len(data.u)) if follows and not _asks_past(data) else self._free_run(data, p, x0)
+        if follows and not _asks_past(data):  # the filter makes the run
+            counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
+            run = Simulated(*(np.zeros((len(data.u), count)) for count in counts))
+        else:
+            run = self._free_run(data, p, x0)
         own = run.outputs, self._bends(data, p, x0, run.outputs), run.states, run.memory
         arrays = [np.array(a, np.float64, order="C") for a in (*own, *self.responses(data, x0))]
         if follows:
@@ -157,24 +161,12 @@ class LibraryKernel(CompiledKernel):
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays), int(follows))
         return super().run(data, p, x0, P0, q, r, states=states)
 
-    def run_all(self, inputs: Sequence[Inputs]) -> list[Filtered]:
-        """Filter several logs."""
-        return [self.run(*each) for each in inputs]
-
     def simulate(
-        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
         self._use(p, data, x0)
         return super().simulate(data, p, x0, memory, kicks, first=first)
-
-    def simulate_all(self, begins: Sequence[Begin]) -> list[Simulated]:
-        """Simulate several times."""
-        return [self.simulate(*each[:5], first=each[5]) for each in begins]
-
-    def propagation(self, data: Data, x0: Array) -> Array:
-        """Return the matrices by which deviations of a free run go on that no reading corrects, as `propagations`."""
-        return lasting(self.responses(data, x0)[1])
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
@@ -192,11 +184,6 @@ class LibraryKernel(CompiledKernel):
         self._runs.append((key, run))
         return run
 
-    def _nothing(self, rows: int) -> Simulated:
-        """Return arrays for a run that the filter makes."""
-        counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
-        return Simulated(*(np.zeros((rows, count)) for count in counts))
-
     def _bends(self, data: Data, p: Array, x0: Array, outputs: Array) -> Array:
         """Return the distance of the outputs, halfway to each row, from a line; 0 if no reading is of the past.
 
@@ -206,7 +193,7 @@ class LibraryKernel(CompiledKernel):
         if not _asks_past(data) or (substeps % 2 and not takes_any_step(self._fmu.description)):
             return bends
         u = np.repeat(data.u, 2, axis=0)[:-1]
-        ramps = self._ramps(data) > 0
+        ramps = np.array([name in data.interpolated for name in self.layout.inputs], bool)
         u[1::2, ramps] = 0.5 * (data.u[:-1, ramps] + data.u[1:, ramps])
         half = replace(data, u=u, step=0.5 * data.step, substeps=max(1, substeps // 2), late=None, lags=None)
         between = self._free_run(half, p, x0).outputs[1::2]

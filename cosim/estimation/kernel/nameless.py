@@ -10,7 +10,7 @@ bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. Wit
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from cosim.core.units import unit_of_rate
@@ -49,25 +49,18 @@ class Known:
             excluded: States that drift unobserved, which cannot be regressors.
         """
         states = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in excluded]
-        known = cls(s.time, states, [*zip(s.model.inputs, s.command, strict=True)])
-        return known._of_outputs(s.model, measured) if isinstance(s.model, FmuModel) and s.model.stepped else known
+        rates: dict[str, str] = {}
+        if isinstance(s.model, FmuModel) and s.model.stepped:
+            import sympy
 
-    def _of_outputs(self, model: FmuModel, measured: Container[str] | None) -> Known:
-        """Return the signals with measured outputs and their rates as states."""
-        states = [(q, x) for q, x in self.states if measured is None or q.name in measured]
-        names, known = [q.name for q in model.base_states], {q.name for q, _ in states}
-        rates = {names[k]: names[v] for k, v in model.rates.items() if {names[k], names[v]} <= known}
-        new = [_rate_of(q) for q, _ in states if q.name not in {*rates, *rates.values()}]
-        rates |= {q.name.removeprefix(RATE): q.name for q, _ in new}
-        return replace(self, states=[*states, *new], rates=rates)
-
-
-def _rate_of(q: Quantity) -> tuple[Quantity, Any]:
-    """Return the rate of an output as a signal with its symbol."""
-    import sympy
-
-    rate = Quantity(f"{RATE}{q.name}", unit_of_rate(q.unit), f"rate of {q.doc or q.name}")
-    return rate, sympy.Symbol(f"state:{rate.name}", real=True)
+            states = [(q, x) for q, x in states if measured is None or q.name in measured]
+            names, known = [q.name for q in s.model.base_states], {q.name for q, _ in states}
+            rates = {names[k]: names[v] for k, v in s.model.rates.items() if {names[k], names[v]} <= known}
+            for q in [q for q, _ in states if q.name not in {*rates, *rates.values()}]:
+                rate = Quantity(f"{RATE}{q.name}", unit_of_rate(q.unit), f"rate of {q.doc or q.name}")
+                states.append((rate, sympy.Symbol(f"state:{rate.name}", real=True)))
+                rates[q.name] = rate.name
+        return cls(s.time, states, [*zip(s.model.inputs, s.command, strict=True)], rates)
 
 
 def bases(known: Known) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from cosim.core.errors import SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated
 from cosim.estimation.kernel.kernel import Begin, Data, Filtered, Inputs, Simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
+from cosim.estimation.kernel.propagation import lasting
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
 from cosim.isolation.watch import Watch
@@ -40,23 +41,15 @@ class HostedKernel:
         claim(fmu.path)
         self._kernel = LibraryKernel(generated, fmu, parameters)
 
-    def call(
-        self, method: str, passes: Sequence[tuple[Any, ...]], options: Mapping[str, Any], *, at_once: bool
-    ) -> tuple[Any, float]:
-        """Call a method with the arguments of a pass, or of all at once; return result and processor time [s]."""
-        begin = time.process_time()
-        whole = [(self._log(*log), *arguments) for log, *arguments in passes]
-        result = getattr(self._kernel, method)(*([whole] if at_once else whole[0]), **options)
-        return result, time.process_time() - begin
-
-    @staticmethod
-    def _log(number: tuple[int, int], data: Data | None) -> Data:
-        if data is None:
-            return _kept[number]
-        _kept[number] = data
-        for oldest in [*_kept][:-MOST_KEPT]:
-            del _kept[oldest]
-        return data
+    def call(self, method: str, passes: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], float]:
+        """Call a method with the log and arguments of each pass; return results and processor time [s]."""
+        begin, results = time.process_time(), []
+        for (number, sent), *arguments in passes:
+            data = _kept[number] = _kept[number] if sent is None else sent
+            for oldest in [*_kept][:-MOST_KEPT]:
+                del _kept[oldest]
+            results.append(getattr(self._kernel, method)(data, *arguments, **options))
+        return results, time.process_time() - begin
 
 
 class _Workers:
@@ -70,10 +63,10 @@ class _Workers:
         self._idle: queue.LifoQueue[tuple[Worker, dict[int, Remote], dict[tuple[int, int], Data]]] = queue.LifoQueue()
         self.spent, self._numbers = 0.0, itertools.count()
 
-    def call(self, kernel: RemoteLibraryKernel, method: str, arguments: Any, **options: Any) -> Any:
-        """Return the result of a kernel's method; raise SimulationError if the FMU fails, crashes or hangs."""
-        at_once = isinstance(arguments, list)
-        passes = arguments if at_once else [arguments]
+    def call(
+        self, kernel: RemoteLibraryKernel, method: str, passes: Sequence[tuple[Any, ...]], **options: Any
+    ) -> list[Any]:
+        """Return the results of a kernel's method by log; raise SimulationError if the FMU fails, crashes or hangs."""
         try:
             worker, kernels, known = self._idle.get_nowait()
         except queue.Empty:
@@ -84,10 +77,10 @@ class _Workers:
             remote = kernels.setdefault(kernel.number, Remote(worker, HostedKernel, *kernel.recipe))
             remote.make(watch)
             sent = [(self._sent(log, worker, known), *rest) for log, *rest in passes]
-            result, spent = remote.call("call", method, sent, options, at_once=at_once, watch=watch)
+            results, spent = remote.call("call", method, sent, options, watch=watch)
             self.spent += spent
             kernel.pace.longest = max(kernel.pace.longest, spent)
-            return result
+            return list(results)
         except TimedOut:
             self.spent += time.perf_counter() - begin  # It may sleep, and a fit must end in time all the same.
             kernel.pace.has_hung = True
@@ -159,7 +152,7 @@ class RemoteLibraryKernel:
     def _try(self, method: str, arguments: Any, diverged: Callable[[], Any], **options: Any) -> Any:
         """Return the result of a method, or that of `diverged` if the FMU fails."""
         try:
-            return workers.call(self, method, arguments, **options)
+            return workers.call(self, method, [arguments], **options)[0]
         except SimulationError as error:
             self.failures.append(error)
             return diverged()
@@ -179,43 +172,40 @@ class RemoteLibraryKernel:
     def run_all(self, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
         """Filter several logs; one after the other if the FMU fails, none if it hangs."""
         try:
-            filtered: Sequence[Filtered] = workers.call(self, "run_all", [*inputs])
+            return workers.call(self, "run", inputs)
         except TimedOut as error:
             self.failures.append(error)
             return [self._diverged(data) for data, *_ in inputs]
         except SimulationError:
             return [self.run(*each) for each in inputs]
-        return filtered
 
     def simulate(
-        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
+        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
         counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
         simulated: Simulated = self._try(
             "simulate",
-            (data, p, x0, memory, kicks),
+            (data, p, x0, memory, kicks, first),
             lambda: Simulated(*(_nothing(len(data.u), count) for count in counts)),
-            first=first,
         )
         return simulated
 
     def simulate_all(self, begins: Sequence[Begin]) -> Sequence[Simulated]:
         """Simulate several times, one after the other if the FMU fails."""
         try:
-            simulated: Sequence[Simulated] = workers.call(self, "simulate_all", [*begins])
+            return workers.call(self, "simulate", begins)
         except SimulationError:
-            return [self.simulate(*each[:5], first=each[5]) for each in begins]
-        return simulated
+            return [self.simulate(*each) for each in begins]
 
     def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""
-        slopes, propagation = workers.call(self, "responses", (data, x0))
-        return np.asarray(slopes), np.asarray(propagation)
+        ((slopes, propagation),) = workers.call(self, "responses", [(data, x0)])
+        return slopes, propagation
 
     def propagation(self, data: Data, x0: Array) -> Array:
-        """Return the matrices by which deviations of the outputs of a free run go on, as `propagation`."""
-        return np.asarray(workers.call(self, "propagation", (data, x0)))
+        """Return the matrices by which deviations of a free run go on that no reading corrects, as `propagations`."""
+        return lasting(self.responses(data, x0)[1])
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""

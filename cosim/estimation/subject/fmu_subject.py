@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.core.errors import InputError
+from cosim.estimation.data import start_state
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
@@ -23,7 +24,6 @@ from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.estimation.subject.model_subject import FILES, ModelSubject
 from cosim.estimation.subject.probed_model import probed_model
-from cosim.estimation.subject.start_state import start_state
 from cosim.fmi.building.file import LoadedModel
 from cosim.fmi.description import read_description, takes_any_step
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
@@ -62,6 +62,7 @@ class FmuSubject(ModelSubject):
         limits: Limits of a pass of the filter over a log.
     """
 
+    model: FmuModel
     probed = True
 
     def __init__(self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS) -> None:
@@ -106,14 +107,9 @@ class FmuSubject(ModelSubject):
         return cls(LoadedModel(probed_model(structure, logs, terms), str(structure.fmu)), structure, limits)
 
     @property
-    def _fmu_model(self) -> FmuModel:
-        assert isinstance(self.model, FmuModel)
-        return self.model
-
-    @property
     def names(self) -> dict[str, str]:
         """Return variable of the FMU → name in the model."""
-        return {variable: name for name, variable in self._fmu_model.variables.items()}
+        return {variable: name for name, variable in self.model.variables.items()}
 
     @property
     def traits(self) -> Traits:
@@ -154,7 +150,7 @@ class FmuSubject(ModelSubject):
         """Return an FMU for a kernel, with the usual sizes and the start parameters."""
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
         starts = tuple((s.name, s.size) for s in self.structure.starts)
-        model = self._fmu_model
+        model = self.model
         turned = [k for k in model.catalogue if issubclass(k, Force) and k.place.direction is not None]
         neutral = {f"{k.name}.{p.name}": p.neutral for k in turned for p in parameters_of(k) if p.neutral is not None}
         return LibraryOf(fmu, description, sizes, starts, self.values, self.limits, model.directions, neutral)
@@ -199,7 +195,7 @@ class FmuSubject(ModelSubject):
         if delivered is None:
             return LibraryReplayer(self, self.kernel(outputs), "own")
         # The delivered FMU holds terms and values itself.
-        model = self._fmu_model
+        model = self.model
         kept = {"dependencies", "rates", "variables", "shown", "stepped", "starts", "substep", "integrator"}
         attributes = {name: getattr(type(model), name) for name in kept}
         plain = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
@@ -221,7 +217,7 @@ class FmuSubject(ModelSubject):
         """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
         if self.undelivered or (self.fmu is not None and self.fmu.is_file()):
             return None if self.undelivered else self.fmu
-        model, own = self._fmu_model, {p.name for p in self.parameters}
+        model, own = self.model, {p.name for p in self.parameters}
         signals = self.structure.outputs if self.is_stepped else self.structure.states
         code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
         values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -9,15 +10,17 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal
 
+import numpy as np
+
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import eigenvalues
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import Kernel
 from cosim.estimation.kernel.nameless import Known, bases
-from cosim.estimation.kernel.settling import settling
-from cosim.estimation.subject.base_parameters import base_parameter
-from cosim.estimation.subject.candidates import Candidate, effect
+from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.fmu_replayer import FmuReplayer, shaping_effects
 from cosim.estimation.subject.interface import Predict, Replayer, Subject, Workplace
-from cosim.fmi.building.build_native import class_fmu
+from cosim.fmi.building.build import class_fmu
 from cosim.fmi.building.file import LoadedModel, write_model
 from cosim.fmi.building.own_run import predicted_outputs, shown_states
 from cosim.fmi.building.refined import NEAREST, REFINED
@@ -26,10 +29,13 @@ from cosim.logs.log import Log
 from cosim.model.delay import Gain
 from cosim.model.integrate import substeps
 from cosim.model.model import Model
+from cosim.model.namespaces import SCALAR
 from cosim.model.quantities import Parameter, parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
 
+NEGLIGIBLE_SHARE = 1e-4  # of a wrong start
+MIN_DECAY_RATE = 1e-9  # [1/s]
 FILES = {"refined": REFINED, "nearest": NEAREST}
 
 
@@ -182,3 +188,23 @@ def neutral_values(model: Model) -> dict[str, float]:
     declared = model.declared | model.sensor_parameters
     switches = {p.name for p in model.parameters if isinstance(p.default, bool)}
     return {name: float(own.get(name, p.default)) for name, p in declared.items() if name not in switches}
+
+
+def settling(model: Model, names: Sequence[str]) -> float:
+    """Return the settling time [s] of the states `names`, driven by commands alone.
+
+    The time is ln(1/NEGLIGIBLE_SHARE) times the slowest stable time constant of the base model at its start, else 0.
+    """
+    base = replace(model, effects=())
+    derivative, start, command = base.acting(SCALAR).derivative, base.start(), base.start_command()
+    places = [[s.name for s in base.states].index(name) for name in names]
+
+    def rates(place: int, change: float) -> Array:
+        state = tuple(x + change * (k == place) for k, x in enumerate(start))
+        return np.array(derivative(0.0, state, command), dtype=np.float64)[places]
+
+    steps = {place: 1e-6 * max(1.0, abs(start[place])) for place in places}
+    columns = [(rates(place, h) - rates(place, -h)) / (2.0 * h) for place, h in steps.items()]
+    poles = eigenvalues(np.column_stack(columns)).real if columns else np.zeros(0)
+    decay = [-float(pole) for pole in poles if pole < -MIN_DECAY_RATE]
+    return math.log(1.0 / NEGLIGIBLE_SHARE) / min(decay) if decay else 0.0

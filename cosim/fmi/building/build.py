@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 from cosim.core.drafts import draft_of
-from cosim.core.registry import entry_of, is_model, resolve
+from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.registry import BASE, entry_of, is_model, model_entry, models, resolve
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import ModelName, Names
 from cosim.files.files import FilePath, check_folder, named_path
-from cosim.fmi.building.build_native import build_native, designed_model
+from cosim.files.yaml_file import YamlFile, did_you_mean
+from cosim.fmi.building.file import LoadedModel, load_model
+from cosim.fmi.building.refined import NoNearest, names_refine, refined_file
+from cosim.fmi.building.source import ModelText
+from cosim.fmi.building.substep import with_substep
+from cosim.fmi.native.compiler import PLATFORMS, CompilerFailed, NoCompiler, commands
+from cosim.fmi.ports import Value
+from cosim.model.model import Model
+
+if TYPE_CHECKING:
+    from cosim.fmi.native.native_description import Native
+    from cosim.fmi.native.package import NativeFmu
 
 PLANT = "plant.fmu"
+SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
 
 def build(
@@ -72,3 +88,148 @@ def build(
             with draft_of(folder / name) as target:
                 copyfile(draft, target)
     return [folder / name for name in recipes]
+
+
+def build_native(
+    folder: FilePath,
+    model: str | None = None,
+    *,
+    nearest: bool = False,
+    fmi: int = 2,
+    platforms: Sequence[str] = (),
+    design: FilePath | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> list[NativeFmu]:
+    """Build the native FMUs of a model in `folder`.
+
+    Args:
+        model: `base` (default), a model.yaml, file.py:Class or a refine.
+        fmi: FMI version, 2 or 3.
+        platforms: Platform names; by default this machine's.
+        design, tell: As in `build`.
+
+    Raises:
+        InputError: The build is impossible; nothing is written.
+    """
+    folder = named_path(folder)
+    check_folder(folder)
+    known = f"(known: {', '.join(PLATFORMS)})"
+    unknown = [name for name in platforms if name not in PLATFORMS]
+    texts = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} {known}' for name in unknown]
+    refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
+    if fmi not in SUFFIX:
+        raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
+    _check_compiler(platforms)
+    loaded, starts = designed_model(model, nearest, design, tell)
+    native_names = model_entry(loaded.source).native if is_model(loaded.source) else {}
+    if starts and not any(f"{name}.fmu" in starts for name in native_names):
+        raise InputError.at(Path("--design"), "names no controller that has a native FMU; build it without --native")
+    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded, starts)]
+    with temporary_folder("build") as drafts:  # all archives, or none after a failure
+        built = {file: _compile(native, drafts / file, fmi, platforms) for file, native in natives}
+        for file, one in built.items():
+            with draft_of(folder / file) as draft:
+                draft.write_bytes(one.path.read_bytes())
+    return [replace(one, path=folder / file) for file, one in built.items()]
+
+
+def class_fmu(loaded: LoadedModel, path: Path) -> Path:
+    """Build the native FMU of a model's class.
+
+    The FMU has the declared defaults and the substep, so a single compilation serves all parameter values.
+
+    Raises:
+        InputError: The build is impossible.
+    """
+    _check_compiler(())
+    natives, model = _of_class.setdefault(type(loaded.model), {}), loaded.model
+    key = loaded.source, model.chosen_substep, model.chosen_integrator
+    if key not in natives:
+        bare = type(model)().with_substep(model.chosen_substep, model.chosen_integrator)
+        _, natives[key] = next(_natives(LoadedModel(bare, loaded.source), {}))
+    return _compile(natives[key], path).path
+
+
+# checked native models of this process, by class, source, substep and integrator
+_of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
+
+
+def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> Iterator[tuple[str, Native]]:
+    """Yield the plant and further native FMUs of a registered model, with designed start values by file.
+
+    A part of the model that cannot be expressed in C is a fault at its line.
+    """
+    from cosim.fmi.native.package import native_model
+    from cosim.fmi.native.printing import UnprintableModel
+
+    try:
+        yield "plant", native_model(loaded.model, loaded.recipe(), f"{type(loaded.model).__name__}Plant")
+    except (UnprintableModel, TypeError, AttributeError, RecursionError) as raised:
+        error: Exception = raised
+        if isinstance(raised, RecursionError):  # sympy 1.14, for some nested minima and maxima
+            error = UnprintableModel("sympy finds no end in differentiating its equations")
+        cure = "let its equations take functions and branches from m, or build it without --native"
+        file = loaded.source.rpartition(":")[0]
+        if not file:
+            fault = Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
+        elif isinstance(error, UnprintableModel):
+            owner, hook = error.owner or type(loaded.model), error.hook if error.owner else "equations"
+            message = f"cannot be printed as C: {error}; {error.cure or cure}"
+            fault = ModelText(Path(file)).fault(owner, hook, message)
+        else:
+            fault = ModelText(Path(file)).convert_error(error, "cannot be printed as C")
+        raise InputError([fault]) from raised
+    for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
+        yield name, resolve(recipe)(starts.get(f"{name}.fmu"))
+
+
+def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> NativeFmu:
+    """Return a built FMU; raise InputError with the compiler's reason against it."""
+    from cosim.fmi.native.package import build_native as build_fmu
+
+    try:
+        return build_fmu(native, path, fmi, platforms)
+    except CompilerFailed as error:
+        reason = f"the compiler {error}; mend the compiler, or name another in CC"
+        raise InputError.at(Path("--native"), reason) from None
+
+
+def _check_compiler(platforms: Sequence[str]) -> None:
+    """Raise InputError without a compiler, before generating code."""
+    try:
+        commands(tuple(platforms))
+    except NoCompiler as error:
+        raise InputError.at(Path("--native"), str(error)) from None
+
+
+def designed_model(
+    text: str | None, nearest: bool, design: FilePath | None, tell: Callable[[str], None]
+) -> tuple[LoadedModel, Mapping[str, Mapping[str, Value]]]:
+    """Return the named model, and the start values that a design file gives to controllers, by file of an FMU.
+
+    A refine folder means its refined model, or with `nearest` its nearest model.
+
+    Raises:
+        InputError: Every fault of the model or file, or a model without a controller to design.
+    """
+    if text is None and nearest:
+        reason = "has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"
+        raise InputError.at(Path("--nearest"), reason)
+    file: str | Path = BASE if text is None else text
+    if text is not None and (nearest or names_refine(Path(text))):
+        try:
+            file = refined_file(Path(text), nearest=nearest)
+        except NoNearest as error:
+            raise InputError.at(Path(text), str(error)) from None
+    loaded, _ = with_substep(load_model(str(file), Path()))
+    if design is None:
+        return loaded, {}
+    entry = entry_of(type(loaded.model))
+    if entry is None or not entry.design:
+        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
+        reason = f"{loaded.model.title} has no controller to design. Models with a controller: {names}"
+        raise InputError.at(Path("--design"), reason)
+    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), loaded.model)
+    for warning in warnings:
+        tell(warning)
+    return loaded, dict(starts)

@@ -169,8 +169,19 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     kind = kind_by_keys(yaml.root)
     refuse_other(path, kind, MODEL)
     content, faults = yaml.partly(ModelFile, "model")
+    file = path.parent / content.model.rpartition(":")[0]
     try:
-        model = _named_model(yaml, content)
+        if is_model(content.model):
+            model = named_model(content.model)
+        elif re.fullmatch(r".+\.py:\w+", content.model) and file.is_file():
+            model = own_model(content.model, path.parent)
+        else:
+            registered = registered_names(MODEL_GROUP)
+            message = f'no model "{content.model}"{did_you_mean(content.model, registered)}'
+            if re.fullmatch(r".+\.py:\w+", content.model):
+                message = f"no such file: {file}"
+            names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
+            raise InputError([yaml.fault(("model",), f"{message}; a model is {', '.join(names)}")])
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
     except NotExecuted:
@@ -189,9 +200,22 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
                 effect, dot, _ = name.rpartition(".")
                 faults.append(yaml.fault((section, name), f"{effect}{dot}{text}; correct this value"))
     values: dict[str, float | bool] = {}
-    if content.parameters_from:
+    if name := content.parameters_from:  # A larger model can use parameters refined on a test rig.
+        other = path.parent / name
+        at = ("parameters_from",)
         try:
-            values = _read_common_parameters(yaml, content.parameters_from, model, (*readers, path.resolve()))
+            other = refined_file(other) if names_refine(other) else other
+            if not other.is_file():
+                reason = f"no such model file: {name}; name a model.yaml or the folder of a refine"
+                raise InputError([yaml.fault(at, reason)])
+            if other.resolve() in (here := (*readers, path.resolve())):
+                reason = f"{name} takes its parameters from here itself; leave one of them out"
+                raise InputError([yaml.fault(at, reason)])
+            values = {n: v for n, v in read_model(other, here).parameters.items() if n in model.declared}
+            if not values:
+                raise InputError([yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")])
+            texts = [fault for n, v in values.items() if (fault := model.declared[n].fault(v))]
+            refuse(yaml.fault(at, f"{name}: {text}; correct it there, or write it under parameters") for text in texts)
         except InputError as error:
             faults += error.faults
     refuse(faults)
@@ -199,42 +223,6 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
     model = model.with_values(values).with_substep(content.substep, content.integrator)
     return LoadedModel(model, source, values, content.sensors)
-
-
-def _read_common_parameters(
-    yaml: YamlFile, name: str, model: Model, readers: tuple[Path, ...]
-) -> dict[str, float | bool]:
-    """Return common parameters from another model's file.
-
-    A larger model can thus use parameters refined on a test rig.
-    """
-    path = yaml.path.parent / name
-    path = refined_file(path) if names_refine(path) else path
-    at = ("parameters_from",)
-    if not path.is_file():
-        raise InputError([yaml.fault(at, f"no such model file: {name}; name a model.yaml or the folder of a refine")])
-    if path.resolve() in readers:
-        raise InputError([yaml.fault(at, f"{name} takes its parameters from here itself; leave one of them out")])
-    common = {n: v for n, v in read_model(path, readers).parameters.items() if n in model.declared}
-    if not common:
-        raise InputError([yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")])
-    texts = [fault for n, v in common.items() if (fault := model.declared[n].fault(v))]
-    refuse(yaml.fault(at, f"{name}: {text}; correct it there, or write it under parameters") for text in texts)
-    return common
-
-
-def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
-    """Return a model.yaml's model with default parameters."""
-    if is_model(content.model):
-        return named_model(content.model)
-    registered, file = registered_names(MODEL_GROUP), yaml.path.parent / content.model.rpartition(":")[0]
-    names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
-    message = f"no such file: {file}"
-    if not re.fullmatch(r".+\.py:\w+", content.model):
-        message = f'no model "{content.model}"{did_you_mean(content.model, registered)}'
-    elif file.is_file():
-        return own_model(content.model, yaml.path.parent)
-    raise InputError([yaml.fault(("model",), f"{message}; a model is {', '.join(names)}")])
 
 
 def _absolute(text: str, folder: Path) -> str:

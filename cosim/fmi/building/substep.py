@@ -192,17 +192,14 @@ def _ms(seconds: float) -> str:
     return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
 
 
-def check_model_file(path: Path, checking: Checking) -> list[str]:
-    """Check a model.yaml and return notes on it; InputError lists its faults."""
-    return substep_notes(read_model(path))
-
-
-def check_model_class(path: Path, checking: Checking) -> list[str]:
-    """Return notes on a model class; InputError lists faults.
+def check_model(path: Path, checking: Checking) -> list[str]:
+    """Return notes on a model.yaml or a model class; InputError lists faults.
 
     The class is `FILE.py:Class`, or the only class in FILE.py.
     """
     text = str(path)
+    if not path.suffix.startswith(".py"):
+        return substep_notes(read_model(path))
     if text.endswith(".py:"):
         only_model(Path(text.removesuffix(":")))
         return []

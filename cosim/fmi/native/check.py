@@ -173,7 +173,18 @@ class Check:
         def around(value: float) -> float:
             return value + size * uniform(-1, 1) * max(1.0, abs(value))
 
-        values = {p.name: self.draw_value(p, getattr(self.model, p.name), k) for p in self.model.parameters}
+        values: dict[str, Any] = {}
+        for p in self.model.parameters:  # unchanged, within 10 %, or an integer in its bounds
+            low, high = p.bounds
+            value = values[p.name] = getattr(self.model, p.name)
+            if isinstance(value, bool) or k % POINTS == 0:
+                continue
+            is_bounded = math.isfinite(low) and math.isfinite(high)
+            if k in (POINTS - 2, POINTS - 1) and is_bounded and math.ceil(low) <= math.floor(high):
+                highest = min(math.floor(high), math.ceil(low) + 3)
+                values[p.name] = float(self.random.randint(math.ceil(low), highest))
+            else:
+                values[p.name] = min(high, max(low, value * uniform(0.9, 1.1)))
         for kind in self.model.catalogue:
             awake = kind in case[0]
             values |= {f"{kind.name}.{p.name}": self.draw_effect_value(p, awake, k) for p in parameters_of(kind)}
@@ -187,16 +198,6 @@ class Check:
         command = [around(float(v)) for v in self.model.start_command()]
         substep = self.model.substep * uniform(0.1, 1.0)
         return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, values)
-
-    def draw_value(self, p: Parameter, value: Any, k: int) -> Any:
-        """Return a value of parameter `p` for test k: `value`, within 10 % of it, or an integer in its bounds."""
-        low, high = p.bounds
-        if isinstance(value, bool) or k % POINTS == 0:
-            return value
-        is_bounded = math.isfinite(low) and math.isfinite(high)
-        if k in (POINTS - 2, POINTS - 1) and is_bounded and math.ceil(low) <= math.floor(high):
-            return float(self.random.randint(math.ceil(low), min(math.floor(high), math.ceil(low) + 3)))
-        return min(high, max(low, value * self.random.uniform(0.9, 1.1)))
 
     def draw_effect_value(self, p: Parameter, awake: bool, k: int) -> Any:
         """Return a random parameter value of an effect: neutral if dormant, else about its default or typical size."""

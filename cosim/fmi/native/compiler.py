@@ -23,6 +23,7 @@ from cosim.files.cache import cache_environment, cache_path
 
 # The errno of sin and pow is never read.
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
+POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # option for code of libraries on this machine
 LIMIT = 900.0  # time limit of the compiler [s]
 ZIG = "ziglang"  # C compiler for every platform, on PyPI
 # library headers with plain names: Linux, Windows; with packed names: macOS
@@ -37,11 +38,6 @@ class Platform:
     fmi3: str
     suffix: str
     target: str
-
-    @property
-    def position(self) -> list[str]:
-        """Return the option for position-independent code, not needed on Windows."""
-        return [] if self.suffix == ".dll" else ["-fPIC"]
 
     def folder(self, fmi: int) -> str:
         """Return the folder below `binaries`. Platforms without a name in FMI 2.0 have that of 3.0, as in 2.0.4."""
@@ -141,7 +137,8 @@ def commands(names: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
         if local is None and target != machine:
             install = f"{install_command('native')}, which brings a compiler that crosses"
             raise NoCompiler(f"no compiler for {target.name} is found; {install}")
-        found[target] = [*(local or _required()), *OPTIONS, "-fvisibility=hidden", *target.position]
+        found[target] = [*(local or _required()), *OPTIONS, "-fvisibility=hidden"]
+        found[target] += [] if target.suffix == ".dll" else ["-fPIC"]
     return found
 
 
@@ -154,7 +151,7 @@ def fmi_headers() -> Path:
 
 def library_command() -> list[str]:
     """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
-    return [*_required(), "-shared", *_position()]
+    return [*_required(), "-shared", *POSITION]
 
 
 def cure(extra: str) -> str:
@@ -167,11 +164,6 @@ def _required() -> list[str]:
     if (command := compiler()) is None:
         raise NoCompiler(f"no C compiler is found in CC or on PATH; {cure('native')}")
     return command
-
-
-def _position() -> list[str]:
-    machine = this_platform()
-    return ["-fPIC"] if machine is None else machine.position
 
 
 def library_of(
@@ -272,7 +264,7 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
     reason: Exception | None = None
     for command in compilers():
-        full = [*command, *OPTIONS, *_position()]
+        full = [*command, *OPTIONS, *POSITION]
         try:
             library = library_of(files, "model.c", full)
             try:

@@ -10,9 +10,8 @@ from typing import Any
 
 from cosim.core.drafts import draft_of
 from cosim.core.version import __version__
-from cosim.fmi.documentation import ASSETS, documentation
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
-from cosim.fmi.model_description import Local
+from cosim.fmi.model_description import ASSETS, Local, documentation
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.compiler import PLATFORMS, commands, fmi_headers, glibc_floor, library_of
 from cosim.fmi.native.native_description import Native, describe_native
@@ -67,14 +66,9 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
         variables.append(Local(f"{effect.name}.{q.name}_memory", "memory", q.unit, f"remembered: {q.doc}"))
     for k in range(int(str(sizes["KINKS"]))):
         variables.append(Local(f"event_indicator_{k + 1}", "indicator", "", "passes through zero at a kink"))
-    parts = {"equations.c": part("equations.c")}
-    return Native(name, recipe.about, body, sizes, parts, recipe.text, tuple(variables), _dependencies(printer))
-
-
-def _dependencies(printer: ModelPrinter) -> dict[str, list[str]]:
-    """Return output or derivative → inputs and states on which it depends, for any active effects and switches."""
+    # output or derivative → inputs and states on which it depends, for any active effects and switches
     sources: dict[str, set[str]] = {}
-    inputs, states = [q.name for q in printer.model.inputs], [f"{q.name}_state" for q in printer.states]
+    inputs, states = [q.name for q in model.inputs], [f"{q.name}_state" for q in printer.states]
     for trace in printer.variants:
         symbols = (*trace.s.state, *trace.s.command)
         reach: dict[Any, set[str]] = {s: {name} for s, name in zip(symbols, (*states, *inputs), strict=True)}
@@ -85,14 +79,16 @@ def _dependencies(printer: ModelPrinter) -> dict[str, list[str]]:
         for block in (*trace.shaping, *trace.blocks):
             for symbol, e in (*block.values.items(), *block.dormant.items()):
                 reach.setdefault(symbol, set()).update(sources_of(e))
-        for q, e in zip(printer.model.outputs, trace.outputs, strict=True):
+        for q, e in zip(model.outputs, trace.outputs, strict=True):
             sources.setdefault(q.name, set()).update(sources_of(e))
         acting = dict(zip(inputs, trace.shaped, strict=True))
         for name, e in zip(states, trace.derivative, strict=True):
             direct = sources_of(e)  # The acting command is shaped.
             shaped = (sources_of(acting[n]) for n in direct & acting.keys())
             sources.setdefault(f"der({name})", set()).update(direct, *shaped)
-    return {name: sorted(direct) for name, direct in sources.items()}
+    dependencies = {name: sorted(direct) for name, direct in sources.items()}
+    parts = {"equations.c": part("equations.c")}
+    return Native(name, recipe.about, body, sizes, parts, recipe.text, tuple(variables), dependencies)
 
 
 def part(name: str) -> bytes:

@@ -67,9 +67,19 @@ def describe_wrapped(
                 withdrawn.append(name)
         if interface.tag == "ModelExchange" and (terms.memory or terms.delay):
             interface.set(*STEP_FLAGS[fmi])  # the host reports each step of its solver
-    if "port_inputs" in terms.hooks or "added_rates" in terms.hooks:
-        _forget_dependencies(root, fmi, terms.inputs)
-    variables = root.find("ModelVariables")
+    variables, structure = root.find("ModelVariables"), root.find("ModelStructure")
+    if structure is not None and ("port_inputs" in terms.hooks or "added_rates" in terms.hooks):
+        # Forces change dependencies of derivatives, and of outputs that depend on inputs; without them, an unknown
+        # depends on everything. A variable is numbered by its position in FMI 2.0, by its value reference in FMI 3.0.
+        declared = [node for node in variables if isinstance(node.tag, str)]
+        numbers = {n.get("name"): str(k) if fmi == 2 else n.get("valueReference") for k, n in enumerate(declared, 1)}
+        changed = {numbers[name] for name in terms.inputs}
+        for unknown in structure.iter():
+            dependencies = unknown.get("dependencies")
+            is_rate = unknown.tag == "ContinuousStateDerivative" or unknown.getparent().tag == "Derivatives"
+            if dependencies is not None and (is_rate or changed & set(dependencies.split())):
+                for name in ("dependencies", "dependenciesKind"):
+                    unknown.attrib.pop(name, None)
     nodes, ours = {node.get("name"): node for node in variables}, {p.name for p in parameters}
     for name, value in values.items():
         if name not in ours:
@@ -97,21 +107,3 @@ def describe_wrapped(
             node = outer
         variables.append(etree.fromstring(ElementTree.tostring(node)))
     return root, withdrawn
-
-
-def _forget_dependencies(root: Any, fmi: int, sources: Iterable[str]) -> None:
-    """Remove dependencies that forces change: those of derivatives, and of outputs that depend on `sources`.
-
-    Without dependencies, an unknown depends on everything.
-    """
-    # number of a variable in the structure: its position in FMI 2.0, its value reference in FMI 3.0
-    nodes = [node for node in root.find("ModelVariables") if isinstance(node.tag, str)]
-    numbers = {n.get("name"): str(k) if fmi == 2 else n.get("valueReference") for k, n in enumerate(nodes, 1)}
-    changed = {numbers[name] for name in sources}
-    structure = root.find("ModelStructure")
-    for unknown in () if structure is None else structure.iter():
-        dependencies = unknown.get("dependencies")
-        is_rate = unknown.tag == "ContinuousStateDerivative" or unknown.getparent().tag == "Derivatives"
-        if dependencies is not None and (is_rate or changed & set(dependencies.split())):
-            for name in ("dependencies", "dependenciesKind"):
-                unknown.attrib.pop(name, None)

@@ -15,8 +15,7 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.text import MOST_NAMED
 from cosim.estimation.fit import Fit
-from cosim.estimation.subject.base_parameters import kind_within
-from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.candidates import Candidate, Free, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without

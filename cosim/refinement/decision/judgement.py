@@ -11,8 +11,7 @@ from cosim.core.text import join_names
 from cosim.estimation.fit import MAX_SECONDS, Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
-from cosim.estimation.subject.base_parameters import WIDTHS
-from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.equivalence import split_alike
 from cosim.refinement.decision.evidence import (

@@ -11,8 +11,7 @@ from itertools import chain
 from typing import Any, Literal
 
 from cosim.core.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, written
-from cosim.estimation.subject.base_parameters import kind_within
-from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.candidates import Candidate, Free, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.fmi.building.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95

@@ -17,8 +17,9 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.linear_algebra import square_roots
-from cosim.estimation.data import count_unscored, data_of
+from cosim.estimation.data import count_unscored, data_of, start_state
 from cosim.estimation.fit import Fit, inverse
+from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, Data, Filtered, simulate_all
 from cosim.estimation.past_readings import past_reading, replayed
@@ -26,9 +27,7 @@ from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
-from cosim.estimation.start_states import with_likely_starts
 from cosim.estimation.subject.interface import Replayer, Start, Subject
-from cosim.estimation.subject.start_state import start_state
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.model.sensors import SensorError

@@ -15,7 +15,7 @@ from cosim.core.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
-from cosim.estimation.subject.base_parameters import WIDTHS
+from cosim.estimation.subject.candidates import WIDTHS
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log
 from cosim.refinement.decision.claims import (

@@ -16,12 +16,12 @@ from itertools import chain, combinations
 import numpy as np
 
 from cosim.estimation.fit import Fit
+from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
-from cosim.estimation.start_states import with_likely_starts
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.evidence import scatter_ratio
@@ -166,7 +166,7 @@ class Attributor:
             posed = with_likely_starts(search.problem, base.fit.values, base.fit.noise)
             if posed is search.problem:
                 break
-            self.fine, search.problem = (p.with_starts(posed.x0) for p in (self.fine, search.problem))
+            self.fine, search.problem = (p.with_same_range(x0=posed.x0) for p in (self.fine, search.problem))
             before, base = base, search.hypothesis((), base.fit, loosen=False)
             if base.fit.objective > before.fit.objective - DONE:
                 break
@@ -227,7 +227,9 @@ class Attributor:
         self.candidates, periods = with_likely_periods(test, every, best.names, lambda c: search.cost([c]) / HOPE)
         if periods:
             self.periods |= periods
-            self.fine, self.search.problem = (p.with_shapes(periods) for p in (self.fine, self.search.problem))
+            self.fine, self.search.problem = (
+                p.with_same_range(values={**p.values, **periods}) for p in (self.fine, self.search.problem)
+            )
 
     def _complete_errors(self) -> Iterator[Trial]:
         """Yield complete errors with the given parameters, as the base fit may have gone where they promise nothing.

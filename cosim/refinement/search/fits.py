@@ -15,13 +15,12 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit
-from cosim.estimation.growing import fit_growing, leaves_the_motion
+from cosim.estimation.free_runs import fit_growing, leaves_the_motion
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.plateaus import values_beside_plateaus
 from cosim.estimation.problem import Problem
-from cosim.estimation.subject.base_parameters import base_parameters
-from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking

@@ -21,7 +21,7 @@ from cosim.core.arrays import Array, Flags, Rows
 from cosim.core.linear_algebra import least_squares, solution
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
-from cosim.estimation.kernel.kernel import Data, Filtered, single_steps
+from cosim.estimation.kernel.kernel import DEVIATION, Data, Filtered, single_steps
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
 
@@ -97,7 +97,8 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
 
 def _deviations(problem: Problem, run: Filtered, rows: slice, index: int) -> MissingInput:
     """Return the filtered deviations of the outputs of a free run."""
-    layout, data, places = problem.layout, problem.logs[index], problem.layout.deviation_places
+    layout, data = problem.layout, problem.logs[index]
+    places = [k for k, name in enumerate(layout.states) if name.startswith(DEVIATION)]
     assert run.covariances is not None
     variances = np.diagonal(run.covariances, axis1=1, axis2=2)[rows, [layout.stochastic.index(k) for k in places]]
     return MissingInput(data.times[rows], layout.forced, run.states[rows, places], np.sqrt(variances), run.states[rows])
