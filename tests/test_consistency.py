@@ -16,7 +16,6 @@ from controller.consistency import (
     Consistency,
     consistency,
     consistency_of,
-    independent_times,
 )
 from controller.monte_carlo import CASES, FlightCase, squares_of
 from cosim.core.errors import InputError
@@ -69,14 +68,6 @@ def test_one_that_is_optimistic_first_and_pessimistic_later_is_not_consistent_th
     assert f"optimistic at {100 * found.above:.3g} % and pessimistic at {100 * found.below:.3g} % of" in found.sentence
     assert "larger" not in found.sentence
     assert found.share == pytest.approx(1.0 - found.above - found.below)
-
-
-def test_independent_times_are_counted_as_they_are_and_one_that_stays_as_one() -> None:
-    rng = np.random.default_rng(9)
-    assert independent_times(rng.chisquare(3, (2000, 40))) == pytest.approx(40, rel=0.1)
-    assert independent_times(np.repeat(rng.chisquare(3, (20, 1)), 40, axis=1)) == pytest.approx(1.0)
-    blocks = np.repeat(rng.chisquare(3, (2000, 8)), 5, axis=1)
-    assert independent_times(blocks) == pytest.approx(8, rel=0.1)
 
 
 def judged(case: FlightCase, runs: int, steps: int) -> dict[str, Consistency]:

@@ -20,11 +20,9 @@ from cosim.fmi.building.file import read_model
 from cosim.model.namespaces import arrays
 from cosim.verbs.check_verb import check as check_files
 from plant.identification.recordings import COLUMNS, runs_of
-from plant.identification.thrust import dead_end
 from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
 from tests.bench_runs import play_plain, read_protocol
-from tests.interval_coverage import coverage
 
 ROOT = Path(__file__).resolve().parent.parent
 PROTOCOL = ROOT / "examples" / "bench" / "protocol.yaml"
@@ -163,13 +161,6 @@ def test_another_propeller_is_identified_from_its_csvs(tmp_path: Path) -> None:
         assert e.truth != e.truth, "nobody knows the truth of what was measured"
         assert e.low <= OTHER[e.name] <= e.high, e
     assert read_model(tmp_path / "out" / "powertrain.yaml").parameters["propeller_radius"] == 0.1
-
-
-@pytest.mark.thorough
-def test_plain_functions_and_seeds_hold_the_truth(tmp_path: Path) -> None:
-    rows = coverage(written(tmp_path, short(thrust_line={}, step={})), range(1, 9))
-    assert {r.name for r in rows} == {"step.lag", "thrust_line.thrust_offset", "thrust_line.thrust_slope"}
-    assert all(r.share >= 0.75 for r in rows)  # of 8; one in a hundred thousand fails where each holds 95 %
 
 
 # -- wrong recordings -------------------------------------------------------------------------
@@ -350,10 +341,3 @@ def test_check_refuses_phases_that_tell_nothing_once_at_their_line(case: str, tm
 
 def test_the_phases_of_the_shipped_protocol_tell_what_they_are_for() -> None:
     assert check_files([PROTOCOL]) == []
-
-
-def test_thrust_begins_where_the_kink_is_and_nowhere_for_a_line() -> None:
-    rng, duty = np.random.default_rng(1), np.linspace(5.0, 7.0, 2000)
-    noise = 3.0 * rng.standard_normal(duty.size)
-    assert dead_end(duty, 300.0 * np.maximum(0.0, duty - 5.8) + noise) == pytest.approx(5.8, abs=0.005)
-    assert dead_end(duty, 300.0 * (duty - 4.5) + noise) == pytest.approx(4.5, abs=0.01)

@@ -249,39 +249,7 @@ def test_a_delay_comes_first_and_alone(tmp_path: Path, catalogue: str, old: str,
         assert any(message in fault.message for fault in faults_of(tmp_path, *changes))
 
 
-def test_a_delay_remembers_as_long_as_it_may_last(tmp_path: Path) -> None:
-    late = """
-from cosim.model import Delay
-
-@dataclass(frozen=True, kw_only=True)
-class Late(Delay, TableEffect):
-    name = "late"
-    memory = (Quantity("torque", "N.m", "torque held back"),)
-    longest = 2.0
-    time: float = parameter(0.0, unit="s", bounds=(0, 2), neutral=0.0, typical=0.2, doc="delay T")
-"""
-    changes = [(TABLE_CLASS, f"{late}\n{TABLE_CLASS}"), (CATALOGUE, "catalogue = (Late, DryFriction)")]
-    table(tmp_path, *changes)
-    own_model("table.py:Table", tmp_path)
-    (fault,) = faults_of(tmp_path, (TABLE_CLASS, late.replace("    longest = 2.0\n", "") + TABLE_CLASS), changes[1])
-    assert "late is up to 2 s late and remembers 0.5 s; set longest = 2" in fault.message
-
-
 # -- what a study, a model.yaml and the command line say ------------------------------------------
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("of_class", ["", ":Table"])
-def test_check_tells_every_fault_of_a_model_file(tmp_path: Path, of_class: str) -> None:
-    named = [Path(f"{table(tmp_path)}{of_class}")]
-    assert check_files(named) == []
-    table(tmp_path, (FORCED, 'forced = ("rat",)'), ('unit="N.m.s/rad"', 'unit="N.q"'))
-    with pytest.raises(InputError) as caught:
-        check_files(named)
-    assert [(f.file, f.line, f.message.partition(";")[0]) for f in caught.value.faults] == [
-        (tmp_path / "table.py", line_of(tmp_path, "forced ="), 'forced: no state "rat"'),
-        (tmp_path / "table.py", line_of(tmp_path, "damping: float"), 'unknown unit "N.q" of damping'),
-    ]
 
 
 @pytest.mark.parametrize(
