@@ -103,14 +103,6 @@ def test_a_friction_at_a_hinge_tells_how_forces_act_there(folder: Path) -> None:
     assert not hinge.is_constant
 
 
-def test_an_fmu_with_events_cannot_be_kept_in_step(folder: Path) -> None:
-    structure = structure_of(folder, fault="step_events")
-    (hinge,) = structure.directions
-    assert not hinge.in_step
-    model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
-    assert model.directions == ()  # type: ignore[attr-defined]
-
-
 # -- filter -----------------------------------------------------------------------------------------
 
 
