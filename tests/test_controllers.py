@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +36,6 @@ STEP = 0.02
 MPC = PredictiveSettings()
 LTV = TimeVariantSettings()
 RECIPES = {"pole": poles_recipe, "lqi": integral_recipe, "mpc": predictive_recipe, "ltv-mpc": time_variant_recipe}
-REST = LawInput(0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +160,7 @@ def test_commands_keep_their_limits_wherever_the_craft_is() -> None:
 
 
 @pytest.mark.thorough
-def test_how_often_the_solver_gave_up_is_a_warning_of_the_run_and_part_of_the_state(flown: Path) -> None:
+def test_how_often_the_solver_gave_up_is_a_warning_of_the_run(flown: Path) -> None:
     swap = ["components.controller.fmu=../build/controller-mpc.fmu", "criteria={}", "duration=1", "start_time=5"]
     few = [*swap, "components.controller.start.iterations_max=3"]
     outcome = run("regulate.yaml", flown / "few", few, report=False, in_process=True)
@@ -171,11 +169,6 @@ def test_how_often_the_solver_gave_up_is_a_warning_of_the_run_and_part_of_the_st
     assert f"{(solved == 0).sum()} of {len(solved)}" in told
     enough = run("regulate.yaml", flown / "enough", swap, report=False, in_process=True)
     assert enough.manifest["warnings"] == []
-    law = PredictiveLaw(replace(MPC, iterations_max=2.0))
-    law.command([3.0, 0.0, 1.0, 0.0, 0.0], REST)
-    again = PredictiveLaw(replace(MPC, iterations_max=2.0))
-    again.restore(json.loads(json.dumps(law.snapshot())))
-    assert again.words(0.0) == law.words(0.0) != ""
 
 
 def test_the_predictive_law_holds_y_with_fixes() -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import settings
 
 from cosim.model import Stepper, parameters_of
 from plant.effects import CATALOGUE
@@ -21,7 +20,6 @@ from plant.effects.friction import CoulombFriction, YawCoulombFriction
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import COLUMNS, HOLD, Array, Effects, excitation, flown, simulate, to_and_fro
 
-property_settings = settings(deadline=None, derandomize=True, max_examples=40)
 HOVER = (DUTY_NOMINAL, DUTY_NOMINAL, 0.0, 0.0)
 
 MEMORY = {

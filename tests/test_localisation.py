@@ -21,11 +21,10 @@ from controller.settings import ExtendedSettings, Settings
 from cosim.fmi.fmu_build import build
 from cosim.model.symbolic.linearize import load_names
 from cosim.simulation.run_signals import Run
-from fmus.estimator_fmu import INPUTS, OUTPUTS
 from fmus.recipes import extended_recipe, filter_recipe, jacobians
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
-from tests.hosts_fmpy import Instance, description_of
+from tests.hosts_fmpy import Instance
 
 STEP, TEN_DEGREES = 0.02, math.radians(10)
 BOTH = pytest.mark.parametrize("name", ["filter.fmu", "ekf.fmu"])
@@ -138,13 +137,8 @@ def row(k: int) -> dict[str, float]:
 
 
 @BOTH
-def test_estimators_have_one_set_of_ports_and_no_fault(folder: Path, name: str) -> None:
-    fmu = folder / "build" / name
-    assert validate_fmu(str(fmu)) == []
-    of = {c: tuple(v.name for v in description_of(fmu).modelVariables if v.causality == c) for c in ("input", "output")}
-    assert of == {"input": INPUTS, "output": OUTPUTS}
-    starts = {v.name for v in description_of(fmu).modelVariables if v.name.endswith("_hat_start")}
-    assert starts == {f"{n}_hat_start" for n in ("x", "vx", "psi", "psi_dot", "a")}
+def test_estimators_have_no_fault(folder: Path, name: str) -> None:
+    assert validate_fmu(str(folder / "build" / name)) == []
 
 
 @BOTH
