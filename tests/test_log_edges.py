@@ -166,37 +166,6 @@ def test_a_log_is_cut_where_rows_or_readings_pause() -> None:
 # -- frames -----------------------------------------------------------------------------------------
 
 
-def turning(scale: float = 1.0, bias: float = 0.0, **more: Any) -> Log:
-    t = 0.02 * np.arange(2000)
-    rng = np.random.default_rng(4)
-    psi, rate = 0.5 * np.sin(0.9 * t), scale * 0.45 * np.cos(0.9 * t) + bias
-    outputs = {"psi": psi + 1e-3 * rng.standard_normal(t.size), "psi_dot": rate + 1e-3 * rng.standard_normal(t.size)}
-    return log_of(t, {}, outputs, units={"psi": "rad", "psi_dot": "rad/s"}, **more)
-
-
-@pytest.mark.parametrize(
-    ("scale", "kind", "channel"),
-    [
-        (1.0, None, ""),
-        (1.02, None, ""),
-        (1.05, "scale", "psi_dot"),
-        (0.95, "scale", "psi_dot"),
-        (-1.0, "sign", "psi_dot"),
-        (45.0, "degrees", "psi_dot"),
-        (75.0, "degrees", "psi_dot"),
-        (100.0, "scale", "psi_dot"),
-        (1 / 57.3, "degrees", "psi"),
-        (0.01, "scale", "psi_dot"),
-    ],
-)
-def test_a_rate_is_the_slope_of_its_angle(scale: float, kind: str | None, channel: str) -> None:
-    found = {f.kind: f for f in frame_findings(turning(scale)) if f.kind != "drift"}
-    assert [*found] == ([kind] if kind else [])
-    assert kind is None or found[kind].channel == channel
-    if kind == "scale":
-        assert found[kind].numbers["slope"] == pytest.approx(1 / scale, rel=0.02)
-
-
 def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:
     t = 0.02 * np.arange(1000)
     for size, told in ((6.2, False), (6.4, True)):
