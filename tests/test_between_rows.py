@@ -12,10 +12,9 @@ from cosim.estimation.posing import build_problem, coarsen
 from cosim.estimation.problem import Problem
 from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.refine_page import context
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.refinement.search.input_hold import Between, between_rows, late_input
+from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.study import read_study
 from tests.logs import write_log
 from tests.studies import proven
@@ -57,10 +56,6 @@ def fitted(path: Path) -> tuple[Problem, Hypothesis]:
     return problem, Search(study.subject, problem, 1, lambda stage, share: None).hypothesis((), None)
 
 
-def between(path: Path) -> Between:
-    return between_rows(*fitted(path))
-
-
 @pytest.mark.parametrize("lag", [0.0, 0.05])
 def test_an_input_that_a_filter_of_the_recorder_delays_is_named(tmp_path: Path, lag: float) -> None:
     """The advice on the way between rows would lead nowhere; a recorded input that is on time raises no alarm."""
@@ -83,26 +78,6 @@ def test_an_input_that_a_filter_of_the_recorder_delays_is_named(tmp_path: Path, 
         assert late.gain > between_rows(problem, base).gain
 
 
-@pytest.mark.thorough
-def test_the_way_that_the_rig_went_is_likelier_and_the_other_is_warned_of(tmp_path: Path) -> None:
-    gains = {}
-    for rig in ("held", "interpolated"):
-        for taken in ("held", "interpolated"):
-            folder = tmp_path / f"{rig}-{taken}"
-            folder.mkdir()
-            found = between(motor_study(folder, rig, taken))
-            assert found.ways == {"voltage": taken}
-            gains[rig, taken] = found.gain
-            assert bool(found.warnings) == (rig != taken)
-            if rig != taken:
-                (warning,) = found.warnings
-                assert warning.startswith(f"between rows voltage is taken as {taken}; ")
-                assert warning.endswith(f"write `inputs: {rig}` in the study")
-    for rig, other in (("held", "interpolated"), ("interpolated", "held")):
-        # both ways are fitted to the end, wherever one begins
-        assert gains[rig, rig] == pytest.approx(-gains[rig, other], rel=0.02)
-
-
 @pytest.fixture(scope="module")
 def ramped(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     folder = tmp_path_factory.mktemp("ramped")
@@ -115,6 +90,3 @@ def test_refine_records_both_likelihoods_and_warns(ramped: Refinement) -> None:
     assert written["inputs"]["taken"] == {"voltage": "held"}
     assert written["inputs"]["gain_otherwise"] > 100.0
     assert any("`inputs: interpolated` in the study" in text for text in written["warnings"])
-    (row,) = [row for row in context(ramped)["provenance"] if row.label == "Inputs between rows"]
-    assert "voltage held" in str(row)
-    assert "the other way, held or interpolated, raises the log-likelihood by" in str(row)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from cosim.blocks.component import EarlyEnd
 from cosim.core.errors import SimulationError
-from cosim.isolation import watch
-from cosim.isolation.limits import Limits
-from cosim.isolation.rows import CALLS, Progress
-from cosim.isolation.watch import Clock, Watch, fmi_calls
+from cosim.isolation.rows import CALLS
 from cosim.master.master import StoppedRun, simulate
 from tests.own_blocks import Block, rows_for, system_of
 
@@ -87,28 +83,3 @@ def test_outputs_that_are_right_only_after_initialization_reach_the_others() -> 
     taker = Block("taker", ["u"], ["y"], lambda t, h, u: [2.0 * u[0]])
     results = simulate(system_of([late, taker], {"taker.u": "late.y"}), 0, 1.0)
     assert (results["taker.u"][0], results["taker.y"][0]) == (7.0, 14.0)
-
-
-# -- who watches ------------------------------------------------------------------------------------
-
-
-def clock_of(limits: Limits | None = None, **more: Any) -> Clock:
-    calls = [fmi_calls(SimpleNamespace(fmiVersion=version)) for version in ("2.0", "3.0-rc.1")]
-    told = Watch(("plant", "loop"), calls, lambda made, call: 10.0 * made + call, limits or Limits(), **more)
-    return Clock(told, Progress())
-
-
-def at(monkeypatch: pytest.MonkeyPatch, clock: Clock, time: float) -> None:
-    monkeypatch.setattr(watch.time, "monotonic", lambda: time)
-    clock.look(0)
-
-
-def test_rows_do_not_count_for_the_limit_of_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watch.ProcessTree, "size", lambda tree, limit: 50_000_000)
-    clock = clock_of(Limits(memory=40e6), width=1000)
-    clock.progress.doing[0] = 1
-    clock.progress.made[0] = 10_000
-    clock.look(0)  # exactly as much as is allowed
-    clock.progress.made[0] = 9_000
-    with pytest.raises(SimulationError, match=r"fmi2DoStep: .* 41 MB, more than 40 MB \(limits: memory\)"):
-        clock.look(0)

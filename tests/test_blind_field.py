@@ -64,19 +64,10 @@ def test_a_model_file_states_what_its_truth_is_drawn_from(name: str) -> None:
     stated = {p.name: (p.default, p.tolerance) for p in model.parameters if p.tolerance is not None}
     assert stated == rig.sheet
     assert set(model.calibrated) == set(rig.sheet)
-    assert 3 <= len(rig.sheet) <= 6
-    assert all(0.02 <= share <= 0.3 for _, share in rig.sheet.values())
     assert {p.name: p.default for p in model.parameters if p.tolerance is None} == rig.constants
     assert model.sensor_variance == pytest.approx({o: sigma**2 for o, sigma in rig.outputs.items()})
     assert {q.name: q.start for q in model.inputs} == rig.inputs
-    assert {q.name for q in model.base_states} == set(rig.states)
-    assert (model.rate, model.horizon) == (rig.step, rig.horizon)
-    assert 1500 <= rig.rows <= 4000
-    assert 8 <= len(model.catalogue) <= 12
     assert {kind.name for kind in (*model.catalogue, *model.sensors)} == set(rig.entries)
-    assert {kind.name for kind in model.sensors} == set(rig.sensors)
-    assert {"bias", "scale", "late"} == {sensor.kind for sensor in rig.sensors.values()}
-    assert len(rig.outside) >= 4
     assert not set(rig.outside) & set(rig.entries)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from pathlib import Path
-from typing import Any
 
 import fmpy
 import numpy as np
@@ -25,18 +24,6 @@ KINDS = {"model_exchange": "ModelExchange", "co_simulation": "CoSimulation"}
 WITH_TRUTH = [plant for plant in PLANTS if (plant, WAYS[0]) in RIGS]
 
 
-def simulated(path: Path, plant: str, way: str, count: int = 50, **more: Any) -> np.ndarray:
-    """Simulate 50 rows with constant inputs in FMPy."""
-    declared = PLANTS[plant]
-    starts = {v.name: v.start + 0.2 for v in declared.inputs}
-    step = 10.0 * declared.inner
-    more = {"output_interval": step, "start_values": starts, "logger": lambda *_: None} | more
-    if way == "model_exchange":
-        more |= {"relative_tolerance": 1e-6}
-    result = fmpy.simulate_fmu(str(path), fmi_type=KINDS[way], stop_time=count * step, record_events=False, **more)
-    return np.column_stack([result[n] for n in declared.output_names])
-
-
 @pytest.mark.parametrize("fault", some(FAULTS, every=3))
 def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
     for version in (2, 3):
@@ -45,29 +32,6 @@ def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
         assert description.modelExchange
         assert description.coSimulation
         assert bool([v for v in description.modelVariables if v.causality == "parameter"]) == FAULTS[fault].parameters
-
-
-def fmu(tmp_path: Path, fault: str) -> Path:
-    return build(tmp_path / f"{fault}.fmu", "drive", ways=WAYS, fault=fault)
-
-
-def test_parameters_are_forgotten_when_set_before_initialization(tmp_path: Path) -> None:
-    sound, bad = fmu(tmp_path, ""), fmu(tmp_path, "forgets_parameters")
-    heavy = {"torque": 1.0, "load.J": 0.3}  # FMPy sets fixed parameters before initialization mode
-    plain = simulated(sound, "drive", "co_simulation", start_values={"torque": 1.0})
-    assert np.max(np.abs(simulated(sound, "drive", "co_simulation", start_values=heavy) - plain)) > 1e-3
-    assert np.array_equal(simulated(bad, "drive", "co_simulation", start_values=heavy), plain)
-
-
-@pytest.mark.parametrize("fault", ["own_step", "hidden_own_step"])
-def test_short_steps_are_whole_own_steps(tmp_path: Path, fault: str) -> None:
-    def angle(fault: str, step: float) -> float:
-        path, steps = str(fmu(tmp_path, fault)), {"step_size": step, "output_interval": step, "stop_time": 0.1}
-        result = fmpy.simulate_fmu(path, fmi_type="CoSimulation", start_values={"torque": 0.2}, **steps)
-        return float(result["motor.phi"][-1])
-
-    assert angle(fault, 0.05) == pytest.approx(angle("", 0.05), rel=0.05)
-    assert angle(fault, 0.01) > 4.0 * angle("", 0.01)
 
 
 # -- truths -------------------------------------------------------------------------------------------------
@@ -107,15 +71,6 @@ def test_an_fmu_agrees_with_its_truth_within_a_tenth_of_the_noise(tmp_path: Path
     for number, (output, sigma) in enumerate(rig.outputs.items()):
         gap = result[output][exact] - truth.readings[at[exact], number]
         assert np.max(np.abs(gap)) < 0.1 * sigma, output
-
-
-@pytest.mark.parametrize("plant", WITH_TRUTH)
-def test_the_sheet_of_a_truth_is_that_of_the_fmu(plant: str) -> None:
-    rig, declared = RIGS[plant, WAYS[0]], PLANTS[plant]
-    assert {place(v.name): v.start for v in declared.parameters} == {n: v for n, (v, _) in rig.sheet.items()}
-    assert [v.name for v in declared.inputs] == list(rig.inputs)
-    assert [v.name for v in declared.states] == list(rig.states)
-    assert set(rig.outputs) <= set(declared.output_names)
 
 
 @pytest.mark.parametrize(

@@ -2,33 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-
-from cosim.model.quantities import parameters_of
-from tests.blind import arm, parts
-from tests.blind.plants.arm import Arm
-
-
-def test_the_drawn_arm_has_the_numbers_and_tolerances_of_its_model() -> None:
-    declared = {p.name: (p.default, p.tolerance) for p in parameters_of(Arm) if p.name in arm.SHEET}
-    assert declared == arm.SHEET
-    levels = {f"{name}.level" for name in arm.FRICTION}
-    assert levels <= {f"{e.name}.{p.name}" for e in Arm.catalogue for p in parameters_of(e)}
-
-
-@pytest.mark.parametrize("seed", [0, 5])
-def test_an_arm_at_rest_on_its_own_torques_stays_there(seed: int) -> None:
-    study = arm.draw(seed)
-    p = study.base
-    q1, q2 = 0.4, -0.7
-    lower = p["gravity_2"] * np.cos(q1 + q2)
-    smooth = arm.ArmStudy(seed, study.truth, p, study.stiffness, (0.0, 12.0, 0.0), (1.0, 1.0))
-    motor = q2 + lower / study.stiffness  # the belt carries the weight of link 2
-    slopes = arm._elastic(
-        smooth, np.array([q1, motor, q2, 0.0, 0.0, 0.0]), [p["gravity_1"] * np.cos(q1) + lower, lower]
-    )
-    np.testing.assert_allclose(slopes, 0.0, atol=1e-10)
+from tests.blind import parts
 
 
 def line(truth: list[str], verdict: str, names: list[str], **more: object) -> parts.Line:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -124,58 +123,3 @@ def test_a_refiner_that_knows_everything_scores_everything(short: None, tmp_path
     assert figures.pop("studies") == 20
     nought = ("wrong", "false_alarms", "outside_misnamed", "excess_left")
     assert figures == {name: 0.0 if name in nought else 1.0 for name in figures}
-
-
-PRETENDER = """
-import json, pathlib, sys
-study, out = map(pathlib.Path, sys.argv[1:])
-assert {p.name for p in study.parent.iterdir()} == {"study.yaml", "e1.csv", "e2.csv", "v1.csv"}
-rmse = {"validation": {"psi": 1.0}}
-(out / "refine.json").write_text(json.dumps({
-    "verdict": "no_effect", "effects": [], "noise_floor": {"psi": 1.0},
-    "error": {"before": rmse, "recalibrated": rmse, "after": rmse}}))
-"""
-
-
-def test_the_command_ends_with_one_line_of_figures(
-    short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    script = tmp_path / "pretender.py"
-    script.write_text(PRETENDER)
-    command = f"{sys.executable} {script} {{study}} {{out}}"
-    results = str(tmp_path / "r.jsonl")
-    assert (
-        harness.main(
-            [
-                "3",
-                "--half",
-                "laboratory",
-                "--jobs",
-                "2",
-                "--only",
-                "nothing",
-                "--results",
-                results,
-                "--command",
-                command,
-            ]
-        )
-        == 0
-    )
-    figures = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert list(figures) == [
-        "studies",
-        "right",
-        "in_set",
-        "wrong",
-        "false_alarms",
-        "outside_flagged",
-        "outside_misnamed",
-        "excess_left",
-        "coverage",
-    ]
-    assert (figures["studies"], figures["false_alarms"]) == (3, 0.0)
-    entry = json.loads(Path(results).read_text().splitlines()[0])
-    assert {"study", "seed", "revision", "kind", "truth", "verdict", "effects", "rivals", "error", "seconds"} <= set(
-        entry
-    )

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
-from tests.blind.truth import VARIANCE, Log, craft_of, draw, fly, write
+from tests.blind.truth import VARIANCE, craft_of, draw, fly, write
 from tests.blind.truth_craft import DUTY, OUTPUTS, STEP, Command, Craft, Flight
 from tests.blind.truth_study import BASE, EFFECTS, Study, size
 
@@ -147,11 +147,6 @@ def test_row_k_holds_the_measurement_and_the_command_that_acts_from_it(tmp_path:
             assert abs(written[channel][k] - now[channel]) < 6 * math.sqrt(variance)
             assert now[channel] == log.noiseless[channel][k]
         flight.advance(tuple(written[n][k] for n in ("duty_right", "duty_left", "tilt_right", "tilt_left")))  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def logs() -> list[Log]:
-    return [fly(draw(seed), seed % 3) for seed in range(8)]
 
 
 # -- what is drawn ----------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -27,50 +27,6 @@ LINE = re.compile(r"(?:\S*/)?cosim (.*)")
 DOCUMENTS = {
     path.relative_to(ROOT).as_posix(): path
     for path in (ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("examples/**/README.md"))
-}
-
-EXECUTED = (
-    *("docs/fit.md", "docs/hosts.md", "docs/logs.md", "docs/native.md", "docs/probing.md"),
-    *("docs/ssp.md", "docs/sweep.md", "docs/times.md", "examples/clocks/README.md"),
-)
-# document → what runs its commands as they stand, or with shorter times
-RUN: Mapping[str, str] = {
-    "README.md": "tests/test_docs.py",
-    "docs/controllers.md": "tests/test_controllers.py",
-    "docs/install.md": "release/trial.py",
-    "docs/localisation.md": "tests/test_localisation.py",
-    "docs/my_fmus.md": "tests/test_docs.py",
-    "docs/my_log.md": "tests/test_docs.py",
-    "docs/refined.md": "tests/test_docs.py",
-    "docs/seed.md": "tests/test_seed.py",
-    "examples/coupling/README.md": "tests/test_coupling_examples.py",
-    **dict.fromkeys(EXECUTED, "tests/test_commands_of_docs.py"),
-}
-YOURS = "the files are those of the reader"
-LONG = "a whole study takes minutes to hours"
-# document → reason why its commands are parsed only, and the tests that run the same verbs and options
-PARSED: Mapping[str, tuple[str, str]] = {
-    "docs/live.md": ("a page is open until its reader closes it", "tests/test_live_browser.py"),
-    "docs/real_time.md": ("a run at the pace of the clock", "tests/test_pace.py"),
-    "docs/refine_fmu.md": (YOURS, "tests/test_refine_fmu.py"),
-    "docs/resume.md": ("a run that is stopped in its middle", "tests/test_resume.py"),
-    "docs/verbs.md": ("the craft is linearized elsewhere, results are listed below", "tests/test_linearize.py"),
-    "docs/view.md": ("a page is open until its reader closes it; the conversion is run below", "tests/test_view.py"),
-    **{
-        f"examples/{name}/README.md": (LONG, f"tests/{test}.py")
-        for name, test in {
-            "actuator": "test_examples_data",
-            "ballbeam": "test_examples_data",
-            "bench/overshoot": "test_overshoot",
-            "coupled_drives": "test_measured_fmus",
-            "drive": "test_drive",
-            "incubator": "test_measured_fmus",
-            "pendulum": "test_examples_data",
-            "silverbox": "test_examples_data",
-            "tclab": "test_examples_data",
-            "ur10e": "test_examples_data",
-        }.items()
-    },
 }
 
 
@@ -96,16 +52,6 @@ def test_the_parser_accepts_every_command_of_a_document(document: str) -> None:
         words = shlex.split(re.split(r" [>|&]( |$)", line)[0], comments=True)
         if words != ["--version"]:
             COMMANDS[words[0]].make_context(words[0], words[1:])
-
-
-# -- lines of make, python, pip, pipx and uv ------------------------------------------------------------
-
-
-def test_each_document_with_commands_is_run_or_has_a_reason_why_not() -> None:
-    assert not {*RUN} & {*PARSED}
-    assert {*COMMANDS_OF} == {*RUN, *PARSED}
-    runners = [*RUN.values(), *(runner for _, runner in PARSED.values())]
-    assert [name for name in runners if not (ROOT / name).is_file()] == []
 
 
 # -- commands that are run here, with shorter times or another folder ---------------------------------------
@@ -225,10 +171,6 @@ def test_the_commands_of_a_document_run_in_order(
         elif line.startswith("python examples/"):
             command = [sys.executable, *shlex.split(line, comments=True)[1:]]
             subprocess.run(command, check=True, capture_output=True, timeout=120)
-
-
-def test_each_document_that_is_run_here_is_prepared() -> None:
-    assert {*EXECUTED} == {document for document, _, _ in PREPARED}
 
 
 def test_the_commands_about_results_run_as_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

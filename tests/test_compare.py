@@ -49,13 +49,6 @@ def test_a_tolerance_is_a_share_of_the_range_and_what_is_beyond_it_is_named() ->
     assert held(a, b, 0.0, absolute=0.21).same
 
 
-def test_other_times_are_met_by_straight_lines_between_rows() -> None:
-    fine = np.linspace(0, 1, 1001)
-    found = compare_runs(ran(x=3 * TIME), ran("b", fine, x=3 * fine), 1e-9)
-    assert not found.aligned
-    assert found.same
-
-
 def test_runs_that_share_no_signal_or_no_time_are_told_so() -> None:
     with pytest.raises(InputError, match="b: shares no signal with a: it has y; that has x"):
         compare_runs(ran(x=TIME), ran("b", y=TIME))
@@ -261,30 +254,6 @@ def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is()
         assert not compare_runs(small, ran("b", units={"x": "deg"}, x=off), 0.0).same
     # without a change of unit the last bit counts
     assert not held(degrees, degrees * (1.0 + EPS), 0.0).same
-
-
-def test_signals_after_one_that_cannot_be_compared_are_compared() -> None:
-    a = ran("a", text={"mode": ["on"] * 101}, units={"x": "m", "y": "s"}, x=TIME, y=TIME)
-    b = ran("b", text={"mode": ["on"] * 50 + ["off"] * 51}, units={"x": "kg", "y": "s"}, x=TIME, y=TIME + 1.0)
-    found = compare_runs(a, b, 0.1)
-    assert [d.name for d in found.differences] == ["x", "y", "mode"]
-    x, y, mode = found.differences
-    assert (x.alike, x.beyond, y.largest, y.beyond) == (False, True, 1.0, True)
-    assert (mode.largest, mode.at, mode.rms, mode.share, mode.beyond) == (1.0, 0.5, 1.0, 1.0, True)
-    assert [d.beyond for d in compare_runs(a, b).differences] == [False, False, False]
-    assert found.reasons == ["2 signals beyond the tolerance", "x is in m in one, in kg in the other"]
-
-
-def test_a_spike_between_rows_counts_by_its_size_and_its_time() -> None:
-    fine = np.linspace(0.0, 1.0, 1001)
-    spike = 2.0 * fine + np.where(np.arange(1001) == 505, 0.5, 0.0)
-    found = compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.2)
-    (one,) = found.differences
-    # the rows of a around 0.505 s say 1.00 … 1.02
-    assert (one.largest, one.at, one.share, one.beyond) == (pytest.approx(0.49), 0.505, pytest.approx(0.245), True)
-    assert one.note == "between rows of a"
-    assert compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.25).same
-    assert compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.0, 0.5).same
 
 
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])

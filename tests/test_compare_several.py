@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +12,14 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.comparison.page import comparison_page
-from cosim.comparison.several import ComparedRuns, RunSource, compare_several
+from cosim.comparison.several import ComparedRuns
 from cosim.core.errors import CriterionMissed, InputError
 from cosim.files.results import Results
-from cosim.simulation.run_files import RecordedRun
 from cosim.verbs.cli import app
 
 TIME = np.linspace(0, 1, 101)
 SCENARIO = "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
 CRITERION = "criteria: {peak: {of: ref.x, max: 2.5}}\n"
-
-
-def _source(name: str, gain: float, record: Mapping[str, Any] | None = None, *, optional: bool = False) -> RunSource:
-    """A run with the signals x = gain·t and y = t."""
-    rows = Results(TIME, ("x", "y"), np.column_stack((gain * TIME, TIME)), {"x": "m"})
-    return RunSource(name, Path(name), lambda: RecordedRun(Path(name), name, rows, record or {}), optional)
 
 
 @pytest.fixture(scope="module")
@@ -43,48 +35,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _invoke(words: Sequence[str]) -> Any:
     return CliRunner().invoke(app, ["compare", *words])
-
-
-def test_integers_of_64_bits_are_compared_as_numbers_and_large_ones_by_their_digits() -> None:
-    def source(name: str, small: int, large: int, mode: str, *, as_read: bool) -> RunSource:
-        columns = {"small": [small] * 101, "large": [large] * 101, "mode": [mode] * 101}
-        exact = {n: [str(v) for v in values] if as_read else values for n, values in columns.items()}
-        rows = Results(TIME, ("x",), TIME[:, None], {}, exact)
-        return RunSource(name, Path(name), lambda: RecordedRun(Path(name), name, rows))
-
-    others = [source("b", 5, 2**60 + 1, "on", as_read=True), source("c", 0, 2**60, "off", as_read=True)]
-    found = compare_several([source("a", 0, 2**60, "on", as_read=False), *others])
-    first, second = ({d.name: d.largest for d in c.differences} for c in found.comparisons)
-    assert first == {"x": 0.0, "small": 5.0, "large": 1.0, "mode": 0.0}
-    assert second == {"x": 0.0, "small": 0.0, "large": 0.0, "mode": 1.0}
-    assert [values[0] for values in found.curves["small"]] == [0.0, 5.0, 0.0]
-
-
-def test_every_run_is_compared_with_the_baseline() -> None:
-    found = compare_several([_source("a", 1.0), _source("b", 2.0), _source("c", 1.0)], baseline=1, tolerance=0.4)
-    assert [(c.a.name, c.b.name, c.differences[0].largest) for c in found.comparisons] == [
-        ("b", "a", 1.0),
-        ("b", "c", 1.0),
-    ]
-    assert not found.same
-    assert found.ranking == ["x", "y"]
-    assert [d and d.beyond for d in found.table["x"]] == [True, None, True]
-    assert compare_several([_source("a", 1.0), _source("b", 1.1), _source("c", 1.0)], tolerance=0.2).same
-
-
-def test_a_run_that_a_pattern_matched_is_left_out_with_the_reason() -> None:
-    def gone() -> RecordedRun:
-        raise InputError.at(Path("b"), "no such folder or file")
-
-    lost = RunSource("b", Path("b"), gone, is_optional=True)
-    found = compare_several([_source("a", 1.0), lost, _source("c", 2.0)])
-    assert found.labels == ["a", "c"]
-    assert found.left_out == ("b: no such folder or file",)
-    assert "no such folder or file" in comparison_page(found)
-    with pytest.raises(InputError, match="b: no such folder"):
-        compare_several([_source("a", 1.0), lost])
-    with pytest.raises(InputError, match="b: no such folder"):
-        compare_several([_source("a", 1.0), RunSource("b", Path("b"), gone), _source("c", 2.0)])
 
 
 def test_the_command_compares_runs_of_a_pattern(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,35 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
-
-from cosim.isolation.rows import CALLS, NOTHING
-from cosim.isolation.watch import ComponentTimes
 from cosim.simulation.report import write_pages
-from cosim.simulation.report.run_rows import time_sentence
 from cosim.simulation.workflow import run
 from tests.walker import walker_scenario
-
-WHEEL, ROAD = 0, CALLS
-
-
-def test_the_start_of_the_worker_counts_for_nothing() -> None:
-    now = [0.0]
-    times = ComponentTimes(["wheel"], clock=lambda: now[0])
-    now[0] = 3.0
-    times.read(0, NOTHING)
-    assert times.record() == {
-        "components": {"wheel": {"share": 0.0, "set": 0.0, "step": 0.0, "get": 0.0, "other": 0.0}},
-        "rest": 0.0,
-        "readings": 0,
-    }
-
-
-@pytest.mark.parametrize(("readings", "is_told"), [(2000, True), (20, False)])
-def test_a_run_long_enough_to_measure_has_a_sentence(readings: int, is_told: bool) -> None:
-    components = {"wheel": {"share": 0.96, "step": 9.0, "set": 0.3, "get": 0.3, "other": 0.1}, "road": {"share": 0.04}}
-    sentence = time_sentence({"readings": readings, "components": components, "waiting": 7.0})
-    assert [part in sentence for part in ("wheel", "96%", "9.6 s", "0.10 s", "7.0 s")] == [is_told] * 5
 
 
 def test_a_run_tells_its_slow_component_in_manifest_and_report(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import math
 from pathlib import Path
@@ -13,14 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import cosim
-from cosim.estimation.fit import Slopes
-from cosim.estimation.problem import Scored
-from cosim.estimation.subject.fmu_subject import FmuSubject
-from cosim.fmi.native.compiler import load_library
-from cosim.logs.log import read_log
 from cosim.probing.places import probe_places
-from cosim.refinement.decision.constancy import constancy
-from cosim.terms.code import term_code
 from cosim.terms.language import RatioFactor
 from tests.blind.fmu_build import build
 from tests.logs import write_log
@@ -78,24 +70,6 @@ def test_a_shaft_is_a_connection_and_a_shared_inertia_is_none(tmp_path: Path) ->
     assert not probe_places(build(tmp_path / "pendulum.fmu", "pendulum")).structure.connections
 
 
-@pytest.mark.parametrize(("inertia", "value"), [("motor_J", MOTOR), ("load_J", LOAD)])
-def test_a_force_in_a_shaft_turns_both_ends_by_their_own_inertias(folder: Path, inertia: str, value: float) -> None:
-    structure = probe_places(folder / "drive.fmu").structure
-    logs = [read_log(folder / "e1.csv", structure.inputs, structure.outputs)]
-    torque = []
-    for values in ({}, {inertia: 1.5 * value}):
-        model = FmuSubject.of_fmu(structure, logs).model.with_values(values)
-        code = term_code(model, ["coulomb_at_motor_w_against_load_w"], [q.name for q in structure.states])
-        export = "void call(const double *x, const double *p, double *out) { added_rates(0.0, x, x, p, out); }"
-        arrays = [np.array(a) for a in ([0.0, 1.0, 0.0, 0.0], [0.5, 0.1, STEP], [0.0] * len(structure.states))]
-        library = load_library(f"#include <math.h>\n{code.source}\n{export}")
-        library.call(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
-        rates = arrays[-1]
-        torque.append((values.get("motor_J", MOTOR) * rates[1], values.get("load_J", LOAD) * rates[3]))
-    assert torque[0] == pytest.approx((-0.5 * MOTOR, 0.5 * MOTOR))
-    assert torque[1][1] == pytest.approx(-torque[1][0])
-
-
 def test_free_play_in_a_shaft_is_named_with_its_width(folder: Path) -> None:
     places = ("gap", "cubic_spring", "coulomb")
     record = refine_drive(folder, ["shaft.c", "bias_at_torque", *(f"{k}_at_motor_w_against_load_w" for k in places)])
@@ -106,22 +80,3 @@ def test_free_play_in_a_shaft_is_named_with_its_width(folder: Path) -> None:
     assert {e["name"] for e in record["effects"]} <= {gap["name"], "shaft.c"}
     after, before = (np.mean([*record["error"][n]["validation"].values()]) for n in ("after", "recalibrated"))
     assert after < 0.5 * before
-
-
-@pytest.mark.parametrize(("gap", "is_varying"), [(0.0, False), (0.5, True)])
-def test_a_slope_varies_with_its_input_only_if_the_line_is_none(gap: float, is_varying: bool) -> None:
-    """A line y = θ·x through points with free play: θ rises with |x|."""
-    chances = []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        x = rng.standard_normal(1200)
-        y = 2.0 * np.sign(x) * np.maximum(0.0, np.abs(x) - gap) + rng.standard_normal(x.size)
-        theta = float(x @ y / (x @ x))
-        rows = np.arange(x.size)
-        scored = Scored(y - theta * x, np.ones(x.size), (x.size,), rows)
-        at_fit = Slopes(scored, -x[None, :], np.zeros((1, x.size)), np.array([[x @ x]]))
-        tested = constancy("θ", at_fit, rows // 50, 0, theta)
-        chances.append(tested.chance)
-        assert not is_varying or tested.weak < theta < tested.strong
-    share = float(np.mean(np.array(chances) < 0.05))
-    assert share > 0.95 if is_varying else share < 0.15

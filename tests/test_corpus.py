@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.corpus.__main__ import chosen, read_desks
-from tests.corpus.comparison import Intended, differences, read_intended, unexplained
+from tests.corpus.comparison import Intended, differences, unexplained
 from tests.corpus.running import Outcome
 
-HERE = Path(__file__).parent / "corpus"
 PRINTED: dict[str, Any] = {"verdict": "claimed", "value": 1.5, "message": "a sentence of several words"}
 ROWS = "time,x,mode\n0,1.0,on\n1,2.0,on\n2,4.0,off\n"
 
@@ -68,21 +65,3 @@ def test_an_entry_explains_the_keys_of_its_commands_and_counts_its_uses(tmp_path
     used, other = Intended("desk: r*", "as the issue says", ["printed:val*"]), Intended("else: *", "-", ["*"])
     assert [difference.key for difference in unexplained(found, [used, other])] == ["printed:verdict"]
     assert (used.uses, other.uses) == (1, 0)
-
-
-def test_intended_differences_are_at_most_thirty_and_have_a_reason(tmp_path: Path) -> None:
-    path, entry = tmp_path / "intended.yaml", {"commands": "*", "because": "as the issue says", "keys": ["*"]}
-    path.write_text(json.dumps([entry] * 30))
-    assert len(read_intended(path)) == 30
-    for wrong in ([entry] * 31, [entry | {"because": " "}]):
-        path.write_text(json.dumps(wrong))
-        with pytest.raises(SystemExit):
-            read_intended(path)
-
-
-def test_the_list_of_commands_and_the_intended_differences_can_be_read() -> None:
-    desks, not_run = read_desks(HERE / "commands.yaml")
-    assert sum(len(desk.commands) for desk in desks.values()) >= 150
-    assert all(not_run.values())
-    assert [*chosen(desks, "my_log")] == ["my_fmus", "my_log"]
-    read_intended(HERE / "intended.yaml")

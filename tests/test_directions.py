@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from shutil import copyfile
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.places import probe_structure
 from cosim.terms.code import term_code
-from tests.blind import fmu_build
 from tests.blind.fmu_build import PLANTS, build
 from tests.native import NEEDS_COMPILER
 
@@ -105,14 +103,6 @@ def test_a_friction_at_a_hinge_tells_how_forces_act_there(folder: Path) -> None:
     assert not hinge.is_constant
 
 
-def test_an_fmu_with_events_cannot_be_kept_in_step(folder: Path) -> None:
-    structure = structure_of(folder, fault="step_events")
-    (hinge,) = structure.directions
-    assert not hinge.in_step
-    model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
-    assert model.directions == ()  # type: ignore[attr-defined]
-
-
 # -- filter -----------------------------------------------------------------------------------------
 
 
@@ -175,57 +165,3 @@ def test_states_are_saved_and_instances_are_apart(folder: Path, version: int) ->
         fmu.freeFMUState(state)
         two.instance.fmu.setFMUState(two.instance.fmu.deserializeFMUState(data))  # with the friction of the first
         assert rates_of(two, x, 1.0).tolist() == first.tolist()
-
-
-# -- two directions ---------------------------------------------------------------------------------
-
-ARM = """
-static void rates(const double *p, double t, const double *x, const double *u, double *dx) {
-    const double c = cos(x[2]), s = sin(x[2]), a = 0.5 + 0.2 * c, b = 0.1 + 0.1 * c, d = 0.1;
-    const double first = u[0] * cos(x[0]) - p[0] * x[1] - sin(x[0]) + 0.1 * s * x[3] * (2.0 * x[1] + x[3]);
-    const double second = 0.3 * u[0] - p[1] * x[3] - sin(x[0] + x[2]) - 0.1 * s * x[1] * x[1];
-    dx[0] = x[1], dx[2] = x[3];
-    dx[1] = (d * first - b * second) / (a * d - b * b);
-    dx[3] = (a * second - b * first) / (a * d - b * b);
-}
-static void readings(const double *p, double t, const double *x, const double *u, double *y) {}
-"""
-ARM_FORCES = {"coulomb_at_w1.level": 0.1, "coulomb_at_w1.softness": 0.05, "quadratic_drag_at_w2.coefficient": 0.02}
-
-
-def arm_rates(x: Any, u: float) -> Array:
-    """Return the derivatives of a double pendulum in relative angles, with both forces."""
-    (q1, w1, q2, w2), bend = x, 0.1 * np.sin(x[2])
-    mass = np.array([[0.5 + 0.2 * np.cos(q2), 0.1 + 0.1 * np.cos(q2)], [0.1 + 0.1 * np.cos(q2), 0.1]])
-    first = u * np.cos(q1) - 0.02 * w1 - np.sin(q1) + bend * w2 * (2.0 * w1 + w2) - 0.1 * np.tanh(w1 / 0.05)
-    second = 0.3 * u - 0.01 * w2 - np.sin(q1 + q2) - bend * w1 * w1 - 0.02 * w2 * abs(w2)
-    (v1, v2) = np.linalg.solve(mass, [first, second])
-    return np.array([w1, v1, w2, v2])
-
-
-def test_two_joints_have_directions_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names, units = ("q1", "w1", "q2", "w2"), ("rad", "rad/s") * 2
-    states = tuple(fmu_build.Variable(n, 0.1, unit, "state") for n, unit in zip(names, units, strict=True))
-    frictions = tuple(fmu_build.Variable(n, b, "N.m.s/rad", "friction") for n, b in (("b1", 0.02), ("b2", 0.01)))
-    force = (fmu_build.Variable("force", 0.0, "N", "force"),)
-    (tmp_path / "arm.c").write_text(ARM)
-    copyfile(fmu_build.SOURCES / "runtime.c", tmp_path / "runtime.c")
-    monkeypatch.setattr(fmu_build, "SOURCES", tmp_path)
-    monkeypatch.setitem(PLANTS, "arm", fmu_build.Plant("Arm", force, states, names, frictions, 1e-3))
-    log = log_of_sines()
-    structure = probe_structure(build(tmp_path / "arm.fmu", "arm"), [log])
-    assert [(d.parameter, d.pair.velocity) for d in structure.directions] == [("b1", "w1"), ("b2", "w2")]
-    subject = FmuSubject.of_fmu(structure, [log])
-    code = term_code(subject.model, {n.partition(".")[0] for n in ARM_FORCES}, names)  # type: ignore[arg-type]
-    wrap(structure.fmu, code, ARM_FORCES, tmp_path / "wrapped.fmu")
-    with opened(tmp_path / "wrapped.fmu") as block:
-        for x in POINTS:
-            assert rates_of(block, x, 1.5) == pytest.approx(arm_rates(x, 1.5), rel=1e-9)
-    kernel = subject.kernel(list(names))
-    p = np.array([{**subject.values, **ARM_FORCES}.get(n, 1.0) for n in kernel.layout.parameters])
-    h, data = 1e-4, Data(1e-4, 0.0, np.full((2, 1), 1.5), np.full((2, 4), np.nan), 1)
-    for x in POINTS:
-        x0 = np.concatenate([x, np.zeros(len(kernel.layout.states) - 4)])
-        moved = kernel.simulate(data, p, x0, np.zeros(kernel.layout.memory)).states[1, :4]
-        middle = arm_rates(x + 0.5 * h * arm_rates(x + 0.5 * h * arm_rates(x, 1.5), 1.5), 1.5)  # midpoint rule
-        assert (moved - x) / h == pytest.approx(middle, rel=1e-4, abs=1e-4)

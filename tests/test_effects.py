@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import settings
 
 from cosim.model import Stepper, parameters_of
 from plant.effects import CATALOGUE
@@ -19,11 +17,9 @@ from plant.effects.actuator import (
 )
 from plant.effects.body import TableTilt
 from plant.effects.friction import CoulombFriction, YawCoulombFriction
-from plant.effects.sensor_errors import AccelerometerBias, AccelerometerScale, GyroBias
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import COLUMNS, HOLD, Array, Effects, excitation, flown, simulate, to_and_fro
 
-property_settings = settings(deadline=None, derandomize=True, max_examples=40)
 HOVER = (DUTY_NOMINAL, DUTY_NOMINAL, 0.0, 0.0)
 
 MEMORY = {
@@ -195,14 +191,6 @@ def test_an_effect_replaces_one_of_its_kind() -> None:
     assert craft.effects == (TableTilt(y=0.02),)
 
 
-@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
-def test_effect_refuses_values_out_of_bounds_all_at_once(kind: Any) -> None:
-    bad = {p.name: p.bounds[1] + 1.0 for p in parameters_of(kind)}
-    with pytest.raises(ValueError) as refusal:  # noqa: PT011 - the message is what is tested
-        kind(**bad)
-    assert all(name in str(refusal.value) for name in bad)
-
-
 # Energy.
 
 
@@ -250,25 +238,3 @@ def test_delay_of_whole_samples_is_the_command_row_shifted(samples: int) -> None
 
 
 # Sensors.
-
-
-@pytest.mark.parametrize(
-    ("error", "output", "reading"),
-    [
-        (AccelerometerBias(value=0.3), "ax", 2.3),
-        (AccelerometerScale(value=1.1), "ax", 2.2),
-        (GyroBias(value=-0.1), "psi_dot", 1.9),
-    ],
-)
-def test_sensor_error_is_on_the_measurement_not_in_the_plant(error: Any, output: str, reading: float) -> None:
-    assert error.output == output
-    assert error.measure(2.0) == pytest.approx(reading, rel=1e-15)
-    assert not error.dormant
-    assert type(error)().dormant
-    assert type(error)().measure(2.0) == 2.0
-    assert type(error) not in CATALOGUE
-
-
-def test_memory_starts_are_declared_for_all_that_is_remembered() -> None:
-    declared = {f"{kind.name}.{q.name}" for kind in CATALOGUE for q in itertools.chain(kind.states, kind.memory)}
-    assert declared == set(MEMORY)

@@ -16,7 +16,6 @@ from cosim.estimation.subject.interface import Subject
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
-from cosim.refinement.decision import equivalence
 from cosim.refinement.decision.equivalence import act_alike
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -107,11 +106,3 @@ def test_sums_act_alike_where_only_ratios_of_parameters_act(tmp_path: Path) -> N
     assert not act_alike(search, flows, supposed(search, {"UA": 3.0, "C_c": 2.0}))  # C_h far beyond its tolerance
     far = supposed(search, {"UA": 3.0, "c": 0.7})
     assert not act_alike(search, far, supposed(search, {"C_c": 2.1, "C_h": 3.2}))
-
-
-def test_a_failing_fmu_shows_no_equivalence(motor: Search, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = np.full_like(motor.problem.logs[0].y, np.nan)
-    monkeypatch.setattr(equivalence._Course, "outputs", lambda course, values: nothing)
-    assert not act_alike(
-        motor, supposed(motor, {"damping": 4e-4}), supposed(motor, {"viscous_at_speed.coefficient": 3e-4})
-    )

@@ -1,20 +1,15 @@
 """Evidence for a part of a hypothesis: its gain against the scatter of chance, over blocks of time."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.special import stdtrit
 
-from cosim.estimation.fit import Fit
-from cosim.estimation.plateaus import with_flat_directions
 from cosim.estimation.problem import Scored
-from cosim.estimation.subject.candidates import Free
 from cosim.refinement.decision.evidence import (
     BY_CHANCE,
-    _variance_with_logs,
     deviations_from,
     gain_per_chance,
     gain_per_scatter,
@@ -75,42 +70,6 @@ def test_a_single_event_passes_for_no_effect() -> None:
     term = acting_in(BLOCKS, rng)
     event = np.where(BLOCK == 7, 40.0 * term, 0.0)
     assert not any(passes(term, event + rng.normal(size=term.size))[0] for _ in range(100))
-
-
-class Flat:
-    """A problem with a likelihood that is flat below 0.5, and falls as a normal one of σ = 0.1 above."""
-
-    def score(self, values, noise):
-        """Return an object with the negative log-likelihood."""
-        return SimpleNamespace(nll=0.5 * (max(0.0, values["lag"] - 0.5) / 0.1) ** 2)
-
-
-def test_an_estimate_without_information_has_the_interval_of_the_flat_likelihood() -> None:
-    lag = Free("lag", 0.0, 10.0, 1.0, neutral=0.0)
-    estimate = Fit({"lag": 0.1}, None, (lag,), (0.0,), 0.0, np.zeros((1, 1)), 1, True, np.zeros((1, 1)))
-    widened = with_flat_directions(Flat(), estimate)
-    assert 1.96 * widened.sigma("lag") == pytest.approx(0.4 + 0.196, rel=0.05)  # up to 1.96 σ above 0.5
-    assert widened.interval("lag") == pytest.approx((0.0, 0.5 + 0.196), rel=0.05)  # no lag below zero
-
-
-def estimate(value, sigma):
-    """Return a fit of one parameter."""
-    free = (Free("force", 0.0, 10.0, 1.0, neutral=0.0),)
-    return Fit({"force": value}, None, free, (0.0,), 0.0, np.array([[sigma**-2]]), 1, True)
-
-
-@pytest.mark.parametrize(
-    ("sigmas", "variance"),
-    [
-        ((0.1, 0.1), 0.09),  # equal logs: the jackknife
-        ((0.0708, 0.0708), 0.09),  # each log alone says as much as both: its noise was estimated lower
-        ((0.1 / math.sqrt(2.0), 1.0), 0.005 * 0.18 / (1.0 - 0.005)),  # the second log says nothing
-    ],
-)
-def test_estimates_that_differ_between_logs_have_the_variance_of_the_jackknife_at_most(sigmas, variance) -> None:
-    both = estimate(1.0, 0.1 / math.sqrt(2.0))
-    without = [estimate(value, sigma) for value, sigma in zip((1.3, 0.7), sigmas, strict=True)]
-    assert _variance_with_logs(both, without, both.free[0]) == pytest.approx(variance)
 
 
 def alike(rng):

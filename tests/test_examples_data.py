@@ -103,17 +103,6 @@ def test_an_effect_at_its_typical_size_is_felt_and_at_its_neutral_size_is_not(ex
 # -- recordings ---------------------------------------------------------------------------------
 
 
-def test_a_recording_is_downloaded_once_and_checked(tmp_path: Path) -> None:
-    fetch = _loaded(EXAMPLES / "fetch.py")
-    home = tmp_path / "home.csv"
-    home.write_bytes(b"1,2\n")
-    right = fetch.Recording("a.csv", home.as_uri(), hashlib.sha256(b"1,2\n").hexdigest())
-    folder = tmp_path / "data"
-    assert fetch.recorded(right, folder).read_bytes() == b"1,2\n"
-    home.unlink()
-    assert fetch.recorded(right, folder) == folder / "a.csv"
-
-
 def test_another_file_than_the_recording_is_refused_and_a_download_of_it_not_kept(tmp_path: Path) -> None:
     fetch = _loaded(EXAMPLES / "fetch.py")
     home = tmp_path / "home.csv"

@@ -23,7 +23,6 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.chosen_input import Excitation
 from cosim.experiment.excite import excite
-from cosim.experiment.question import ask
 from cosim.logs.log import read_log
 from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
@@ -139,12 +138,6 @@ def test_a_model_of_one_s_own_is_played_open_loop_within_its_limits(tmp_path: Pa
     assert np.abs(rows["plant.position"]).max() <= 0.15
 
 
-def hypothesis(parameters: dict[str, float], gain: float | None, *, fitted: bool = True) -> dict[str, object]:
-    """As refine.json has it."""
-    names = sorted({name.partition(".")[0] for name in parameters})
-    return {"names": names, "parameters": parameters, "fitted": fitted, "log_likelihood_gain": gain}
-
-
 def refined(
     folder: Path,
     rivals: Sequence[str],
@@ -158,20 +151,6 @@ def refined(
     (folder / "refine.json").write_text(
         json.dumps(record | {"measured": [*noise] if noise else ["psi", "ax"], "sensor_noise": noise or {}})
     )
-
-
-def test_the_rivals_of_a_refinement_stand_where_they_were_fitted(tmp_path: Path) -> None:
-    ranking = [
-        hypothesis({"com_offset.right": -0.0034, "lag": 0.1}, 30.0),
-        hypothesis({"thrust_asymmetry.ratio": 0.021}, 30.0),
-    ]
-    refined(tmp_path, RIVALS, ranking)
-    for place in (tmp_path, tmp_path / "refine.json"):
-        question = ask(str(place))
-        assert question.pairs == (RIVALS,)
-        assert question.measured == ("psi", "ax")
-        assert [r.values for r in question.rivals] == [ranking[1]["parameters"], ranking[0]["parameters"]]
-        assert [f.name for f in question.rivals[1].free] == ["com_offset.right", "lag"]
 
 
 @pytest.mark.thorough

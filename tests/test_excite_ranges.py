@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import csv
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from controller.closed_loop import ClosedLoop
 from cosim.core.errors import InputError
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
@@ -86,16 +84,3 @@ def test_what_is_declared_stands_over_what_is_asked_for(tmp_path: Path) -> None:
         ask(model, ranges=["fan=-10..-5"])
     with pytest.raises(InputError, match="how far from 20 may fan go"):
         ask(fan(tmp_path, ", (0.0, float('inf'))"))
-
-
-def test_a_craft_is_not_told_a_duty_below_none(tmp_path: Path) -> None:
-    limits, ranges = ["duty_right=12", "duty_left=12"], ["duty_right=0..14", "duty_left=0..14", "tilt_left=-5..8deg"]
-    question = ask("base", ["lag", "actuator_delay"], limits, ranges=ranges)
-    rig = ClosedLoop(question.loaded.model, question.limits, question.ranges, 10.0)
-    assert rig.settings.tilt_max == pytest.approx(math.radians(5.0))
-    time = 0.02 * np.arange(501)
-    signals = {a.name: a.amplitude * np.sin(0.6 * time) for a in rig.axes}
-    inputs = rig.play(question.loaded.model, signals).inputs
-    assert (inputs["duty_right"].min(), inputs["duty_right"].max()) == (0.0, 14.0)  # about 6.4 %, and 12 % either way
-    assert (inputs["duty_left"].min(), inputs["duty_left"].max()) == pytest.approx((1.6, 11.2), abs=0.1)
-    assert np.abs(inputs["tilt_right"]).max() <= math.radians(5.0) + 1e-9

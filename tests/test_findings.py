@@ -1,6 +1,6 @@
 """What was found on real logs at revision 4444eb4, each by number, on a mass on a rail and on a ferry.
 
-More of these is shown elsewhere: 1 in test_candidates and test_refine_stands, 4 in test_refine_conditions, 6 and 9 in
+More of these is shown elsewhere: 1 in test_refine_stands, 4 in test_refine_conditions, 6 and 9 in
 test_refine_report (every refine of the tests is held against tests/verdicts.py), 7 in
 test_sealed and test_nearest, 8 in test_per_log, test_between_rows, test_excite_ranges and test_rates.
 """
@@ -15,30 +15,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.estimation.fit import Fit, inverse
-from cosim.estimation.posing import NO_SETTINGS, build_problem, coarsen, with_equations_trusted
-from cosim.estimation.problem import Problem, Settings
-from cosim.estimation.subject.candidates import Candidate
-from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.fmi.building.file import load_model, read_model
-from cosim.logs.log import read_log
-from cosim.model import Model
-from cosim.refinement.decision.evidence import (
-    with_sandwich_covariance,
-)
+from cosim.estimation.posing import build_problem
+from cosim.fmi.building.file import read_model
 from cosim.refinement.decision.judgement import (
     decide,
-    is_at_limit,
 )
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import first_rows
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.study import read_study
 from tests.ferry import ferry_study
 from tests.logs import write_log
-from tests.rail import MODEL, NOISE, SHEET, Rows, rail_log, rail_study, white
+from tests.rail import NOISE, SHEET, Rows, rail_log, rail_study, white
 from tests.studies import holds, named, proven
 
 pytestmark = pytest.mark.optimized
@@ -72,29 +61,6 @@ def off(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
     """The same without friction."""
     folder = tmp_path_factory.mktemp("off")
     return proven(rail_study(folder / "study", OFF, TOLERANCE), folder / "out")
-
-
-@pytest.fixture(scope="module")
-def rail(tmp_path_factory: pytest.TempPathFactory) -> Model:
-    folder = tmp_path_factory.mktemp("rail")
-    (folder / "rail.py").write_text(MODEL, encoding="utf-8")
-    return load_model("rail.py:Rail", folder).model
-
-
-def posed(model: Model, folder: Path, *seeds: int, settings: Settings = NO_SETTINGS, **how: Any) -> Problem:
-    """The fitting problem of some logs of a rail."""
-    paths = [rail_log(folder / f"{seed}.csv", seed, **how) for seed in seeds]
-    return build_problem(
-        ModelSubject.of(model), [read_log(p, model.inputs, model.outputs) for p in paths], settings=settings
-    )
-
-
-def parts_of(problem: Problem, model: Model, *names: str) -> tuple[Candidate, ...]:
-    return tuple(c for c in ModelSubject.of(model).candidates(("force",)) if c.name in names)
-
-
-def searched(model: Model, problem: Problem, on_trial: int = 1) -> Search:
-    return Search(ModelSubject.of(model), problem, on_trial, lambda stage, share: None)
 
 
 # -- 1: base numbers that are off by what a data sheet is off -----------------------------------
@@ -294,29 +260,6 @@ def test_friction_that_is_less_at_rest_than_in_motion_is_never_claimed(
             assert h.fit.values["stribeck.rest"] >= h.fit.values["stribeck.sliding"]
 
 
-def test_a_fit_of_what_must_be_physical_stops_where_it_would_not_be(rail: Model, tmp_path: Path) -> None:
-    """Drag looks like friction that rises with speed; as far as it may, that is friction which does not fall."""
-    problem = coarsen(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
-    (stribeck,) = parts_of(problem, rail, "stribeck")
-    h = searched(rail, problem).hypothesis((stribeck,), None)
-    assert h.fit.values["stribeck.rest"] == h.fit.values["stribeck.sliding"] > 0.1
-    (rest,) = (f for f in stribeck.free if f.above)
-    assert is_at_limit(h, rest, problem.values)  # so that nobody claims it
-
-
-def test_a_fit_beyond_its_time_stops_with_the_values_reached_and_says_so(
-    rail: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem = coarsen(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
-    (drag,) = parts_of(problem, rail, "drag")
-    search = searched(rail, problem)
-    monkeypatch.setattr("cosim.estimation.fit.MAX_SECONDS", 0.0)
-    h = search.hypothesis((drag,), None)
-    assert h.fit.is_cut
-    assert not h.fit.converged
-    assert h.fit.iterations == 1
-
-
 @pytest.mark.thorough
 def test_friction_that_is_more_at_rest_is(tmp_path: Path) -> None:
     numbers = {"viscous": 3.0, "sliding": 0.5, "rest": 1.0}
@@ -385,27 +328,3 @@ def blind(path: Path, begin: float, end: float) -> None:
     table = np.array(rows, dtype=float)
     table[(table[:, 0] >= begin) & (table[:, 0] < end), 2:] = np.nan
     write_log(path, dict(zip(header, table.T, strict=True)))
-
-
-@pytest.mark.thorough
-def test_intervals_hold_the_truth_under_a_disturbance_that_lasts(rail: Model, tmp_path: Path) -> None:
-    """16 times two logs under a push that lasts a second: as they scatter from block to block, as of white noise."""
-    filtered, trusted, unaware = list[bool](), list[bool](), list[bool]()
-    for k in range(16):
-        problem = posed(rail, tmp_path, 10 * k + 100, 10 * k + 101, numbers={"slope": 0.3}, push=0.1, seconds=16.0)
-        for way, found in ((problem, filtered), (with_equations_trusted(ModelSubject.of(rail), problem), trusted)):
-            f = slope_of(rail, coarsen(way))
-            off = f.values["slope.pull"] - 0.3
-            found.append(abs(off) < 1.96 * f.sigma("slope.pull"))
-            if found is trusted:
-                place = [x.name for x in f.free].index("slope.pull")
-                unaware.append(abs(off) < 1.96 * math.sqrt(inverse(f.information)[place, place]))
-    # of 16 at 95 %, 12 or fewer come once in 130; where equations are trusted the blocks are few, and less is asked for
-    assert sum(filtered) >= 13
-    assert sum(trusted) >= 12
-    assert sum(unaware) <= 6
-
-
-def slope_of(model: Model, problem: Problem) -> Fit:
-    h = searched(model, problem).hypothesis(parts_of(problem, model, "slope"), None, 12)
-    return with_sandwich_covariance(problem, h.fit)

@@ -161,16 +161,6 @@ def test_one_fmu_runs_over_its_default_experiment_and_its_scenario_repeats_it(tm
     assert (tmp_path / "again" / "results.csv").read_bytes() == (out / "results.csv").read_bytes()
 
 
-def test_a_recording_is_played_to_the_inputs_of_its_names_up_to_its_end(tmp_path: Path) -> None:
-    fmu, log = typed_fmu(tmp_path), tmp_path / "log.csv"
-    time = np.arange(0, 1.01, 0.1)
-    log.write_text("time,r_in,other\n" + "".join(f"{t:.1f},{2 * t:.1f},0\n" for t in time))
-    told("simulate", "--in-process", fmu, "--input", log, "--out", tmp_path / "out", "--no-report")
-    rows = read_results(tmp_path / "out" / "results.csv")
-    assert rows.time[-1] == pytest.approx(1.0)
-    assert rows["typed.r_out"] == pytest.approx(2 * rows.time)
-
-
 def test_a_folder_of_another_run_or_a_scenario_of_ones_own_is_not_written_over(tmp_path: Path) -> None:
     first, second, out = typed_fmu(tmp_path), typed_fmu(tmp_path, name="second"), tmp_path / "out"
     told("simulate", "--in-process", first, "--out", out, "--no-report", "--stop", "0.1")
@@ -211,13 +201,3 @@ def test_a_run_begins_where_its_recording_begins_and_says_what_it_does_not_play(
     made = simulate(late, input=log, in_process=True)
     assert (made.time[0], made.time[-1]) == pytest.approx((5.5, 6))
     assert "log.csv: begins at 5 s, the run at 5.5 s as late says" in made.warnings
-
-
-def test_results_go_to_the_name_of_the_fmu_without_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fmu = typed_fmu(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    told("simulate", "--in-process", fmu, "--no-report", "--stop", "0.1")
-    assert (tmp_path / "results" / "typed" / "0001" / "results.csv").is_file()
-
-
-HUGE = '<Dimension start="9999999999"/><Dimension start="2"/></Float64>\n    <Int64'

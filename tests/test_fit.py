@@ -15,12 +15,8 @@ from scipy.signal import lfilter
 
 import cosim
 from cosim.calibration import fit_record, fitted_fmu, simulations
-from cosim.calibration.estimate import Estimate
-from cosim.calibration.simulations import Logs
-from cosim.calibration.vary import candidates
 from cosim.core.errors import InputError, SimulationError, TimedOut
 from cosim.files.kinds import kind_of
-from cosim.residuals.drive import Drive, log_of_fmu
 from tests.cases import some
 from tests.fit_head_to_head import CASES, Bench, by_cosim, by_scipy
 from tests.logs import write_log
@@ -253,16 +249,10 @@ def coverage(folder: Path, count: int, rows: int, correlation: float) -> dict[st
         for name, sigma in (("position", 2e-3), ("velocity", 1e-2)):
             white = rng.standard_normal(rows + 500) * math.sqrt(1.0 - correlation**2)
             columns[name] += sigma * lfilter([1.0], [1.0, -correlation], white)[500:]
-        log = log_of_fmu(write_log(folder / "log.csv", columns), fmu)
-        with Drive(log, fmu) as drive:
-            estimate = Estimate(Logs([drive]), lambda stage, share: None)
-            offered = candidates(drive.description, {})
-            estimate.run([offered[name] for name in hits], screening=False)
-            assert estimate.covariance is not None
-            likelihood, point = estimate.best
-            for j, unknown in enumerate(likelihood.unknowns[: len(hits)]):
-                error = abs(point.x[j] - TRUTH[unknown.name])
-                hits[unknown.name] += bool(error <= estimate.covariance.half(j))
+        fitted = cosim.fit([write_log(folder / "log.csv", columns)], fmu, vary=[*hits], **QUICK)
+        for name, interval in fitted.intervals.items():
+            low, high = interval or (0.0, 0.0)
+            hits[name] += bool(low <= TRUTH[name] <= high)
     return hits
 
 

@@ -171,14 +171,6 @@ def declared(unknowns: list[Any]) -> dict[str, set[str]]:
     return {u.variable.name: {v.name for v in u.dependencies} for u in unknowns}
 
 
-@BOTH
-def test_every_output_is_listed_at_a_sample_and_at_initialization(fmu: Path) -> None:
-    description = description_of(fmu)
-    outputs = [v.name for v in description.modelVariables if v.causality == "output"]
-    assert [u.variable.name for u in description.outputs] == outputs
-    assert [u.variable.name for u in description.initialUnknowns] == outputs
-
-
 def union(*maps: dict[str, set[str]]) -> dict[str, set[str]]:
     return {output: set().union(*(m[output] for m in maps)) for output in maps[0]}
 

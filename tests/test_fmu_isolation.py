@@ -70,31 +70,6 @@ def test_two_builds_of_other_sources_keep_their_own(
         assert pull[1] == pytest.approx(2 * pull[0], rel=0.02)
 
 
-FRESH = """
-import json, sys
-from pathlib import Path
-from tests.hosts_fmpy import Instance
-before = set(sys.modules)
-for path in sys.argv[1:]:
-    with Instance(Path(path)) as instance:
-        instance.initialize()
-        instance.step(0.0, 0.02)
-        resources = path.replace(".fmu", ".extracted") + "/resources"
-        assert sys.path[0] == resources, sys.path[0]
-added = set(sys.modules) - before
-print(json.dumps(sorted({n.partition(".")[0] for n in added})))
-"""
-
-
-@pytest.mark.thorough
-def test_a_host_gains_no_module_named_as_ours(plant_fmu: Path, controller_fmu: Path) -> None:
-    gained = in_a_process_of_its_own(FRESH, plant_fmu, controller_fmu)
-    assert not {"plant", "controller", "fmus", "cosim"} & set(gained)
-    ours = [n for n in gained if n.startswith("hovercraft_")]
-    assert len(ours) == 4  # a package and a slave script an FMU, each named by its content
-    assert "pythonfmu" in gained  # else nothing was loaded at all
-
-
 POISONED = """
 import json, sys, types
 from pathlib import Path

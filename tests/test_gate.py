@@ -149,10 +149,6 @@ def test_a_rate_that_the_equations_say_is_one_is_held_against_its_angle(
     assert told == [("fault", kind, "rate")]
 
 
-def test_the_craft_has_its_rates_by_its_equations() -> None:
-    assert Traits.of(Hovercraft()).rates == {"x": "vx", "y": "vy", "psi": "psi_dot", "phi": "phi_dot"}
-
-
 def test_a_clock_that_was_set_costs_no_memory(tmp_path: Path, flight: Flight) -> None:
     c = columns(flight)
     c["time"] = np.where(np.arange(c["time"].size) > 400, c["time"] + 9e8, c["time"])

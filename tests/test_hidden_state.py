@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +13,13 @@ from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
 from cosim.logs.log import Log, read_log
 from cosim.model import Stepper
-from cosim.residuals import starts
 from cosim.residuals.compare import ChannelSummary, Comparison
-from cosim.residuals.drive import Drive, model_signals
+from cosim.residuals.drive import model_signals
 from cosim.residuals.replay_sentences import verdict
-from cosim.residuals.starts import start_parameters
-from cosim.residuals.windows import free_run, self_started
 from cosim.residuals.workflow import write_replay
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
-from tests.logs import IMU, MOVING, fly, log_of, measured, times, write_log
+from tests.logs import MOVING, fly, log_of, measured, times, write_log
 
 REMEMBER = {
     "second order": {"actuator_second_order.natural_frequency": 12.0, "actuator_second_order.damping_ratio": 0.4},
@@ -84,40 +80,6 @@ def test_a_craft_that_remembers_is_explained_by_its_own_fmu_only(
     base = write_replay(tmp_path, log, plant_fmu, report=False)
     assert psi(base).excess > 4.0 * psi(base).floor.limit
     assert NOTHING not in verdict(base)
-
-
-@pytest.mark.thorough
-def test_restarted_from_its_own_outputs_an_fmu_of_ours_is_on_its_free_run(tmp_path: Path) -> None:
-    """Nothing is lost between two windows: play, delay and tilt rate are put back bit for bit."""
-    values = {name: value for effect in REMEMBER.values() for name, value in effect.items()}
-    fmu = build(plant_recipe(values), tmp_path / "own.fmu")
-    log = log_of(tmp_path / "a.csv", measured(fly(times(6.0), Hovercraft().with_values(values), MOVING), IMU))
-    with Drive(log, fmu) as driven:
-        free, parameters = free_run(driven, {}), start_parameters(driven)
-        seen = replace(log, outputs={name: free.outputs[name] for name in IMU})
-        again = self_started(driven.on(seen), parameters, free, 0.5)
-    assert again is not None
-    for name, found in again.outputs.items():
-        rows = np.isfinite(found)
-        assert found[rows] == pytest.approx(free.outputs[name][rows], abs=1e-9), name  # sums over some hundred steps
-
-
-@pytest.mark.thorough
-def test_windows_of_an_fmu_whose_state_cannot_be_set_are_no_measure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    values = REMEMBER["second order"]
-    monkeypatch.setattr(starts, "_with_places", lambda drive, found: found)  # as of another tool
-    fmu = build(plant_recipe(values), tmp_path / "own.fmu")
-    comparison = write_replay(tmp_path, craft_log(tmp_path, values), fmu)
-    told = verdict(comparison)
-    assert psi(comparison).lost
-    assert math.isnan(psi(comparison).excess)
-    assert NOTHING not in told
-    assert "do not measure psi" in told
-    assert "keeps a state that no output shows" in told
-    assert {f.channel for f in comparison.findings if f.kind == "hidden_state"} >= {"psi", "psi_dot"}
-    assert "Restarted from its own outputs" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 # -- slow rows --------------------------------------------------------------------------------

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-import pickle
-import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,10 +23,7 @@ from cosim.estimation.subject.model_subject import ModelSubject, neutral_values,
 from cosim.files.cache import cache_path
 from cosim.fmi.building.file import own_model
 from cosim.fmi.native.compiler import compiler
-from cosim.model import Equations, Model, Namespace, Stepper
-from cosim.model.symbolic.functions import Body
-from cosim.model.symbolic.languages import C
-from plant.effects.actuator import ActuatorDelay
+from cosim.model import Model, Stepper
 from plant.hovercraft import Hovercraft
 from tests.cases import some
 from tests.conftest import ROOT
@@ -43,9 +37,7 @@ AWAKE = {
     "local.1.by.vx": 20.0, "local.1.dry": 1.0, "local.1.0": -0.05, "local.2.to.psi_dot": 1.0, "local.2.of.time": 1.0,
     "local.2.of.1": -1.5, "local.2.by.1": 1.0, "local.2.rise": 0.04,
 }  # fmt: skip
-LAGS = ("thrust_right", "thrust_left", "tilt_right", "tilt_left")
 NEEDS_C = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
-SAME = 1e-10  # of the largest value of a channel; two compilers differ in the order of sums at most
 
 
 @pytest.fixture(scope="module")
@@ -81,46 +73,6 @@ def filtered(k: CompiledKernel, data: Data, p: Array) -> Filtered:
     q[list(layout.noisy)] = 1e-3
     x0 = start_state(ModelSubject.of(Hovercraft()), data, layout.outputs, layout.states)
     return k.run(data, p, x0, 1e-2 * np.eye(len(q)), q, np.array([2.6e-5, 4.6e-4, 4.5e-2]), states=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LateRadio(ActuatorDelay):
-    """A delay as another model might call it."""
-
-    name = "late_radio"
-
-
-@dataclass(frozen=True, kw_only=True)
-class RadioCraft(Hovercraft):
-    """A craft that may lack nothing but that delay."""
-
-    catalogue = (LateRadio,)
-
-
-@pytest.mark.thorough
-def test_a_delay_of_any_name_is_looked_up_in_the_log(seen: Data) -> None:
-    def errors(model: Model, **changes: float) -> Array:
-        k = kernel(model, IMU)
-        return filtered(k, seen, parameters(model, k.layout, **changes)).errors
-
-    late = errors(RadioCraft(), **{"late_radio.time": 0.053})
-    np.testing.assert_allclose(late, errors(Hovercraft(), **{"actuator_delay.time": 0.053}), rtol=0, atol=SAME)
-    assert np.nanmax(np.abs(late - errors(RadioCraft()))) > 1e-3
-
-
-@pytest.mark.thorough
-def test_a_filter_waits_as_long_as_the_lags_of_its_model_need(craft: Generated, table: Model, tmp_path: Path) -> None:
-    # a lag has forgotten all but 1e-4 of its start after ln(1e4) time constants; a table on a rail has none
-    model, layout = Hovercraft(), craft.layout
-    driven = [layout.states[k] for k in layout.driven]
-    assert {*driven} == {*LAGS, "phi", "phi_dot"}  # the roll decays faster than the lags
-    assert settling(model, driven) == pytest.approx(math.log(1e4) * model.lag, rel=1e-6)
-    assert settling(model, LAGS[:0]) == 0.0
-    assert generate(table, [table.outputs[0].name]).layout.driven == ()
-    log = log_of(tmp_path / "a.csv", measured(fly(times(3.0)), IMU))
-    waits = [settling(replace(model, lag=lag), driven) for lag in (0.5 * model.lag, model.lag, 0.3)]
-    rows = [data_of(ModelSubject.of(model), log, layout, wait).settle for wait in waits]
-    assert rows == [20, 40, 50]  # by when the log is scored no filter waits any longer
 
 
 @pytest.fixture
@@ -234,87 +186,8 @@ def test_a_damaged_cache_of_c_is_made_anew(table: Model, monkeypatch: pytest.Mon
     assert finite(CompiledKernel(g), table)
 
 
-def test_printed_code_is_kept_by_what_it_says(table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = generate(table, ("angle",))
-    monkeypatch.setattr(C, "function", lambda *_: pytest.fail("printed again"))
-    assert generate(table, ("angle",)) == first
-    assert generate(replace(table, inertia=0.03), ("angle",)) == first  # a value is none of the code
-    monkeypatch.undo()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    for file in files(tmp_path):
-        cut(file)
-    assert generate(table, ("angle",)) == first  # what was cut is made anew
-    assert generate(with_another_number(table), ("angle",)).source != first.source
-    assert len(files(tmp_path)) == 2
-
-
-def with_another_number(table: Model) -> Model:
-    """A table with a number in its equations that differs in the last digits a double has."""
-    kind: Any = type(table)
-
-    def equations(own: Any, m: Namespace) -> Equations:
-        derivative, output = kind.equations(own, m)
-
-        def more(t: Any, state: Any, command: Any) -> Any:
-            first, second = derivative(t, state, command)
-            return first, second - 1e-17 * state[1]
-
-        return Equations(more, output)
-
-    other: Model = type("Other", (kind,), {"equations": equations})()
-    return other
-
-
 def finite(k: CompiledKernel, table: Model) -> bool:
     """It simulates the table."""
     data = Data(0.02, 0.0, np.ones((5, 1)), np.full((5, 1), np.nan), 4)
     states = k.simulate(data, parameters(table, k.layout), np.zeros(3), np.zeros(0)).states
     return bool(np.isfinite(states).all())
-
-
-def cut(file: Path) -> None:
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-
-
-SIMULATE = (
-    "import sys, pickle, numpy as np; from cosim.estimation.kernel.c_filter import CompiledKernel; "
-    "from cosim.estimation.kernel.kernel import Data; "
-    "g, p = pickle.load(sys.stdin.buffer); u = np.ones((5, 1)); d = Data(0.02, 0.0, u, np.nan * u, 4);"
-    "print(np.isfinite(CompiledKernel(g).simulate(d, p, np.zeros(3), np.zeros(0)).states).all())"
-)
-
-
-@NEEDS_C
-def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    g = generate(table, ("angle",))
-
-    def simulated() -> bytes:  # in a process of its own, which a damaged library may end
-        given = pickle.dumps((g, parameters(table, g.layout)))
-        return subprocess.run([sys.executable, "-c", SIMULATE], input=given, capture_output=True, check=True).stdout
-
-    assert simulated() == b"True\n"
-    (library,) = cache_path("", "").parent.glob("*.so")
-    cut(library)
-    assert simulated() == b"True\n"
-    (again,) = cache_path("", "").parent.glob("*.so")
-    before = again.stat().st_mtime_ns
-    assert simulated() == b"True\n"
-    assert again.stat().st_mtime_ns == before  # a sound one is taken as it is
-
-
-@NEEDS_C
-def test_what_a_filter_skips_of_dormant_terms_changes_no_bit(seen: Data, monkeypatch: pytest.MonkeyPatch) -> None:
-    skipping = generate(Hovercraft(), IMU)
-    monkeypatch.setattr(Body, "terms", [])
-    plain = generate(Hovercraft(), IMU)
-    assert skipping.source.count("tanh(") == plain.source.count("tanh(") > 0
-    assert "? tanh(" in skipping.source
-    assert "? tanh(" not in plain.source
-    kernels = [CompiledKernel(g) for g in (skipping, plain)]
-    all_awake = {n: v for n, v in AWAKE.items() if not n.startswith(("unnamed", "local"))}
-    for awake in ({}, {"coulomb_friction.force": 0.05}, all_awake):
-        one, other = (filtered(k, seen, parameters(Hovercraft(), k.layout, **awake)) for k in kernels)
-        for name, values in vars(one).items():
-            np.testing.assert_array_equal(values, getattr(other, name), err_msg=f"{awake} {name}")

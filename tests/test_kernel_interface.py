@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from cosim.core.arrays import Array
-from cosim.estimation.fit import fit
 from cosim.estimation.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.estimation.subject.candidates import Free
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
@@ -122,11 +120,6 @@ def problems(log: Log) -> dict[str, Problem]:
     return {"generated": generated, "written": written}
 
 
-def test_both_have_one_layout(problems: dict[str, Problem]) -> None:
-    assert problems["written"].layout == problems["generated"].layout
-    assert problems["written"].layout.forced == ("temperature",)
-
-
 @pytest.mark.parametrize(
     "call",
     [
@@ -142,11 +135,3 @@ def test_both_give_the_same_numbers(problems: dict[str, Problem], call: Callable
             continue
         # sums in another order, over 300 rows of numbers about 1
         np.testing.assert_allclose(other[name], values, rtol=1e-10, atol=1e-12, err_msg=name)
-
-
-@pytest.mark.thorough
-def test_a_fit_on_either_finds_the_same_time_constant(problems: dict[str, Problem]) -> None:
-    free = [Free("tau", 0.1, 10.0, 0.1)]
-    fits = [fit(p, free, p.values, p.plain) for p in problems.values()]
-    assert fits[1].values["tau"] == pytest.approx(fits[0].values["tau"], rel=1e-6)
-    assert abs(fits[0].values["tau"] - TAU) < 4.0 * fits[0].sigma("tau")

@@ -12,9 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.core.errors import CosimError
-from cosim.files.artefact import artefacts
 from cosim.files.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
-from cosim.files.yaml_file import YamlFile
 from cosim.verbs.cli import app
 
 SHORT = 400  # characters that are read before one gives up
@@ -198,15 +196,6 @@ def test_what_a_command_does_not_read_is_named_with_the_one_that_does(
         assert len(message) < SHORT
         assert "\n" not in message
     assert sorted(shelf.rglob("*")) == before
-
-
-def test_a_file_is_of_one_kind_by_its_keys(shelf: Path) -> None:
-    """No order of the declarations decides."""
-    for path in (*shelf.glob("*.json"), *shelf.glob("*.yaml"), *shelf.glob("r*/*.json")):
-        if path.stat().st_size:
-            keys = frozenset(YamlFile(path).root)
-            matched = sorted((a.matched_keys(keys), a.kind) for a in artefacts())
-            assert matched[-1][0] > matched[-2][0], path
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +17,14 @@ from numpy.typing import NDArray
 import cosim
 from controller.design_model import design_model, measurement_matrix
 from controller.extended import ExtendedFilter
-from controller.loop import Loop
-from controller.observers import LinearFilter
-from controller.settings import PLANT_STATES, ExtendedSettings, Settings
+from controller.settings import ExtendedSettings, Settings
 from cosim.fmi.fmu_build import build
-from cosim.model import Stepper
 from cosim.model.symbolic.linearize import load_names
 from cosim.simulation.run_signals import Run
-from fmus.estimator_fmu import INPUTS, OUTPUTS
 from fmus.recipes import extended_recipe, filter_recipe, jacobians
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
-from tests.hosts_fmpy import Instance, description_of
+from tests.hosts_fmpy import Instance
 
 STEP, TEN_DEGREES = 0.02, math.radians(10)
 BOTH = pytest.mark.parametrize("name", ["filter.fmu", "ekf.fmu"])
@@ -119,21 +114,6 @@ def test_scenarios_of_this_chapter_meet_their_criteria(flown: Mapping[str, Run])
     assert [w for made in flown.values() for w in made.warnings if "not connected" in w] == []
 
 
-def test_a_latency_that_the_filter_is_told_of_costs_nothing() -> None:
-    # 1 m/s, fixes 0.1 s old: a filter that takes them for new is off by about v·T
-    def error(latency: float) -> float:
-        estimator = LinearFilter(Settings(fix_latency=latency, estimator="lagged"), (0.0, 1.0, 0.0, 0.0, 0.0))
-        x, v = 0.0, 1.0
-        for k in range(300):
-            x, v = x + STEP * v, v  # a push that makes up for friction
-            push = 0.25 * v / (2 * 2.4973)
-            estimator.step((0.0, 0.0, 0.25 / 0.705 * v), (0, 0, push, push), float(k // 5), (x - 0.1 * v, 0.0))
-        return estimator.estimate[0] - x
-
-    assert abs(error(0.1)) < 0.01
-    assert error(0.0) < -0.05
-
-
 # -- eqs 5.48-5.53 ------------------------------------------------------------------------------
 
 
@@ -147,55 +127,6 @@ def test_the_observability_matrix_is_that_of_eq_5_49() -> None:
     assert np.linalg.matrix_rank(observability) == 3
 
 
-@pytest.mark.thorough
-def test_noise_from_20_s_at_rest_is_that_of_eqs_5_44_to_5_46(flown: Mapping[str, Run]) -> None:
-    rest = flown["localisation_rest"]
-    for name, printed in (("psi", 2.613e-5), ("psi_dot", 4.564e-4), ("ax", 0.04479)):
-        readings = rest[f"filter.{name}"]
-        mean = readings.sum() / len(readings)  # 5.45
-        found = ((readings - mean) ** 2).sum() / (len(readings) - 1)  # 5.44
-        assert found == pytest.approx(printed, rel=4 * math.sqrt(2 / 1000))  # four standard errors of 1001 readings
-
-
-# -- Jacobians and the extended filter ----------------------------------------------------------
-
-
-def manoeuvre(extended: ExtendedFilter, *, wrong: float = 0.0) -> tuple[Any, Any, list[float]]:
-    """The craft turns right by 90°, flies 1.5 m, turns left; a camera sees it in world axes. x, x̂ and σ at the end."""
-    craft = Hovercraft()
-    stepper, names = Stepper(craft), [q.name for q in craft.outputs]
-    moment = stepper.start(0.0, {"x": wrong, "x_world": wrong})
-    loop = Loop(Settings(), (wrong, 0.0, 0.0, 0.0, 0.0), wrong, 0.0)
-    rng, sigma = np.random.default_rng(7), []
-    for k in range(1, 501):
-        command = (craft.duty_nominal, craft.duty_nominal, *loop.command)
-        moment = stepper.step(moment, command, STEP)
-        y = dict(zip(names, stepper.output(moment.t, moment.state, command), strict=True))
-        psi_ref = -0.5 * math.pi if k > 25 else 0.0
-        loop.step((y["psi"], y["psi_dot"], y["ax"]), wrong + (1.5 if k > 150 else 0.0), psi_ref)
-        noise = rng.normal(0.0, 1.0, 5) * np.sqrt([2.613e-5, 4.564e-4, 0.04479, 1e-4, 1e-4])
-        z = np.array([y[n] for n in ("psi", "psi_dot", "ax", "x_world", "y_world")]) + noise
-        extended.step(z[:3].tolist(), command, float(k // 5), z[3:].tolist())
-        sigma.append(extended.sigma[0])
-    return np.array(moment.state), extended.filter.x, sigma
-
-
-@pytest.mark.thorough
-def test_a_camera_in_world_axes_corrects_the_distance_along_a_path_that_turns() -> None:
-    settings = ExtendedSettings(axes="world")
-    extended = ExtendedFilter(Hovercraft(), settings, load_names(jacobians()), {})
-    x, x_hat, sigma = manoeuvre(extended, wrong=0.3)
-    error = dict(zip(PLANT_STATES, x_hat - x, strict=True))
-    assert math.hypot(error["x_world"], error["y_world"]) < 0.06  # three of σ = 2 cm
-    assert abs(error["x"]) < 0.06  # what is found out before the turn is along the old axis, and is kept
-    assert max(sigma[250:]) < 0.03
-    alone = ExtendedFilter(Hovercraft(), replace(settings, measurement_variance_x=1e6, measurement_variance_y=1e6),
-                           load_names(jacobians()), {})  # fmt: skip
-    _, x_hat, sigma = manoeuvre(alone, wrong=0.3)
-    assert abs(x_hat - x)[PLANT_STATES.index("x_world")] > 0.25
-    assert max(sigma[250:]) > 0.3
-
-
 # -- the FMUs -----------------------------------------------------------------------------------
 
 
@@ -206,13 +137,8 @@ def row(k: int) -> dict[str, float]:
 
 
 @BOTH
-def test_estimators_have_one_set_of_ports_and_no_fault(folder: Path, name: str) -> None:
-    fmu = folder / "build" / name
-    assert validate_fmu(str(fmu)) == []
-    of = {c: tuple(v.name for v in description_of(fmu).modelVariables if v.causality == c) for c in ("input", "output")}
-    assert of == {"input": INPUTS, "output": OUTPUTS}
-    starts = {v.name for v in description_of(fmu).modelVariables if v.name.endswith("_hat_start")}
-    assert starts == {f"{n}_hat_start" for n in ("x", "vx", "psi", "psi_dot", "a")}
+def test_estimators_have_no_fault(folder: Path, name: str) -> None:
+    assert validate_fmu(str(folder / "build" / name)) == []
 
 
 @BOTH

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.core.units import factor
 from cosim.files import csv_source
-from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.logs import MOVING, fly, measured, times, write_log
@@ -42,16 +40,6 @@ def test_a_recorded_log_is_read_as_it_stands() -> None:
         assert columns[name].tolist() == table[:, k].tolist()
     assert (log.rows, log.step) == (501, 0.02)
     assert (log.units["psi"], log.units["tilt_left"], log.units["ax"]) == ("rad", "rad", "m/s2")
-
-
-def test_the_log_of_the_document_is_one(tmp_path: Path) -> None:
-    page = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
-    block = re.search(r"```csv\n(.*?)```", page, re.DOTALL)
-    assert block is not None
-    log = read(tmp_path / "a.csv", block[1])
-    assert (log.rows, log.step) == (2, 0.02)
-    assert log.outputs["psi"][0] == pytest.approx(math.radians(12.5), rel=1e-15)
-    assert np.isnan(log.outputs["x_world"]).tolist() == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -146,21 +134,6 @@ def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     told = faults(tmp_path / "a.csv", text + "0.06,6,6,0,0,0,-\n")
     # duty_left is written duty_lft, a time stands still, a cell is no number; psy is not read, which is no fault
     assert [t.split(":")[1:3] for t in told] == [["1", "3"], ["3", "1"], ["5", "7"]]
-
-
-def test_columns_that_the_model_does_not_have_are_not_read_which_is_noted(tmp_path: Path) -> None:
-    rows = "".join(f"{0.02 * k:.2f},6.4,6.4,0.1,0.1,0.1,0.2,x,,9\n" for k in range(3))
-    log = read(tmp_path / "a.csv", HEADER + ",plant.psi_dt,,battery [V]\n" + rows)
-    assert list(log.outputs) == ["psi", "psi_dot"]
-    assert list(log.unread) == ["plant.psi_dt", "", "battery"]
-    found = {f.severity: f.whole for f in gate(log, None) if f.kind == "unread"}
-    assert (
-        found["note"]
-        == "3 columns not read, for the model has none of this name: plant.psi_dt, one without a name, battery"
-    )
-    close = read(tmp_path / "b.csv", HEADER.replace("psi_dot", "psi_dt") + "\n" + ROWS)
-    (warning,) = (f.line for f in gate(close, None) if f.kind == "unread")
-    assert warning == 'warning: psi_dt is not read: the model has none of this name; did you mean "psi_dot"?'
 
 
 def test_columns_may_be_mapped_to_names_of_the_model(tmp_path: Path) -> None:

@@ -10,8 +10,6 @@ import pytest
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.logs import log_check
-from tests.test_first_steps import told as asked
 
 ROWS = "".join(
     f"{k * 0.02:.2f},{20 + math.sin(k / 9)},{90 * math.sin(k / 7)},5,RUN,{k * k % 17}\n"
@@ -41,16 +39,6 @@ def test_a_log_that_has_an_input_of_base_is_one_of_base(tmp_path: Path) -> None:
         cosim.check(tmp_path / "b.csv", "base")
 
 
-def test_without_the_example_a_log_is_one_of_the_named_model_or_of_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(log_check, "is_model", lambda name: False)
-    (tmp_path / "a.csv").write_text("time,duty_right,x\n0,6,0\n1,6,1\n2,6,3\n")
-    assert "checked without a model" in "\n".join(cosim.check(tmp_path / "a.csv"))
-    with pytest.raises(InputError, match=r"input .duty_left. is missing"):
-        cosim.check(tmp_path / "a.csv", "base")
-
-
 def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time\n0\n1\n")
     with pytest.raises(InputError, match=r"a.csv:1:1: holds no column beside the time"):
@@ -58,15 +46,6 @@ def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("time,,x\n0,1,2\n1,1,3\n")
     with pytest.raises(InputError, match=r"b.csv:1:2: the column has no name"):
         cosim.check(tmp_path / "b.csv")
-
-
-def test_of_very_many_warnings_a_part_is_printed_and_json_has_all(tmp_path: Path) -> None:
-    names = [f"x{k}" for k in range(260)]
-    rows = "".join(f"{t}" + ",1" * 260 + "\n" for t in range(50))
-    (tmp_path / "a.csv").write_text(",".join(["time", *names]) + "\n" + rows)
-    printed = asked("check", tmp_path / "a.csv")
-    assert 100 < printed.count("is constant at") < 260
-    assert asked("check", tmp_path / "a.csv", "--json").count("is constant at") >= 260
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,7 @@ from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
 from cosim.logs.gate import gate
 from cosim.logs.holes import fill_holes
-from cosim.logs.log import Log, slowness, stretches, usual_step
-from cosim.logs.spikes import find_spikes, out_of_line
+from cosim.logs.log import Log, stretches
 
 NOISE = 0.01
 
@@ -48,12 +47,6 @@ def without(log: Log, rows: Any) -> Log:
 # -- the clock --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("start", "told"), [(0.0, False), (1e6, False), (1.1e6, True), (-1.1e6, True)])
-def test_a_time_that_starts_at_an_epoch_is_noted(start: float, told: bool) -> None:
-    log = moving()
-    assert ("epoch" in kinds(replace(log, time=log.time + start))) is told
-
-
 def test_rows_that_are_missing_are_counted_in_their_places() -> None:
     log = moving()
     found = kinds(without(log, [100, 200, 201, 202]))["dropouts"].numbers
@@ -70,16 +63,6 @@ def test_rows_that_are_missing_are_counted_in_their_places() -> None:
     both = kinds(without(log, [50, *range(100, 130)]))
     assert (both["dropouts"].numbers["rows"], both["gaps"].numbers["rows"]) == (1, 30)
     assert not {"dropouts", "gaps"} & kinds(log).keys()
-
-
-def test_jitter_is_noted_from_a_hundredth_and_a_warning_from_a_tenth() -> None:
-    log, rng = moving(), np.random.default_rng(2)
-    for size, severity in ((0.004, None), (0.02, "note"), (0.06, "note"), (0.25, "warning")):
-        late = size * 0.02 * rng.uniform(-1.0, 1.0, log.rows)
-        found = kinds(replace(log, time=log.time + late)).get("jitter")
-        assert (found and found.severity) == severity
-        if found:
-            assert found.numbers["spread"] == pytest.approx(size * math.sqrt(2.0 / 3.0), rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -108,18 +91,6 @@ def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, severity:
 # -- inputs -----------------------------------------------------------------------------------------
 
 
-def test_an_input_that_changes_less_than_three_times_excites_nothing() -> None:
-    k = np.arange(1500)
-    for changes, constant in ((2, True), (3, False)):
-        u = sum(1.0 * (k > 100 * (n + 1)) for n in range(changes))
-        assert ("constant" in kinds(replace(moving(), inputs={"u": u}))) is constant
-    for size, constant in ((0.9e-9, True), (1.2e-9, False)):
-        u = 5.0 * (1.0 - size * (k % 2))
-        assert ("constant" in kinds(replace(moving(), inputs={"u": u}))) is constant
-    assert kinds(replace(moving(), inputs={"u": 0.0 * k}))["no_excitation"].severity == "warning"
-    assert "no_excitation" not in kinds(replace(moving(), inputs={"u": 0.0 * k, "v": np.sin(0.1 * k)}))
-
-
 @pytest.mark.parametrize(("rho", "alike"), [(0.97, False), (0.99, True), (-0.97, False), (-0.99, True)])
 def test_inputs_that_move_alike_cannot_be_separated(rho: float, alike: bool) -> None:
     k = 2.0 * np.pi * np.arange(1500) / 1500
@@ -128,19 +99,6 @@ def test_inputs_that_move_alike_cannot_be_separated(rho: float, alike: bool) -> 
     assert (found is not None) is alike
     if found:
         assert found.numbers["correlation"] == pytest.approx(rho, abs=1e-3)
-
-
-def test_excitation_is_rms_bandwidth_and_share_at_the_ends() -> None:
-    k = np.arange(1000)
-    slow, fast = np.sin(2 * np.pi * 10 * k / 1000), 0.3 * np.sin(2 * np.pi * 200 * k / 1000)
-    for u, hertz in ((slow, 0.5), (slow + fast, 10.0), (slow + 0.1 * fast, 0.5)):  # fast holds 8 % of the power, 0.1 %
-        found = kinds(replace(moving(1000), inputs={"u": 3.0 + u}))["excitation"].numbers
-        assert found["bandwidth"] == pytest.approx(hertz)
-        assert found["rms"] == pytest.approx(math.sqrt(float(np.mean(u**2))))
-        assert found["saturated"] == 0.0 or found["low"] < 2.5
-    clipped = kinds(replace(moving(1000), inputs={"u": np.clip(2.0 * slow, -1.0, 1.0)}))["excitation"].numbers
-    assert clipped["saturated"] == pytest.approx(2 / 3, abs=0.02)
-    assert (clipped["low"], clipped["high"]) == (-1.0, 1.0)
 
 
 # -- outputs ----------------------------------------------------------------------------------------
@@ -162,17 +120,6 @@ def test_a_sensor_that_freezes_is_told_from_one_that_rests() -> None:
         slow = y.copy()
         slow[400 : 400 + rows] = slow[400]
         assert ("frozen" in kinds(replace(with_output(slow), step=0.1))) is frozen
-
-
-def test_where_an_input_has_jumped_an_output_may_answer() -> None:
-    y = NOISE * np.random.default_rng(5).standard_normal(1500)
-    y[700] = 0.5
-    for jump, spikes in ((694, True), (695, False), (700, False), (702, False), (703, True)):
-        log = replace(with_output(y), inputs={"u": 1.0 * (np.arange(1500) >= jump)})
-        assert (700 in find_spikes(log).get("y", [])) is spikes, jump
-        assert np.argmax(out_of_line(log, y)) == 700
-    slow = replace(with_output(y), inputs={"u": np.sin(0.01 * np.arange(1500))})
-    assert find_spikes(slow)["y"].tolist() == [700]
 
 
 # -- lost rows --------------------------------------------------------------------------------------
@@ -216,59 +163,7 @@ def test_a_log_is_cut_where_rows_or_readings_pause() -> None:
     assert [p.rows for p in stretches(replace(log, outputs={"y": y}))] == [170]
 
 
-def test_the_step_is_the_slope_of_the_times_by_their_number() -> None:
-    k = np.arange(1000)
-    assert usual_step(0.02 * k) == 0.02
-    late = 0.02 * k + 1e-3 * np.random.default_rng(1).uniform(0.0, 1.0, 1000)
-    assert usual_step(late) == pytest.approx(0.02, rel=2e-5)
-    assert usual_step(late[np.setdiff1d(k, range(300, 340))]) == pytest.approx(0.02, rel=2e-5)
-    assert [slowness(step) for step in (5e-5, 0.001, 0.05, 0.054, 0.06, 0.1, 0.5, 1.0)] == [0.05, 1, 1, 1, 2, 2, 10, 20]
-
-
-def test_a_clock_of_two_spacings_keeps_the_time_of_its_rows() -> None:
-    """10 ms and 12 ms in turn, as of a robot's controller: no row is more than half a step from its time."""
-    rng = np.random.default_rng(3)
-    time = np.concatenate([[0.0], np.cumsum(rng.choice([0.010, 0.012], 4000, p=[0.6, 0.4]))])
-    nothing = np.zeros(time.size)
-    log = Log(Path("a.csv"), time, {"u": nothing}, {"y": nothing}, {}, usual_step(time), {}, {})
-    assert log.step == 0.01
-    away = log.grid - (log.time - log.time[0]) / log.step
-    assert np.abs(away).max() <= 0.5 + 1e-6
-    assert (np.diff(log.grid) >= 1).all()
-
-
 # -- frames -----------------------------------------------------------------------------------------
-
-
-def turning(scale: float = 1.0, bias: float = 0.0, **more: Any) -> Log:
-    t = 0.02 * np.arange(2000)
-    rng = np.random.default_rng(4)
-    psi, rate = 0.5 * np.sin(0.9 * t), scale * 0.45 * np.cos(0.9 * t) + bias
-    outputs = {"psi": psi + 1e-3 * rng.standard_normal(t.size), "psi_dot": rate + 1e-3 * rng.standard_normal(t.size)}
-    return log_of(t, {}, outputs, units={"psi": "rad", "psi_dot": "rad/s"}, **more)
-
-
-@pytest.mark.parametrize(
-    ("scale", "kind", "channel"),
-    [
-        (1.0, None, ""),
-        (1.02, None, ""),
-        (1.05, "scale", "psi_dot"),
-        (0.95, "scale", "psi_dot"),
-        (-1.0, "sign", "psi_dot"),
-        (45.0, "degrees", "psi_dot"),
-        (75.0, "degrees", "psi_dot"),
-        (100.0, "scale", "psi_dot"),
-        (1 / 57.3, "degrees", "psi"),
-        (0.01, "scale", "psi_dot"),
-    ],
-)
-def test_a_rate_is_the_slope_of_its_angle(scale: float, kind: str | None, channel: str) -> None:
-    found = {f.kind: f for f in frame_findings(turning(scale)) if f.kind != "drift"}
-    assert [*found] == ([kind] if kind else [])
-    assert kind is None or found[kind].channel == channel
-    if kind == "scale":
-        assert found[kind].numbers["slope"] == pytest.approx(1 / scale, rel=0.02)
 
 
 def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:

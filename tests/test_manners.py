@@ -14,7 +14,7 @@ import pytest
 import typer.main
 from typer.testing import CliRunner
 
-from cosim.files.folders import name_of, name_of_file, runs_named
+from cosim.files.folders import runs_named
 from cosim.verbs.cli import app, entry
 from tests.cart import cart_fmu
 from tests.deeds import deeds_scenario
@@ -111,16 +111,6 @@ def test_json_of_wrong_usage_is_alone_on_stdout(told: Told, words: list[str]) ->
 )
 def test_a_folder_of_results_has_a_name_without_blanks_within_results(name: str, folder: str) -> None:
     assert runs_named(name) == Path("results") / folder
-
-
-def test_results_are_called_after_what_they_are_of(tmp_path: Path) -> None:
-    assert name_of_file(Path("logs/flight 1.csv"), "fit") == "flight 1-fit"
-    assert name_of_file(tmp_path / "results.csv") == f"{tmp_path.name}-replayed"
-    assert name_of_file(tmp_path / "0003" / "results.csv") == f"{tmp_path.name}-replayed"
-    (tmp_path / "refine.json").touch()
-    names = {name_of(text) for text in (str(tmp_path), f"{tmp_path}/refine.json", f"{tmp_path}/model.yaml")}
-    assert names == {tmp_path.name}
-    assert [name_of(text) for text in ("base", "a/b.fmu", "a/tank.py:Tank")] == ["base", "b", "Tank"]
 
 
 @pytest.mark.parametrize(

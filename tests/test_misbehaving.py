@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import re
@@ -18,14 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.core.errors import Crashed, DiskFull, InputError, SimulationError
+from cosim.core.errors import Crashed, InputError, SimulationError
 from cosim.core.scratch import LOCK
 from cosim.files.folders import STARTED
 from cosim.files.table import read_columns
 from cosim.isolation.worker import PROGRESS
 from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.workflow import replay
-from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
 from cosim.verbs.check_verb import check as check_files
 from tests.cases import some
@@ -294,20 +292,6 @@ def test_a_full_disk_ends_a_run_and_keeps_the_rows_that_fit(tmp_path: Path, kilo
     assert (tmp_path / "out" / "manifest.json").exists()
 
 
-def no_room(*_: object, **more: object) -> None:
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
-def test_a_disk_too_full_for_the_manifest_leaves_all_rows_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("cosim.simulation.workflow.write_json", no_room)
-    with pytest.raises(DiskFull, match=r"11 of 11 rows are in results.csv"):
-        run(deeds_scenario(tmp_path, "none", "none"), tmp_path / "out", in_process=True)
-    assert rows_in(tmp_path / "out") == 11
-    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "interrupted"
-
-
 # -- replay, refine and check ---------------------------------------------------------------------
 
 
@@ -344,15 +328,6 @@ def test_a_replay_is_the_same_in_a_worker_and_in_process(tmp_path: Path) -> None
         replay(log, tmp_path / str(k), fmu, in_process=bool(k))
     for name in ("results.csv", "residual.csv", "report.html"):
         assert (tmp_path / "0" / name).read_bytes() == (tmp_path / "1" / name).read_bytes()
-
-
-def test_a_crash_at_half_the_step_is_told_and_takes_nothing_with_it(tmp_path: Path) -> None:
-    path = deeds_scenario(tmp_path, "DoStep", "segfault", 12)
-    error = coupling_error(path)
-    assert error.of == {}
-    assert error.sentence.startswith(
-        "coupling error not known: with half the step bad at t = 0.55 s: fmi2DoStep crashed"
-    )
 
 
 def test_check_of_a_scenario_ends_at_its_limits(tmp_path: Path) -> None:
