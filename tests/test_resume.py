@@ -308,9 +308,6 @@ def test_a_new_run_in_the_folder_removes_the_checkpoint_of_another(in_c: Walk, t
         run(part, resume=True)
 
 
-# -- state files ----------------------------------------------------------------------------------
-
-
 # -- changes while a run is stepped, and event mode -----------------------------------------------
 
 
