@@ -120,12 +120,10 @@ def test_a_parameter_given_to_a_replay_is_as_if_built_in(tmp_path: Path, plant_f
     [
         ("mas=1", 'no such variable; did you mean "mass"?'),
         ("mass=much", "it is a number [kg]"),
-        ("mass=1 m", "it is a number [kg], or text with a unit"),
         ("mass=-1", "it lies in"),
         ("roll_ground_effect=2", "it is true or false"),
         ("x=1", "lets nobody set it"),
         ("mass", "it is NAME=VALUE"),
-        ("=", "it is NAME=VALUE"),
     ],
 )
 def test_a_start_value_that_does_not_fit_is_refused(tmp_path: Path, plant_fmu: Path, text: str, words: str) -> None:
@@ -143,7 +141,6 @@ def test_a_start_value_that_does_not_fit_is_refused(tmp_path: Path, plant_fmu: P
         ("refine case.yaml", "is a scenario, not a study: `cosim run case.yaml`"),
         ("run study.yaml", "is a study, not a scenario or a manifest: `cosim refine study.yaml`"),
         ("replay case.yaml", "is a scenario, not a log: `cosim run case.yaml`"),
-        ("replay plant.fmu", "is an FMU, not a log"),
     ],
 )
 def test_a_file_of_another_kind_is_told_with_the_command_that_reads_it(
