@@ -103,38 +103,6 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <ModelStructure><Outputs><Unknown index="2" dependencies="1" dependenciesKind="dependent"/></Outputs>
 <InitialUnknowns><Unknown index="2"/></InitialUnknowns></ModelStructure></fmiModelDescription>
 """
-STRUCTURE = """<?xml version="1.0" encoding="UTF-8"?>
-<ssd:SystemStructureDescription name="s" version="1.0" xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
- xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
- xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
- xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping"><ssd:System name="root"><ssd:Connectors>
-<ssd:Connector name="drive" kind="input"><ssc:Real unit="deg"/></ssd:Connector></ssd:Connectors>
-<ssd:ParameterBindings><ssd:ParameterBinding prefix="one."><ssd:ParameterValues>
-<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>
-<ssv:Parameter name="m"><ssv:Real value="0.8" unit="kg"/></ssv:Parameter></ssv:Parameters>
-</ssv:ParameterSet></ssd:ParameterValues><ssd:ParameterMapping><ssm:ParameterMapping version="1.0">
-<ssm:MappingEntry source="one.m" target="one.mass"><ssc:LinearTransformation factor="1" offset="0"/></ssm:MappingEntry>
-</ssm:ParameterMapping></ssd:ParameterMapping></ssd:ParameterBinding>
-<ssd:ParameterBinding source="p.ssv"/></ssd:ParameterBindings>
-<ssd:Elements><ssd:Component name="one" source="plant.fmu" implementation="CoSimulation"><ssd:Connectors>
-<ssd:Connector name="tilt_left" kind="input"><ssc:Real unit="deg"/></ssd:Connector>
-<ssd:Connector name="psi" kind="output"><ssc:Real/></ssd:Connector></ssd:Connectors></ssd:Component>
-<ssd:System name="in"><ssd:Connectors><ssd:Connector name="a" kind="input"/></ssd:Connectors><ssd:Elements>
-<ssd:Component name="two" source="plant.fmu"><ssd:Connectors><ssd:Connector name="tilt_right" kind="input"/>
-</ssd:Connectors></ssd:Component></ssd:Elements>
-<ssd:Connections><ssd:Connection startConnector="a" endElement="two" endConnector="tilt_right"/></ssd:Connections>
-</ssd:System></ssd:Elements><ssd:Connections><ssd:Connection startElement="one" startConnector="psi" endElement="in"
- endConnector="a" suppressUnitConversion="false"><ssc:LinearTransformation factor="0.1"/></ssd:Connection>
-<ssd:Connection startConnector="drive" endElement="one" endConnector="tilt_left"/></ssd:Connections></ssd:System>
-<ssd:Units><ssc:Unit name="deg"><ssc:BaseUnit rad="1" factor="0.017453"/></ssc:Unit></ssd:Units>
-<ssd:DefaultExperiment startTime="0" stopTime="0.1"/></ssd:SystemStructureDescription>
-"""
-VALUES = """<?xml version="1.0" encoding="UTF-8"?>
-<ssv:ParameterSet version="1.0" name="p" xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues">
-<ssv:Parameters><ssv:Parameter name="drive"><ssv:Real value="1"/></ssv:Parameter>
-<ssv:Parameter name="in.two.roll_ground_effect"><ssv:Boolean value="true"/></ssv:Parameter></ssv:Parameters>
-</ssv:ParameterSet>
-"""
 
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 1e308, -1e-320, 10**400, float("inf"), float("nan"), "", " ", "x]", "[key]",
@@ -266,24 +234,7 @@ def description(draw: Draw, folder: Path) -> Iterator[list[str]]:
     yield ["run", "with.yaml", *RUN]
 
 
-def structure(draw: Draw, folder: Path) -> Iterator[list[str]]:
-    texts = {"SystemStructure.ssd": STRUCTURE, "p.ssv": VALUES}
-    name = draw(st.sampled_from(("SystemStructure.ssd", "SystemStructure.ssd", "p.ssv")))
-    made = {n: mangled(draw, text, MARKUP) if n == name else text.encode() for n, text in texts.items()}
-    path = folder / draw(st.sampled_from(("case.ssp", "SystemStructure.ssd")))
-    if path.suffix == ".ssp":
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.write(folder / "plant.fmu", draw(st.sampled_from(("plant.fmu", "plant.fmu", "../plant.fmu", "p"))))
-            for each, data in made.items():
-                archive.writestr(each, data)
-    else:
-        for each, data in made.items():
-            (folder / each).write_bytes(data)
-    yield ["check", path.name, "--no-load"]
-    yield ["run", path.name, *RUN, "--in-process", "--set", "step=0.02", "--set", "duration=0.04"]
-
-
-KINDS = {"scenario": scenario, "log": log, "description": description, "ssp": structure}
+KINDS = {"scenario": scenario, "log": log, "description": description}
 
 
 # -- what is done with it ---------------------------------------------------------------------------

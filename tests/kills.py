@@ -6,7 +6,6 @@ Each run must end with the bytes of the uninterrupted run. One JSON line at the 
 from __future__ import annotations
 
 import json
-import math
 import os
 import random
 import shutil
@@ -19,74 +18,14 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn
 
-from cosim.isolation import process as workers
-from cosim.verbs.cli import entry
-from tests import warm
+from tests.conftest import ROOT
 from tests.walker import walker_scenario
 
 SEED = 27
 PAUSE, STEPS = 6000.0, 100  # wall time of a step [us], and steps of a run
 LONGEST = 60.0  # [s] of a command
 MOST_KILLS = 5  # of one run
-
-
-class Fork:
-    """A forked process: what `subprocess.Popen` offers of one."""
-
-    def __init__(self, pid: int, streams: tuple[Any, Any, Any]) -> None:
-        self.pid = pid
-        self.returncode: int | None = None
-        self.stdin, self.stdout, self.stderr = streams
-
-    def poll(self) -> int | None:
-        """Return the exit code, None while running."""
-        if self.returncode is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            self.returncode = os.waitstatus_to_exitcode(status) if pid else None
-        return self.returncode
-
-    def wait(self, timeout: float = math.inf) -> int:
-        """Wait for the end and return the exit code."""
-        end = time.monotonic() + timeout
-        while (code := self.poll()) is None:
-            if time.monotonic() > end:
-                raise subprocess.TimeoutExpired(str(self.pid), timeout)
-            time.sleep(0.002)
-        return code
-
-    def kill(self) -> None:
-        """Kill the process."""
-        with suppress(ProcessLookupError):
-            os.kill(self.pid, signal.SIGKILL)
-
-
-def _spawn_worker() -> Any:
-    """Return a worker of this command, forked, as `cosim.isolation.process` returns one."""
-    ours, theirs = zip(*(os.pipe()[::way] for way in (-1, 1, 1)), strict=True)
-    pid = os.fork()
-    if pid == 0:
-        warm._work([*theirs], warm.Job(dict(os.environ), os.getcwd()))
-    for number in theirs:
-        os.close(number)
-    return Fork(pid, (os.fdopen(ours[0], "wb"), os.fdopen(ours[1], "rb"), os.fdopen(ours[2], "rb")))
-
-
-def _work_as_command(arguments: list[str], output: int) -> NoReturn:
-    """Run a command of cosim, with its output to a pipe."""
-    code = 1
-    try:
-        os.dup2(output, 1)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        sys.stdout, sys.argv = open(1, "w", closefd=False), ["cosim", *arguments]  # noqa: SIM115
-        workers._spawn = _spawn_worker
-        entry()
-    except SystemExit as ended:
-        code = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
-    finally:
-        sys.stdout.flush()
-        os._exit(code)
 
 
 class Killed:
@@ -108,15 +47,11 @@ class Killed:
         assert command.wait(LONGEST) == 0, self._said(command)
 
     @staticmethod
-    def command(arguments: list[str]) -> Fork:
-        """Return the command, begun in a fork of this process, which has imported what it needs."""
-        reader, writer = os.pipe()
-        pid = os.fork()
-        if pid == 0:
-            os.close(reader)
-            _work_as_command(["run", *arguments, "--no-report", "--json", "-q"], writer)
-        os.close(writer)
-        return Fork(pid, (None, os.fdopen(reader, "rb"), None))
+    def command(arguments: list[str]) -> subprocess.Popen[bytes]:
+        """Return the command, begun."""
+        words = [sys.executable, "-m", "cosim", "run", *arguments, "--no-report", "--json", "-q"]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def faults(self, kills: int, rng: random.Random, counts: Counter[str]) -> list[str]:
         """Kill a run so many times, let it end, and return what is wrong with its files."""
@@ -171,20 +106,21 @@ class Killed:
         return found
 
     @staticmethod
-    def _said(process: Fork) -> dict[str, str]:
+    def _said(process: subprocess.Popen[bytes]) -> dict[str, str]:
+        assert process.stdout is not None
         with process.stdout as stream, suppress(ValueError):
             return json.loads(stream.read())  # type: ignore[no-any-return]
         return {}
 
     # -- kills ----------------------------------------------------------------------------------
 
-    def _kill(self, process: Fork, rng: random.Random, counts: Counter[str]) -> None:
+    def _kill(self, process: subprocess.Popen[bytes], rng: random.Random, counts: Counter[str]) -> None:
         """Kill the command, its worker or both: at any time, between two steps, or while a checkpoint is written."""
         moment, victims = rng.choice(("any", "step", "write")), rng.choice(("command", "worker", "both"))
         state = self.folder / "part" / "checkpoint" / "state"
         before = _changed(state)
         if moment == "any":
-            self._wait(process, lambda: False, rng.uniform(0.0, 2.5))
+            self._wait(process, lambda: False, rng.uniform(0.0, 4.0))
         else:
             self._wait(process, lambda: _changed(state) != before, LONGEST)
             self._wait(process, lambda: False, rng.uniform(0.0, 0.6e-6 * PAUSE * STEPS))
@@ -201,7 +137,9 @@ class Killed:
         counts["in a write"] += any(state.parent.glob(".state.*"))
 
     @staticmethod
-    def _wait(process: Fork, is_due: Callable[[], bool], longest: float, pause: float = 0.002) -> None:
+    def _wait(
+        process: subprocess.Popen[bytes], is_due: Callable[[], bool], longest: float, pause: float = 0.002
+    ) -> None:
         end = time.monotonic() + longest
         while time.monotonic() < end and process.poll() is None and not is_due():
             time.sleep(pause)
@@ -221,7 +159,6 @@ def _children(pid: int) -> list[int]:
 
 def kill_runs(folder: Path, count: int, seed: int = SEED) -> tuple[Counter[str], list[str]]:
     """Kill runs so many times; return the counts and all faults."""
-    warm.import_all()  # The commands are forked from this process.
     rng, counts, wrong = random.Random(seed), Counter[str](), list[str]()
     killed = [Killed(folder / name, python=name == "python") for name in ("c", "python")]
     left = count

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.estimation.kernel.nameless import bump, rise
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.model_subject import ModelSubject
@@ -134,19 +133,3 @@ def left_problem(folder: Path) -> Problem:
     columns = {"time": time, "force": np.sin(time), "place": 0.1 * np.sin(time)}
     log = read_log(write_log(folder / "a.csv", columns), Block.inputs, Block.outputs)
     return build_problem(ModelSubject.of(Block()), [log], unnamed=True)
-
-
-def test_a_bump_is_half_as_high_at_half_its_width_and_a_step_ends_with_its_width() -> None:
-    over = Shape("speed", ("place",), "bump", 0.2, 0.1)
-    assert over.columns({"place": np.array([0.2, 0.15, 0.25, 0.4])})[:, 0] == pytest.approx([1.0, 0.5, 0.5, 0.0])
-    step = Shape("speed", ("place",), "step", 0.2, 0.1)
-    assert step.columns({"place": np.array([0.1, 0.15, 0.2, 0.25, 9.0])})[:, 0] == pytest.approx([0, 0, 0.5, 1, 1])
-    assert bump(np.array([1e30]))[0] == 0.0
-    assert rise(1e9) == pytest.approx(1.0)
-
-
-def test_an_angle_that_turns_meets_its_place_every_turn() -> None:
-    spot = Shape("speed", ("angle",), "bump", 1.0, 0.5, turned=True)
-    angles = 1.0 + 2.0 * np.pi * np.array([0.0, 3.0, -7.0])
-    assert spot.columns({"angle": angles})[:, 0] == pytest.approx(1.0)
-    assert spot.columns({"angle": angles + 0.25})[:, 0] == pytest.approx(0.5)

@@ -12,8 +12,7 @@ import cosim
 from cosim.estimation.fit import initial_fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.refinement.search.missing import DriveResponses, smooth_unknown_inputs
-from cosim.refinement.search.shapes import signals_of
+from cosim.refinement.search.missing import DriveResponses
 from cosim.refinement.study import read_study
 from tests.blind import coupled
 
@@ -37,14 +36,6 @@ def problem(folder: Path) -> Problem:
     return build_problem(study.subject, study.logs, True, {"phi1": 1e-3, "phi2": 1e-3}, study.settings)
 
 
-def test_without_a_coefficient_the_filter_is_the_same(folder: Path, problem: Problem) -> None:
-    study = read_study(folder / "study.yaml")
-    plain = build_problem(study.subject, study.logs, False, {"phi1": 1e-3, "phi2": 1e-3}, study.settings)
-    one, other = (p.score(p.values, p.plain) for p in (plain, problem))
-    np.testing.assert_array_equal(one.errors, other.errors)
-    np.testing.assert_array_equal(one.variances, other.variances)
-
-
 @pytest.mark.parametrize(("column", "output"), [(0, "phi1"), (1, "phi2")])
 def test_the_response_to_an_addition_is_that_of_the_filter(problem: Problem, column: int, output: str) -> None:
     at = initial_fit(problem)
@@ -57,15 +48,6 @@ def test_the_response_to_an_addition_is_that_of_the_filter(problem: Problem, col
     actual = (moved.errors - plain.errors) / np.sqrt(plain.variances)
     assert np.abs(expected).max() > 1e-3
     np.testing.assert_allclose(actual, expected, atol=1e-6 * np.abs(expected).max())
-
-
-def test_terms_see_the_outputs_and_their_rates(problem: Problem) -> None:
-    rates = {"phi1": "rate of phi1", "phi2": "rate of phi2"}
-    assert problem.layout.rates == rates
-    signals = signals_of(problem, smooth_unknown_inputs(problem, initial_fit(problem))[0])
-    assert {"time", "command torque", *rates, *rates.values()} == {*signals}
-    step = problem.logs[0].step
-    np.testing.assert_allclose(np.diff(signals["phi1"])[:50] / step, signals["rate of phi1"][1:51], atol=1e-9)
 
 
 @pytest.mark.thorough

@@ -19,8 +19,6 @@ from controller.settings import Settings
 from cosim.core.errors import InputError
 from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import can_cross, compiler, glibc_floor, this_platform
-from cosim.fmi.state import MEMORY as MEMORY_PART
-from cosim.fmi.state import STATE, own_of, with_memory
 from cosim.model import Model, Stepper, parameters_of
 from plant.hovercraft import Hovercraft
 from tests.hosts_fmpy import Instance, description_of
@@ -332,22 +330,3 @@ def test_unknown_platforms_and_versions_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
     with pytest.raises(InputError, match="--fmi: is 1; it is 2 or 3"):
         build_native(tmp_path, fmi=1)
-
-
-def test_the_state_is_read_and_changed_in_python(native_plant: Path) -> None:
-    with Instance(native_plant) as instance:
-        instance.initialize(named(EVERYTHING) | {"vx_start": 0.25, "servo_backlash.play_left_start": 0.01})
-        data = instance.fmu.serializeFMUstate(instance.fmu.getFMUstate())
-        t, x, (history, *plays) = own_of(data)
-        assert (t, x[5], plays) == (0.0, 0.25, [0.0, 0.01])
-        assert history == [[-0.5, [6.38763, 6.38763, 0.0, 0.0]]]
-        past = [[-0.02, [6.4, 6.4, 0.1, 0.1]], [-0.01, [6.5, 6.5, 0.2, 0.2]]]
-        changed = with_memory(data, {(STATE, 5): 0.5, (MEMORY_PART, 0): past, (MEMORY_PART, 2): 0.02})
-        assert own_of(changed)[2] == [past, 0.0, 0.02]
-        instance.fmu.setFMUstate(instance.fmu.deSerializeFMUstate(changed))
-        again = instance.fmu.serializeFMUstate(instance.fmu.getFMUstate())
-        assert again == changed
-        assert instance.get(["vx_state"]) == [0.5]
-    for wrong in (data[:50], data[:-8], b"x" * 80):
-        with pytest.raises(ValueError, match="not the state"):
-            own_of(wrong)

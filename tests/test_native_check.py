@@ -165,7 +165,6 @@ def test_what_is_printed_says_what_the_python_says(name: str) -> None:
     ("at", "line", "place"),
     [
         ("#last", "left = m.where(self.order == 1.0, left, 2 * left)", "self.order =="),
-        ("#last", "left = left if state[0] - state[1] != 0 else 0.0", "state[0] - state[1]"),
         ("torque = self.share *", "torque = (2.0 if self.share == 1.0 else 1.0) *", "self.share =="),
         ("#last", "left = left % 3.0", "left % 3.0"),
     ],

@@ -5,10 +5,7 @@ from __future__ import annotations
 import asyncio
 import html
 import re
-import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +16,6 @@ from cosim.comparison.differences import compare_runs
 from cosim.comparison.page import drawn
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
-from cosim.core.notebook import shows_progress
 from cosim.files.results import Results
 from cosim.refinement.refined_result import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
@@ -69,22 +65,6 @@ def test_a_long_run_is_thinned_to_a_bounded_size_and_keeps_its_peaks() -> None:
     assert "tank.s0 from -1 to 9" in frame
 
 
-def test_integers_of_64_bits_are_drawn_and_texts_are_named() -> None:
-    exact = {"fmu.id": [2**60 + k for k in range(9)], "fmu.mode": ["on"] * 9}
-    made = Signals("made", Results(np.arange(9.0), ("fmu.x",), np.ones((9, 1)), {}, exact))
-    shown = made._repr_html_()
-    (frame,) = frames(shown)
-    assert "fmu.id" in frame
-    assert "fmu.mode not drawn: texts; fmu.id above 2⁵³ drawn as the nearest doubles." in shown
-    assert f"<td>fmu.id</td><td></td><td>{2**60}</td>" in shown
-    assert "<td>fmu.mode</td><td></td><td>on</td>" in shown
-    (frame,) = frames(made.chart("fmu.id")._repr_html_())
-    assert ("fmu.id" in frame, "fmu.x" in frame) == (True, False)
-    for name in ("fmu.mode", "fmu.none"):
-        with pytest.raises(KeyError, match=name):
-            made.chart(name)
-
-
 @pytest.mark.parametrize("rows", [0, 1])
 def test_a_result_without_curves_shows_its_table(rows: int) -> None:
     shown = signals(rows, 2)._repr_html_()
@@ -115,53 +95,6 @@ def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
     effect = {"name": "leak", "parameters": {"rate": {"value": 0.012, "unit": "m2/s", "ci95": [0.01, 0.014]}}}
     refined = Refined({"verdict": "effect_found", "sentence": "found", "effects": [effect]}, tmp_path)
     assert "<td>leak.rate</td><td>0.012</td><td>m2/s</td><td>0.01 … 0.014</td>" in refined._repr_html_()
-
-
-# -- progress -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("calls", "lines", "most"),
-    [
-        ([(0.001 * k, (k, 10_000)) for k in range(10_000)], ["run: 10.0 s"], 37),  # 1000 calls a second
-        ([(0.5, (1, 2))], [], 0),
-        ([(2.0, ("screening", 0.5))], ["run: 2.0 s"], 1),
-    ],
-)
-def test_progress_in_a_notebook_is_one_line_that_changes_a_few_times_a_second(
-    monkeypatch: pytest.MonkeyPatch, calls: list[tuple[float, Any]], lines: list[str], most: int
-) -> None:
-    now, shown, changes = [0.0], list[str](), [0]
-
-    class Line:
-        def update(self, content: dict[str, str], raw: bool) -> None:
-            shown[-1] = content["text/plain"]
-            changes[0] += 1
-
-    def display(content: dict[str, str], **options: Any) -> Line:
-        shown.append(content["text/plain"])
-        return Line()
-
-    def run(progress: Any = None) -> Any:
-        for time, call in calls if callable(progress) and progress is not print else []:
-            now[0] = time
-            progress(*call)
-        now[0] = round(now[0])
-        return progress
-
-    python, shell = ModuleType("IPython"), type("Shell", (), {})()  # of a terminal
-    shows = ModuleType("IPython.display")
-    monkeypatch.setattr(python, "get_ipython", lambda: shell, raising=False)
-    monkeypatch.setattr(shows, "display", display, raising=False)
-    monkeypatch.setitem(sys.modules, "IPython", python)
-    monkeypatch.setitem(sys.modules, "IPython.display", shows)
-    monkeypatch.setattr("time.monotonic", lambda: now[0])
-    assert shows_progress(run)() is None
-    shell.kernel = object()
-    assert shows_progress(run)(progress=print) is print
-    shows_progress(run)()
-    assert shown == lines
-    assert changes[0] <= most
 
 
 # -- within an event loop, and in a kernel --------------------------------------------------------------

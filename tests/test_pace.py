@@ -72,17 +72,6 @@ def test_a_slow_step_is_counted_and_caught_up() -> None:
     assert "caught up" in note
 
 
-def test_a_run_that_cannot_keep_up_says_so() -> None:
-    wall = Wall()
-    pacer = wall.pacer(1.0, 20, 0.01)
-    for k in range(21):
-        pacer.wait(k)
-        wall.now += 0.02
-    assert wall.naps == []
-    (note,) = pacer.notes(0.0)
-    assert "is not kept" in note
-
-
 @pytest.mark.parametrize("in_process", [False, True])
 def test_a_paced_run_has_the_same_rows_and_its_manifest_repeats_it_without_waiting(
     tmp_path: Path, in_process: bool

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.core.errors import InputError
-from cosim.estimation.expected import expected_value, fit_for_held_out
-from cosim.estimation.fit import Fit, fit
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.per_log import own, own_parameters, spread
-from cosim.estimation.posing import build_problem, halve_log
+from cosim.estimation.per_log import own, spread
+from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Settings
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.fmi.building.file import load_model
@@ -155,46 +151,6 @@ def test_the_reading_from_which_a_state_starts_is_read_with_the_error_of_its_sen
     covariance = dict(zip(layout.stochastic, root[:, 0], strict=True))
     assert covariance[offset] == pytest.approx(0.3)
     assert covariance[level] == pytest.approx(-0.3)
-
-
-def test_what_is_expected_of_a_further_group_is_wider_the_fewer_are_known(folder: Path) -> None:
-    model = load_model("tank.py:Tank", folder).model
-
-    def spreads(values: Mapping[str, float]) -> tuple[float, float]:
-        free = tuple(own_parameters(ModelSubject.of(model), [NAME], list(values), {NAME: 0.0}, {}))
-        noise = Noise(np.zeros(0), 0.0, np.zeros(0), np.zeros(0))
-        found = {own(NAME, group): v for group, v in values.items()}
-        return expected_value(Fit(found, noise, free, (0.0,), 0.0, 1e8 * np.eye(len(free)), 1, True), NAME)
-
-    assert spreads({"a": 0.05}) == (0.05, 0.02)  # of one, the usual size
-    mean, two = spreads({"a": 0.04, "b": 0.06})
-    assert mean == pytest.approx(0.05)
-    assert two > 0.05
-    assert 0.01 < spreads({name: 0.04 + 0.02 * (k % 2) for k, name in enumerate("abcdefgh")})[1] < 0.015
-    assert spreads({"a": 0.05, "b": 0.05})[1] >= 1e-4  # no surer than the estimates are
-
-
-def test_a_log_left_out_has_no_say_in_its_own_value(folder: Path) -> None:
-    """Unless another log is of its group, as its other half is."""
-    model = load_model("tank.py:Tank", folder).model.with_values({"leak.rate": LEAK})
-    logs = [read_log(folder / f"{n}.csv", model.inputs, model.outputs) for n in ("e1", "e2", "e3", "e4")]
-    groups = dict(zip((log.path for log in logs), ("day1", "day1", "day2", "day3"), strict=True))
-    problem = build_problem(ModelSubject.of(model), logs, settings=Settings(per_log=(NAME,), groups=groups))
-    learnt = fit(problem, problem.own, problem.values, problem.plain, [0, 1, 2], sensing=False)
-    kept = fit_for_held_out(problem, learnt, 3)
-    mean = 0.5 * (learnt.values[own(NAME, "day1")] + learnt.values[own(NAME, "day2")])
-    assert kept.values[own(NAME, "day3")] == pytest.approx(mean)
-    assert kept.values[spread(NAME, "day3")] > 0.09 / math.sqrt(2.0)  # as day 1 and day 2 scatter, at least
-    assert fit_for_held_out(problem, learnt, 1) is learnt
-    alone = build_problem(ModelSubject.of(model), logs[3:], settings=Settings(per_log=(NAME,), groups=groups))
-    halves = halve_log(alone)
-    learnt = fit(halves, halves.own, halves.values, halves.plain, [0], sensing=False)
-    assert fit_for_held_out(halves, learnt, 1) is learnt
-    assert learnt.values[own(NAME, "day3")] == pytest.approx(OFFSETS["e4"], abs=1e-3)
-    states = halves.run(learnt.values, learnt.noise, 1, states=True).states
-    errors = halves.run(learnt.values, learnt.noise, 1).errors[:10]
-    assert np.abs(errors).max() < 6.0 * NOISE  # the second half starts where the gauge's error leaves the level
-    assert states[0, 0] == pytest.approx(logs[3].outputs["level"][len(halves.logs[0].u)] - 0.1, abs=6.0 * NOISE)
 
 
 FAULTY = """model: tank.py:Tank

@@ -1,43 +1,18 @@
-"""What is decided before a run: what fits what, how long and how finely, start values, events, and what it may cost."""
+"""What is decided by numbers: start values that fit their variables, and criteria."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cosim.authoring import parts
-from cosim.authoring.parts import times_of
 from cosim.files.results import Results
 from cosim.scenario.scenario import Criterion
-from cosim.scenario.start_values import Misfit, convert_value, with_elements
+from cosim.scenario.start_values import Misfit, convert_value
 from cosim.simulation.criteria import evaluate
-from cosim.sweeps.sampling import drawn_rows, saltelli_base
-
-# -- how long and how finely ------------------------------------------------------------------------
-
-
-def planned(monkeypatch: pytest.MonkeyPatch, *experiments: dict[str, float], own: Any = None, **asked: Any) -> Any:
-    listed = [SimpleNamespace(name=f"p{k}", path=Path(f"p{k}.fmu"), description=e) for k, e in enumerate(experiments)]
-    monkeypatch.setattr(parts, "experiment_of", lambda description: description)
-    monkeypatch.setattr(parts, "_own_step", lambda part: (own or {}).get(part.name, 0.0))
-    return times_of(listed, **asked)  # type: ignore[arg-type]
-
-
-def test_a_run_is_that_of_the_longest_experiment_in_the_finest_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = planned(monkeypatch, {"start": 1.0, "stop": 3.0, "step": 0.1}, {"start": 0.0, "stop": 9.0, "step": 0.5})
-    assert (found.start, found.duration, found.step) == (0.0, 9.0, 0.1)
-    assert found.why_duration == "the default experiment of p1"
-    assert found.why_step == "the step of p0"
-    none = planned(monkeypatch, {}, {"start": 5.0, "stop": 5.0})
-    assert (none.start, none.duration, none.step) == (0.0, 5.0, 0.01)
-    guess = planned(monkeypatch, {})
-    assert (guess.start, guess.duration, guess.step, guess.notes) == (0.0, 1.0, 0.002, ())
-
 
 # -- start values -----------------------------------------------------------------------------------
 
@@ -84,17 +59,6 @@ def test_a_start_value_is_of_the_type_within_the_bounds(given: Any, kind: str, m
     assert fits(given, kind, **more) == found
 
 
-def test_elements_of_an_array_are_put_into_its_list() -> None:
-    array = variable(name="A", shape=(2, 2), start="1 2 3 4")
-    of = {"A": array, "b": variable(name="b")}
-    assert with_elements({"A[1,2]": 9}, of) == {"A": [1, 9, 3, 4]}
-    assert with_elements({"A[1,2]": 9, "A[2,2]": 8, "b": 1}, of) == {"A": [1, 9, 3, 8], "b": 1}
-    assert with_elements({"A": [5, 5, 5, 5], "A[1,1]": 9}, of) == {"A": [9, 5, 5, 5]}
-    assert with_elements({"A[1,1]": 9}, {"A": variable(name="A", shape=(2, 2), start="7")}) == {"A": [9, 7, 7, 7]}
-    assert with_elements({"A[1,1]": 9}, {"A": variable(name="A", shape=(2, 2), start=None)}) == {"A": [9, 0, 0, 0]}
-    assert with_elements({"A[3,1]": 9, "b[1]": 2}, of) == {"A[3,1]": 9, "b[1]": 2}
-
-
 # -- criteria ---------------------------------------------------------------------------------------
 
 
@@ -129,17 +93,3 @@ def test_a_criterion_is_judged_within_its_times(kind: str, more: Any, value: Any
     found = evaluated(kind, **more)
     assert (found["value"], found["unit"]) == (value if value is None else pytest.approx(value), unit)
     assert found["met"] is (value is not None and value <= 2.0)
-
-
-# -- the design of a sweep --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("runs", "count", "base"),
-    [(4, 2, 1), (3, 2, 0), (7, 2, 1), (8, 2, 2), (100, 3, 16), (0, 1, 0), (80, 3, 16), (79, 3, 8)],
-)
-def test_saltelli_takes_the_largest_power_of_two_that_fits(runs: int, count: int, base: int) -> None:
-    assert saltelli_base(runs, count) == base
-    assert drawn_rows(count, False, runs, "saltelli") == base * (count + 2) <= runs
-    assert drawn_rows(0, True, runs, "saltelli") == runs
-    assert drawn_rows(0, False, runs, "sobol") == 1

@@ -12,10 +12,8 @@ import pytest
 from cosim.fmi.description import Way
 from cosim.fmi.native.compiler import compiler
 from cosim.logs.log import Log
-from cosim.probing.log_runs import moved_within
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.places import probe_structure
-from cosim.probing.prober import separate_pairs
 from cosim.residuals.drive import log_of_fmu
 from cosim.verbs.check_verb import check as check_files
 from tests.blind.fmu_build import PLANTS, WAYS, build
@@ -108,14 +106,6 @@ def test_a_force_on_two_coupled_masses_is_not_alone(tmp_path: Path) -> None:
     assert [port.is_alone for pair in structure.pairs for port in pair.ports] == [False, False]
 
 
-@pytest.mark.thorough
-def test_a_lag_between_a_voltage_and_a_speed_hides_no_port(tmp_path: Path) -> None:
-    structure = probe_structure(build(tmp_path / "a.fmu", "dc_motor", ways=WAYS), [log_for("dc_motor")], way=STEPS)
-    (pair,) = structure.pairs
-    # the lag of the winding (5 ms) is shorter than the step of 10 ms: parts of a step show it
-    assert {port.input: port.gain for port in pair.ports} == {"load_torque": pytest.approx(-5000.0, rel=1e-2)}
-
-
 @pytest.mark.parametrize(
     ("plant", "feeds"),
     [
@@ -167,15 +157,6 @@ def test_a_crash_with_another_value_costs_that_value_only(tmp_path: Path) -> Non
     assert len(structure.acting) == len(PLANTS["drive"].parameters)  # smaller inertias do no harm
 
 
-def test_of_a_chain_of_integrators_the_first_two_are_a_pair() -> None:
-    assert separate_pairs([(0, 1, 1.0), (1, 2, 1.0)]) == [(0, 1, 1.0)]
-    assert separate_pairs([(1, 2, 1.0), (0, 1, 0.5)]) == [(0, 1, 0.5)]
-    # q' = v and v' = −4q: the gain of 1 decides
-    assert separate_pairs([(1, 0, -4.0), (0, 1, 1.0)]) == [(0, 1, 1.0)]
-    # two positions with one velocity
-    assert separate_pairs([(0, 2, 0.1), (1, 2, 1.0)]) == [(1, 2, 1.0)]
-
-
 # -- steps of its own and misbehaviour ----------------------------------------------------------------
 
 
@@ -219,10 +200,3 @@ def test_the_verb_shows_places_as_a_table_and_as_json(tmp_path: Path) -> None:
 def test_an_fmu_that_fails_soon_has_no_places_and_is_named(tmp_path: Path, call: str, deed: str, at: int) -> None:
     told = cosim("info", deeds_fmu(tmp_path / "bad.fmu", call, deed, at), "--places")
     assert told.returncode == 4
-
-
-def test_limits_turn_a_displacement_round() -> None:
-    values = np.array([0.8, 0.9])
-    assert moved_within(values, 0.3, (0.0, 1.0)).tolist() == pytest.approx([0.5, 0.6])
-    assert moved_within(values, 0.05, (0.0, 1.0)).tolist() == pytest.approx([0.85, 0.95])
-    assert moved_within(np.array([0.1, 0.9]), 0.3, (0.0, 1.0)).tolist() == pytest.approx([0.4, 1.0])

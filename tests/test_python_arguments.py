@@ -148,20 +148,7 @@ def test_a_number_of_numpy_is_a_number_for_run_and_simulate_alike(material: Path
     assert run["a.r_in"][0] == float(value)
 
 
-def test_a_switch_of_numpy_and_a_time_with_its_unit_are_taken(material: Path) -> None:
-    made = cosim.simulate(material / "typed.fmu", set={"b_in": np.bool_(True)}, stop="200 ms", step="0.1 s",
-                          in_process=True)  # fmt: skip
-    assert made.time[-1] == pytest.approx(0.2, rel=1e-15)
-    assert made["typed.b_in"][0] == 1.0
-
-
 def test_every_argument_that_does_not_fit_is_named_at_once(material: Path) -> None:
     with pytest.raises(InputError) as refused:
         cosim.simulate(material / "typed.fmu", "a\0b", {"r_in": Decimal(1)}, stop=10**400, step="4 furlong", report=2)
     assert [str(f).partition(":")[0] for f in refused.value.faults] == ["out", "report", "set", "step", "stop"]
-
-
-def test_the_entry_keeps_name_signature_and_identity() -> None:
-    assert cosim.run is cosim.run
-    assert cosim.run.__name__ == "run"
-    assert "seed" in inspect.signature(cosim.run).parameters

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cosim.core.arrays import Array
-from cosim.estimation.fit import fit, initial_fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import read_log
 from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
 from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
-from cosim.refinement.search.hypotheses import Hypothesis
 from tests.logs import write_log
 
 STEP, ROWS = 0.02, 701
@@ -110,23 +107,3 @@ def test_cells_of_a_sensor_are_noise_and_no_dead_band(tmp_path: Path, width: flo
     assert found.best.names == claim
     level = math.exp(0.5 * float(found.best.fit.noise.sensors[0]))
     assert CELL / math.sqrt(12.0) * 0.999 < level < CELL
-
-
-def test_a_base_fit_that_took_all_for_noise_does_not_end_the_search(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    attributor = searched(tmp_path, 0.03)
-    search, bad = attributor.search, []
-    hypothesis = search.hypothesis
-
-    def first_bad(*arguments: Any, **options: Any) -> Hypothesis:
-        if bad:
-            return hypothesis(*arguments, **options)
-        start = initial_fit(search.problem)
-        bad.append(
-            fit(search.problem, search.free(()), start.values, replace(start.noise, sensors=np.zeros(1)), None, 0)
-        )
-        return Hypothesis((), bad[0], bad[0].objective)
-
-    monkeypatch.setattr(search, "hypothesis", first_bad)
-    assert attributor.run().best.names == ("dead_band",)

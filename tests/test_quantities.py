@@ -21,7 +21,6 @@ from cosim.refinement.study import StudyFile, read_study
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.sweeps.reading import read_sweep
 from cosim.verbs.cli import app
-from plant.identification.protocol import CellFile, SineTest
 from tests.typed import typed_fmu
 
 TANK = """
@@ -269,20 +268,3 @@ def test_distributions_of_a_sweep_may_be_written_with_units(tmp_path: Path) -> N
     assert phi.mean() == pytest.approx(10.0, abs=0.02)
     assert phi.std() == pytest.approx(math.degrees(0.001), rel=0.3)  # of 50 draws
     assert sweep.scenario.duration == 2.0
-
-
-def test_numbers_of_a_protocol_may_be_written_with_units() -> None:
-    cell = CellFile.model_validate(
-        {"unit": "gf", "full_scale": "2 kgf", "error": "0.1 %", "points": [["1 N", "20 mV"]]}
-    )
-    assert (cell.full_scale, cell.error) == pytest.approx((2000.0, 0.001))
-    assert cell.points[0] == pytest.approx((1 / 0.00980665, 0.02))
-    sine = SineTest.model_validate(
-        {"rest": ["0 s", "500 ms"], "window": [1, "0.5 min"], "frequencies": ["60 rpm"], "periods": [1], "duty": "6 %",
-         "amplitude": "0.1 rad", "phases": [["1 s", "6 %", "0.1 rad"]]}
-    )  # fmt: skip
-    assert sine.rest == (0.0, 0.5)
-    assert sine.window == (1.0, 30.0)
-    assert sine.frequencies == pytest.approx([2 * math.pi])
-    assert (sine.duty, sine.amplitude) == pytest.approx((6.0, math.degrees(0.1)))
-    assert sine.phases[0] == pytest.approx((1.0, 6.0, math.degrees(0.1)))

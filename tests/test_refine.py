@@ -9,44 +9,35 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import jsonschema
 import numpy as np
 import pytest
 
-from cosim.core.errors import InputError, SimulationError
+from cosim.core.errors import InputError
 from cosim.estimation.kernel.kernel import DISTURBANCE, MEMORY
 from cosim.estimation.posing import build_problem
-from cosim.estimation.subject import fmu_replayer
-from cosim.estimation.subject.fmu_replayer import FmuReplayer
-from cosim.estimation.subject.interface import Workplace
 from cosim.estimation.subject.model_subject import ModelSubject, neutral_values
 from cosim.fmi.building.file import load_model, read_model
 from cosim.fmi.description import read_description
 from cosim.fmi.fmu_build import build
-from cosim.fmi.native import compiler
 from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
 from cosim.refinement.decision.claims import Name
-from cosim.refinement.proof import measure, proof_replays
-from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.record import Replayed, schema
+from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
-from cosim.residuals.drive import Drive, StoppedReplay
-from cosim.residuals.residual_statistics import FREE_RUN
-from cosim.residuals.windows import Replay, windows
 from cosim.verbs.check_verb import check as check_files
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER
-from tests.studies import FEW, holds, named, proven, refined, replayed, study_of
+from tests.studies import FEW, holds, named, proven, refined, study_of
 from tests.tank import tank_study
 
 pytestmark = pytest.mark.optimized
@@ -87,85 +78,12 @@ def test_the_error_is_told_over_other_horizons_too(rubbing: Refinement) -> None:
         assert all(b > 2 * a for b, a in zip(before[1:], after[1:], strict=True))  # in 0.5 s it moves a noise of 1 mm
 
 
-@pytest.mark.thorough
-def test_a_model_that_ends_its_fmu_over_another_horizon_is_still_judged_over_its_own(
-    rubbing: Refinement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def running_away(drive: Drive, starts: Any, horizon: float, memories: Any) -> Replay:
-        if horizon == FREE_RUN:
-            raise StoppedReplay(SimulationError("plant", 30.0, "overflow"), np.zeros((0, 1)))
-        return windows(drive, starts, horizon, memories)
-
-    monkeypatch.setattr(fmu_replayer, "windows", running_away)
-    variant, logs = rubbing.variants["after"], rubbing.study.logs
-    found = replayed(variant, rubbing.problem, logs, tmp_path, [0.5, FREE_RUN])
-    assert {horizon: len(evidence) for horizon, evidence in found.items()} == {2.0: 2, 0.5: 2, FREE_RUN: 0}
-    drifting = replace(variant, subject=ModelSubject(replace(variant.subject.loaded, model=Drifting())))
-    with pytest.raises(StoppedReplay):
-        replayed(drifting, rubbing.problem, logs, tmp_path)
-
-
 @NEEDS_COMPILER
 def test_replays_are_native_and_equal_those_of_the_delivered_fmu(rubbing: Refinement) -> None:
     way = rubbing.record["replays"]
     assert way["through"] == "native", way["why"]
     assert way["log"] == "v1.csv"
     assert way["apart"] <= 1e-9
-
-
-class Short(proof_replays.Proof):
-    """Replays of one log over no other horizon, which would take longer."""
-
-    def replay_all(self, variants: Mapping[str, Variant], way: proof_replays.Way) -> Replayed:
-        logs = self.sets["estimation"]
-        return {
-            n: {"estimation": measure.replay_logs(v, way(v.subject), self.problem, logs)} for n, v in variants.items()
-        }
-
-
-def short_of(r: Refinement, place: Workplace) -> Short:
-    return Short(r.problem, {"estimation": r.study.logs[:1]}, place)
-
-
-class Forgetful(ModelSubject):
-    """A model whose native FMU lacks the friction."""
-
-    def quick_replayer(self, place: Workplace) -> FmuReplayer:
-        return FmuReplayer(self.model, super().quick_replayer(place).fmu, place, "native")
-
-
-@NEEDS_COMPILER
-def test_a_native_fmu_that_does_not_equal_the_delivered_one_is_not_believed(
-    rubbing: Refinement, tmp_path: Path
-) -> None:
-    whole = rubbing.variants["after"]
-    after = replace(whole, subject=Forgetful(whole.subject.loaded))
-    with Workplace(tmp_path, in_process=True) as place:
-        proof = short_of(rubbing, place)
-        played, way = proof.replay({"after": after})
-        (own,) = proof.replay_all({"after": after}, lambda subject: subject.replayer(place))["after"]["estimation"][2.0]
-    assert way.through == "python"
-    assert way.apart is not None
-    assert way.apart > 1e-9
-    assert ["plant.fmu are" in text for text in proof_replays.warnings_of(way)] == [True]
-    assert proof_replays.difference(played["after"]["estimation"][2.0][0][1], own[1]) == 0.0
-
-
-def test_without_a_compiler_replays_are_in_python_and_say_why(
-    rubbing: Refinement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CC", "")
-    monkeypatch.setattr(compiler, "can_cross", lambda: False)
-    with Workplace(tmp_path, in_process=True) as place:
-        _, way = short_of(rubbing, place).replay({"after": rubbing.variants["after"]})
-    assert (way.through, way.log, way.apart) == ("python", "", None)
-    assert not [*proof_replays.warnings_of(way)]
-
-
-class Drifting(Hovercraft):
-    """A craft that is judged over a free run."""
-
-    horizon = FREE_RUN
 
 
 def test_the_schema_has_every_verdict() -> None:

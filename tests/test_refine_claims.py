@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from cosim.core.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.refinement.decision import judgement
 from cosim.refinement.decision.claims import (
     Claims,
     Doubt,
@@ -25,12 +23,9 @@ from cosim.refinement.decision.claims import (
     judge,
     name_of,
 )
-from cosim.refinement.proof import agreement
-from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.nearest import nearest
 from cosim.refinement.proof.replay_check import check_claim, check_on_sealed_logs
 from cosim.refinement.record import effects
-from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm
 from cosim.refinement.workflow import refine
@@ -192,43 +187,6 @@ def test_friction_of_an_arm_is_claimed_beside_what_no_catalogue_has(tmp_path: Pa
         assert floor[channel] < before
 
 
-@pytest.mark.parametrize(
-    ("moved", "ratio", "halving", "expected"),
-    [
-        ({DRAG: 0.0}, 0.8, "", ("effect_found", "part", (FRICTION,), (DRAG,), ())),
-        ({FRICTION: 0.0, DRAG: 0.0}, 0.8, "", ("unexplained", "nearest", None, (), ())),
-        ({DRAG: 0.155}, 0.4, "", ("effect_found", "claimed", (FRICTION, DRAG), (), ())),  # the claim halves the error
-        ({DRAG: 0.02}, 0.4, "", ("effect_found", "part", (FRICTION,), (), (DRAG,))),  # 2 deviations, 2.6 by chance
-        ({DRAG: 0.02}, 0.4, DRAG, ("effect_found", "claimed", (FRICTION, DRAG), (), ())),  # this part halves the error
-        ({FRICTION: 0.02, DRAG: 0.02}, 0.4, "", ("effect_found", "part", (FRICTION, DRAG), (), ())),
-        ({}, 0.8, "", ("effect_found", "claimed", (FRICTION, DRAG), (), ())),
-    ],
-)
-def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
-    monkeypatch: pytest.MonkeyPatch,
-    moved: dict[str, float],
-    ratio: float,
-    halving: str,
-    expected: tuple[Any, ...],
-) -> None:
-    best = fitted(FRICTION, DRAG)
-    values = {n: moved.get(n.partition(".")[0], 1.01 * v) for n, v in best.fit.values.items()}
-    refit = replace(best.fit, values=values)
-    monkeypatch.setattr(agreement, "fit_to_predictions", lambda *arguments: refit)
-    monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: True)
-    monkeypatch.setattr(agreement, "with_intervals", lambda search, h: h)
-    monkeypatch.setattr(judgement, "_halves_error", lambda search, h, c: c.name in halving)
-    a = attribution(best, ratios=(ratio,))
-    problem = SimpleNamespace(logs=[1, 2], own=(), values=CRAFT.values)
-    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
-    after = compare_with_predictions(search, a, Claims("effect_found", best, grade="claimed"))
-    names = after.claimed.names if after.claimed else None
-    assert (after.name, after.grade, names, after.disagreeing, after.small) == expected
-    if after.claimed is None:
-        assert after.doubt is not None
-        assert after.doubt.kind == "disagreeing"
-
-
 def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest() -> None:
     one, two = fitted(FRICTION), fitted(FRICTION, DRAG)
     rungs = [
@@ -239,25 +197,3 @@ def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest()
     ]
     assert nearest(rungs) is one
     assert nearest([*rungs[:2], rungs[3]]) is two
-
-
-def test_a_subset_that_halves_the_held_out_error_is_the_answer_if_the_whole_does_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    whole, friction, drag, mass = (
-        replace(fitted(*names, score=score), ended=True)
-        for names, score in (((FRICTION, DRAG), -200.0), ((FRICTION,), -150.0), ((DRAG,), -160.0), (("mass",), -190.0))
-    )
-    halved = {(FRICTION,): (0.3, 0.5), (DRAG,): (0.2, 1.1)}  # drag makes a log worse
-    monkeypatch.setattr(judgement, "_error_ratios", lambda search, h, base, noise: halved.get(h.names, (0.1, 0.1)))
-    monkeypatch.setattr(judgement, "noise_gain", lambda problem, f: (0.0,))
-    monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
-    search = SimpleNamespace(problem=None, tried={h.names: h for h in (whole, friction, drag, mass)})
-    subset = judgement.halving_subset(cast(Any, search), attribution(whole, ratios=(0.7, 0.8)))
-    assert subset is not None
-    assert (subset.best.names, subset.error_ratios) == ((FRICTION,), (0.3, 0.5))
-    assert DRAG in subset.reasons[whole.names]
-    claims = judged(subset, move=0.3)
-    assert (claims.name, claims.grade) == ("effect_found", "part")
-    del search.tried[FRICTION,]
-    assert judgement.halving_subset(cast(Any, search), attribution(whole, ratios=(0.7, 0.8))) is None

@@ -10,13 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.estimation.fit import inverse
 from cosim.estimation.posing import build_problem
-from cosim.estimation.sensor_noise import noise_warnings, sensor_noise
+from cosim.estimation.sensor_noise import noise_warnings
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.excite import excite
-from cosim.logs.log import read_log
-from cosim.refinement.study import read_study
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log
 from tests.studies import holds, named, proven, study_of
@@ -139,22 +136,6 @@ def test_sensors_with_more_noise_than_the_model_says_are_believed_and_slow_ones_
     )  # a study that says so is not told again
 
 
-def test_noise_is_told_from_motion_unless_the_sensor_is_slower_than_that(tmp_path: Path) -> None:
-    path = study_of(tmp_path / "study", {})
-    model = Hovercraft()
-    log = read_log(path.parent / "e1.csv", model.inputs, model.outputs)
-    found = sensor_noise(build_problem(ModelSubject.of(model), [log]))
-    assert found.keys() == log.outputs.keys()
-    for name, sigma in found.items():
-        assert sigma == pytest.approx(math.sqrt(SENSOR_VARIANCE[name]), rel=0.15)
-    log.outputs["x_world"][np.arange(log.rows) % 5 != 0] = np.nan
-    assert sensor_noise(build_problem(ModelSubject.of(model), [log]))["x_world"] == pytest.approx(
-        1e-3, rel=0.25
-    )  # of 400: 6 % is σ
-    log.outputs["x_world"][np.arange(log.rows) % 20 != 0] = np.nan  # half a metre may lie between two of these
-    assert sensor_noise(build_problem(ModelSubject.of(model), [log])).keys() == found.keys() - {"x_world"}
-
-
 @pytest.mark.thorough
 def test_of_a_model_at_rest_nothing_can_be_said(tmp_path: Path) -> None:
     r = proven(motor_study(tmp_path, 0.0), tmp_path / "out")
@@ -170,17 +151,6 @@ def test_a_hidden_state_may_start_far_from_where_the_model_does(tmp_path: Path) 
     assert 60.0 < math.sqrt(r.problem.P0[0, 0]) < 300.0  # steady states reach from −120 to 120 rad/s
 
 
-def test_a_model_that_runs_away_tells_nothing_of_its_start(tmp_path: Path) -> None:
-    study = motor_study(tmp_path, 6.0)
-    unstable = MOTOR.replace("- self.k * state[0])", "+ 4 * self.k * state[0])").replace('{"tacho": 1e-4}', "{}")
-    (tmp_path / "motor.py").write_text(unstable)
-    read = read_study(study)
-    problem = build_problem(read.subject, read.logs)
-    assert problem.P0.tolist() == [[1.0, 0.0], [0.0, 0.0]]  # of the unknown input, what a filter takes it for
-    (warning,) = noise_warnings(problem, problem.plain, read.subject)
-    assert "tacho" in warning
-
-
 @pytest.mark.thorough
 def test_a_scaled_reading_is_held_against_a_floor_of_its_own(tmp_path: Path) -> None:
     path = study_of(tmp_path / "study", {"accelerometer_scale": {"value": 1.6}})
@@ -190,12 +160,3 @@ def test_a_scaled_reading_is_held_against_a_floor_of_its_own(tmp_path: Path) -> 
     after = r.record["error"]["after"]["estimation"]["ax"]
     assert after == pytest.approx(r.record["noise_floors"]["estimation"]["ax"], rel=0.05)
     assert after < 0.8 * math.sqrt(SENSOR_VARIANCE["ax"])  # the readings are divided by 1.6, and their noise with them
-
-
-def test_an_interval_does_not_depend_on_the_units_of_the_others() -> None:
-    rho = 0.6
-    F = np.array([[1.0, rho], [rho, 1.0]])
-    scale = np.array([4.0, 3e11])
-    expected = np.linalg.inv(F) / np.outer(scale, scale)
-    np.testing.assert_allclose(inverse(F * np.outer(scale, scale)), expected, rtol=1e-9)
-    assert inverse(np.diag([0.0, 4.0])).tolist() == [[0.0, 0.0], [0.0, 0.25]]  # what nothing tells stays out

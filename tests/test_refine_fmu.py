@@ -20,7 +20,6 @@ from cosim.estimation.fit import initial_fit
 from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel, processor_time
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.estimation.sensor_noise import first_noise, sensor_noise
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.excite import excite
@@ -34,7 +33,6 @@ from cosim.refinement.workflow import failure_warnings
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import build
 from tests.logs import write_log
-from tests.slider import slider_fmu, slider_log
 from tests.warm import cosim as command
 
 STEP, NOISE = 0.02, {"current": 0.01, "angle": 0.002, "speed": 0.05}
@@ -161,29 +159,6 @@ def test_a_free_run_is_that_of_the_fmu(folder: Path) -> None:
     assert np.abs(run.outputs - own).max(axis=0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_free_runs_with_held_and_interpolated_inputs_are_kept_apart(folder: Path) -> None:
-    """A worker keeps free runs; which worker filters a log is up to chance."""
-    study = study_of_way(folder, "co_simulation")
-    used, fresh = problem_of(study), problem_of(study)
-    noise, ramped = used.plain, frozenset(used.layout.inputs)
-
-    def likelihoods(problem: Problem) -> list[float]:
-        ways = [[replace(log, interpolated=way) for log in problem.logs] for way in (ramped, frozenset[str]())]
-        return [replace(problem, logs=logs).score(used.values, noise).nll for logs in ways]
-
-    used.score(used.values, noise)
-    interpolated, held = likelihoods(used)
-    assert abs(interpolated - held) > 10.0
-    assert likelihoods(fresh) == [interpolated, held]
-
-
-def test_a_parameter_of_the_fmu_changes_the_filter(study: Study) -> None:
-    problem = problem_of(study)
-    noise = problem.plain
-    own, other = (problem.score({**problem.values, "resistance": r}, noise).nll for r in (RESISTANCE, 1.5))
-    assert other > own + 100.0
-
-
 def test_terms_stand_at_inputs_pairs_storages_and_outputs(study: Study, way: str) -> None:
     names = {c.name for c in study.subject.candidates(["voltage", "load_torque"])}
     assert {"dead_band_at_voltage", "coulomb_at_speed", "bias_at_angle", "delay", "resistance"} <= names
@@ -238,22 +213,6 @@ def test_names_of_the_fmu_are_those_of_study_and_log(tmp_path: Path) -> None:
     study = read_study(write_study(tmp_path, fmu, logs, tolerance={"motor.J": 0.1}, noise={"motor.phi": 1e-3}))
     assert study.content.tolerance == {"motor_J": 0.1}
     assert set(study.logs[0].outputs) == {with_underscore.replace(".", "_") for with_underscore in outputs}
-
-
-def test_outputs_called_position_and_velocity_are_a_pair_by_probing(tmp_path: Path) -> None:
-    fmu, log = slider_fmu(tmp_path / "slider.fmu", exchange=True), slider_log(tmp_path / "e1.csv", seconds=10.0)
-    subject = read_study(write_study(tmp_path, fmu, [log])).subject
-    assert isinstance(subject, FmuSubject)
-    assert subject.traits.rates == {"position": "velocity"}
-
-
-def test_noise_hidden_by_motion_begins_at_the_level_of_both(folder: Path) -> None:
-    fmu = build(folder / "model_exchange2.fmu", "dc_motor")
-    time = STEP * np.arange(400)
-    columns = {"time": time, "voltage": np.sin(time), "load_torque": 0.0 * time, "angle": 1e-6 * np.sin(40.0 * time)}
-    problem = problem_of(read_study(write_study(folder, fmu, [write_log(folder / "small.csv", columns)])))
-    assert "angle" not in sensor_noise(problem)
-    assert 1e-9 < first_noise(problem)["angle"] < 1e-6
 
 
 def test_faults_of_a_study_of_an_fmu(folder: Path) -> None:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from cosim.estimation.fit import Fit
 from cosim.estimation.subject.candidates import Candidate, Free
-from cosim.refinement.decision.claims import Claims, MovedParameter
+from cosim.refinement.decision.claims import Claims
 from cosim.refinement.proof import replay_check
-from cosim.refinement.proof.measure import Floor
 from cosim.refinement.search.hypotheses import Hypothesis
 
 
@@ -53,28 +50,3 @@ def test_a_sensor_error_of_an_fmu_must_not_make_replays_worse_on_every_channel()
         than: replay_check.check_claim(claims, error, {"x": 1.2}, alternative=than).name for than in ("", "before")
     }
     assert answers == {"": "sensor_error", "before": "unexplained"}
-
-
-@pytest.mark.parametrize(
-    ("stated", "grade", "expected"),
-    [
-        ({"magnet": 0.05}, "claimed", "part"),
-        ({"mass": 0.05}, "claimed", "claimed"),  # the tolerance of the magnet is an assumption
-        ({"magnet": 0.05}, "nearest", "nearest"),
-    ],
-)
-def test_a_claim_beside_which_a_stated_tolerance_is_left_is_a_part(
-    monkeypatch: pytest.MonkeyPatch, stated: dict[str, float], grade: Any, expected: str
-) -> None:
-    moved = (MovedParameter("magnet", 1.0, 0.9),)
-    monkeypatch.setattr(replay_check, "_replay_errors", lambda *given: ({}, Floor({}, {})))
-    monkeypatch.setattr(replay_check, "_alternative", lambda *given: "")
-    monkeypatch.setattr(replay_check, "check_claim", lambda claims, *given, **options: claims)
-    monkeypatch.setattr(replay_check, "beyond_tolerance", lambda fit: moved if fit else ())
-    claimed: Any = SimpleNamespace(is_of_sensors=False, fit="fitted")
-    study: Any = SimpleNamespace(settings=SimpleNamespace(tolerance=stated))
-    a: Any = SimpleNamespace(base=SimpleNamespace(fit=None), support={}, halves_error=False)
-    result: Any = SimpleNamespace(free_noise=None)
-    claims = replay_check.check_with_replays(study, a, Claims("effect_found", claimed, grade=grade), result, result)
-    assert (claims.grade, claims.further) == (expected, moved)
-    assert claims.is_doubtful is (expected == "part")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
-import shlex
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -15,26 +14,20 @@ import jsonschema
 import numpy as np
 import pytest
 
-from cosim.estimation.fit import Fit
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import build_problem
-from cosim.estimation.screen import ScoreTest
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.fmi.building.file import BASE, LoadedModel
 from cosim.model import Stepper
-from cosim.refinement.decision.claims import Claims, judge
+from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.judgement import decide
-from cosim.refinement.decision.sentences import DISTURBED, sentence
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.record import ranking, schema
+from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
 from cosim.refinement.report.innovations import innovations
-from cosim.refinement.report.refine_page import context, write_refine_report
+from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.search.attribution import Attributor
-from cosim.refinement.search.fits import SearchResult
-from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
-from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
+from cosim.refinement.search.hypotheses import Attribution
 from cosim.refinement.study import LogLists, Study, StudyFile
 from cosim.refinement.workflow import refine
 from cosim.report.charts import Charts
@@ -202,25 +195,6 @@ def test_the_page_is_whole_loads_nothing_and_hinders_nobody(cart: Refinement, tm
     assert faults(tmp_path / "report.html") == []
 
 
-def test_the_commands_to_repeat_a_study_name_files_from_the_current_folder(
-    cart: Refinement, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def commands() -> list[str]:
-        values = context(cart)
-        rows = [row.value for row in values["provenance"] if row.label not in {"Inputs", "Made by"}]
-        return [*shlex.split(values["use"]), *shlex.split(values["repeat"]), *rows]
-
-    monkeypatch.chdir(tmp_path)
-    assert str(cart.study.path) in commands()  # nothing of the study lies below
-    monkeypatch.chdir(cart.folder.parent)
-    words = commands()
-    study, out = words[words.index("refine") + 1], words[words.index("--out") + 1]
-    assert (study, out) == (f"{cart.study.name}/study.yaml", "out")
-    assert not [word for word in words if str(cart.folder.parent) in word]
-    assert Path(study).is_file()
-    assert Path(words[words.index("--set") + 1].partition("=")[2]).is_file()
-
-
 def dry_friction(r: Refinement) -> EffectComparison:
     (found,) = compare_effects(r)
     assert (found.effect, found.where, found.against.name) == ("dry", "v", "v")
@@ -291,84 +265,6 @@ def test_every_verdict_has_its_page(
     assert says in text
     assert ("Left of recalibrated" in text) == (claimed is not None)
     assert ('id="term"' in text) == (name == "unexplained" or claimed is not None)
-
-
-CRAFT = ModelSubject.of(Hovercraft())
-
-
-def words(claims: Claims, r: Refinement) -> str:
-    return sentence(claims, r.study.subject)
-
-
-def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_the_largest_number() -> None:
-    noise = Noise(np.log([4.0, 2.0, 1.0]), math.log(0.15), np.zeros(3), np.full(3, -np.inf))
-    fit = Fit({}, noise, (), (0.0,), 0.0, np.zeros((0, 0)), 1, True)
-    base = Hypothesis((), fit, 0.0)
-    a = Attribution(base, base.fit, (), base, (), Support(0.0, 0.0), {}, (1.0, 50.0, 90.0))
-
-    def judged(**moves: float) -> Claims:
-        forced = ["psi_dot", "vx", "vy"]
-        return judge(a, Leftover((), None, 0.0, 8.0), ModelSubject.of(Hovercraft()), forced, moves, still=False)
-
-    small = judged(vx=0.018, vy=0.01)
-    assert (small.name, small.misfit["equation"]) == ("no_effect", "vy")
-    assert [q["inflated"] for q in small.misfit["process_noise"].values()] == [False, True, True]
-    sizes = "Its size: 2\u00a0% of the derivative of vx and 1\u00a0% of the derivative of vy."
-    assert sentence(small, CRAFT) == f"{DISTURBED} {sizes}"
-    # where a disturbance is no small one, it is the equation that it moves most
-    large = judged(vx=0.3, vy=0.03)
-    assert (large.name, large.claimed, large.misfit["equation"]) == ("unexplained", None, "vx")
-
-
-def test_a_base_model_in_a_local_optimum_is_fitted_again_from_the_best_hypothesis(
-    cart: Refinement, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    subject = cart.study.subject
-    attributor = Attributor(subject, build_problem(subject, cart.study.logs), subject.candidates(()))
-    base = attributor.search.hypothesis((), None)
-    push = next(c for c in subject.candidates(()) if c.name == "push")
-    best = replace(base, candidates=(push,))  # with a candidate that does nothing
-    assert attributor._better_base(base, best) is base
-    stuck = replace(base, fit=replace(base.fit, nll_by_log=tuple(nll + 100.0 for nll in base.fit.nll_by_log)))
-    assert attributor._better_base(stuck, best).fit.objective == pytest.approx(base.fit.objective, abs=1.0)
-    begun: list[Hypothesis] = []
-
-    def search_from(start: Hypothesis) -> SearchResult:
-        """Begin in the local optimum; only then is a candidate the best."""
-        begun.append(start)
-        attributor.search.tried = {(): start if begun[1:] else stuck}
-        return SearchResult(attributor.search, start if begun[1:] else best, (), ())
-
-    monkeypatch.setattr(attributor, "_search_from", search_from)
-    assert attributor.run().best is begun[1]
-    assert begun[1].fit.objective == pytest.approx(base.fit.objective, abs=1.0)
-
-
-@pytest.mark.thorough
-def test_of_terms_that_the_logs_do_not_tell_apart_the_simplest_stands_for_all(cart: Refinement) -> None:
-    subject, logs, base = cart.study.subject, cart.study.logs, cart.attribution.base.fit
-    problem = replace(build_problem(subject, logs, unnamed=True), sensing=base.noise)
-    left = find_unnamed_terms(problem, base, 0.5 * math.log(problem.samples))
-    found = left.terms
-    assert left.fit is not None
-    assert all(left.cost < u.gain for u in found)
-    assert left.gain > left.cost
-    assert found[0].equation == "v"
-    assert found[0].share is not None
-    assert 0.3 < found[0].share < 1.0  # a drag, or what else a term of one signal makes of dry friction
-    test = ScoreTest(problem, base)
-    rows = [test.row({f"unnamed.v.{u.signal}": 0.01}) for u in found]
-    directions = np.array([row / np.linalg.norm(row) for row in rows])
-    assert np.abs(np.tril(directions @ directions.T, -1)).max() <= 0.95
-    assert [u.most for u in found] == sorted((u.most for u in found), reverse=True)
-
-
-def test_every_hypothesis_has_its_reason_and_only_what_is_claimed_is_claimed(cart: Refinement) -> None:
-    rows = ranking(cart.attribution, cart.verdict)
-    assert all(row.why for row in rows)
-    assert [tuple(row.names) for row in rows if row.why == "claimed"] == [cart.attribution.best.names]
-    unclaimed = ranking(cart.attribution, Claims("unexplained", rivals=("dry",)))
-    assert [row.why for row in unclaimed if tuple(row.names) == ("dry",)] == ["nearest, but disputed"]
 
 
 def test_excess_left_is_that_of_the_contract() -> None:

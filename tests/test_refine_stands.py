@@ -4,29 +4,16 @@ that nothing which is read is written over."""
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from cosim.core.errors import InputError
-from cosim.estimation.fit import Fit
-from cosim.estimation.posing import build_problem, coarsen
-from cosim.estimation.subject.candidates import Candidate
-from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.excite import excite
-from cosim.fmi.building.file import load_model
-from cosim.logs.log import read_log
-from cosim.refinement.decision.claims import Claims
-from cosim.refinement.decision.sentences import sentence
-from cosim.refinement.proof.replay_check import check_claim
-from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.workflow import refine
 from cosim.simulation.workflow import run
 from plant.hovercraft import Hovercraft
 from tests.studies import holds, named, study_of
 from tests.studies import proven as flown
-from tests.table import TABLE, table_log
 
 pytestmark = pytest.mark.optimized
 
@@ -69,41 +56,6 @@ def test_an_effect_that_the_model_has_too_much_of_is_taken_out(tmp_path: Path) -
     study = with_candidates(study, "coulomb_friction, yaw_damping, table_tilt")
     r = flown(study, tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("parameter_error", {"coulomb_friction", "yaw_damping"})
-
-
-def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
-    blamed = Hypothesis(
-        (Candidate("accelerometer_scale", "sensor", (), ()),),
-        Fit({}, np.zeros(0), (), (0.0,), 0.0, np.zeros((0, 0)), 1, True),
-        0.0,
-    )
-    residual: dict[str, Any] = {"equation": None, "signals": [], "share": None}
-    claim = Claims("sensor_error", blamed, misfit=residual)
-    floor = {"ax": 0.2, "x": 1.0}
-
-    def held(x: float) -> Claims:
-        error = {"ax": 0.2, "x": x}
-        return check_claim(claim, dict.fromkeys(("before", "recalibrated", "after"), error), floor)
-
-    assert held(1.2) is claim
-    craft = ModelSubject.of(Hovercraft())
-    craft.untried = "Forces inside could not be tried."
-    assert craft.untried in sentence(claim, craft)
-    withdrawn = held(8.0)
-    assert craft.untried in sentence(withdrawn, craft)
-    assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, ("accelerometer_scale",))
-
-
-@pytest.mark.thorough
-def test_an_effect_that_is_awake_is_given_the_substeps_it_needs(tmp_path: Path) -> None:
-    title = '    title = "Rotary table"\n'
-    (tmp_path / "table.py").write_text(TABLE.replace(title, f"{title}    substep = 0.0003125\n"), encoding="utf-8")
-    model = load_model(f"{tmp_path / 'table.py'}:Table", Path()).model
-    assert model.substep == 0.0003125
-    table_log(tmp_path / "a.csv", 0)
-    problem = build_problem(ModelSubject.of(model), [read_log(tmp_path / "a.csv", model.inputs, model.outputs)])
-    asleep, awake = (coarsen(problem, values).logs[0].substeps for values in ({}, {"dry_friction.level": 0.5}))
-    assert asleep < awake
 
 
 # -- what is read is not written over ---------------------------------------------------------

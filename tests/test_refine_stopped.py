@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -97,18 +96,4 @@ def test_a_signal_waits_for_what_must_be_whole_and_comes_then(tmp_path: Path) ->
         with pytest.raises(KeyboardInterrupt):
             work()
     assert done == [1]
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_where_no_signal_can_come_nothing_waits(tmp_path: Path) -> None:
-    seen = []
-
-    def work() -> None:
-        with scratch_folder(tmp_path, ".part-") as scratch:
-            seen.append(scratch.is_dir())
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert seen == [True]
     assert list(tmp_path.iterdir()) == []

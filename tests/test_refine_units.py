@@ -10,9 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.workflow import refine
-from cosim.report.charts import Charts
 from tests.logs import times, write_log
 
 pytestmark = pytest.mark.optimized
@@ -79,19 +77,3 @@ def test_what_a_nameless_term_takes_away_does_not_depend_on_the_unit(
     assert here["share"] > 0.8
     # the range of the process noise is interpolated on a grid of ln q, on which the two lie differently
     assert there["share"] == pytest.approx(here["share"], abs=2e-3)
-
-
-@pytest.mark.thorough
-def test_a_filter_that_trusts_the_equations_hardly_weighs_their_noise(
-    metres: Refinement, millimetres: Refinement
-) -> None:
-    for r in (metres, millimetres):
-        assert modes(r)[0] == "equations trusted"
-        levels = (r.problem.noise.smallest, np.array([-60.0]))
-        trusted, without = (r.problem.score(r.problem.values, r.problem.at(power)).variances for power in levels)
-        # 0.001 by SMALLEST, on another part of the logs; 0.04 is plainly detected
-        assert 0.0 < np.mean(np.log(trusted / without)) < 4e-3
-    (here,), (there,) = (innovations(r, Charts()) for r in (metres, millimetres))
-    assert float(there.size[0]) == pytest.approx(float(here.size[0]), rel=0.05)  # on that grid again
-    assert here.size[1] == there.size[1]
-    assert float(here.size[0]) > 2.0 * float(here.size[1])

@@ -5,10 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-import os
 import re
-import subprocess
-import sys
 import zlib
 from html.parser import HTMLParser
 from pathlib import Path
@@ -24,8 +21,7 @@ from cosim.report.panels import Panel, Trace
 from cosim.simulation.report import write_figures, write_report
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import judged_panels, signal_panels
-from fmus.report.figures_of_run import belief, reference_steps, responses, saturation
-from fmus.report.lines import state_panels
+from fmus.report.figures_of_run import responses, saturation
 from fmus.report.roles import find_crafts
 from fmus.report.topview import pose, reference_track, true_track
 from tests.seen import faults
@@ -181,16 +177,6 @@ def test_a_page_has_every_row_to_five_digits() -> None:
     assert decimals_of(np.array([100.0, 100.1])) == 5  # of what it moves
 
 
-def test_of_more_values_than_a_page_may_have_every_nth_row_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.report.charts.MAX_CELLS", 14)
-    charts, time = Charts(), np.arange(5001) * 0.01
-    charts.over(time).plots([Panel("Rate", "°/s", [Trace("a", 2 * time, "true")])])
-    data = json.loads(charts.data())
-    t, values = columns(data)
-    assert (data["groups"][0]["of"], t.size, t[-1]) == (5001, 8, 50.0)
-    np.testing.assert_allclose(values, 2 * t, atol=1e-4)
-
-
 def test_forward_is_up_and_a_left_turn_turns_left() -> None:
     results = changed(craft_run(1.0), "plant.psi", math.pi / 2)
     results = changed(changed(results, "plant.x_world", 2.0), "plant.y_world", 1.0)
@@ -206,20 +192,6 @@ def test_reference_path_follows_the_reference_heading() -> None:
     assert track is not None
     # A right turn, then 1 m forward: world Y, which points left, falls to −1.
     assert (track.x[-1], track.y[-1]) == pytest.approx((0.0, -1.0), abs=1e-12)
-
-
-def test_a_craft_wanders_neither_beside_an_unsettled_estimator_nor_where_it_comes_in_at_the_end() -> None:
-    results = craft_run(off=0.4)
-    (craft,) = find_crafts(Run(changed(results, "controller.x_hat", results["plant.x"]), manifest()))
-    seen = belief(craft)
-    assert seen is not None
-    assert seen.true == pytest.approx(0.4, abs=1e-3)  # e^(−2·26) of the approach is left
-    assert not seen.wanders
-    (craft,) = find_crafts(Run(changed(craft_run(10.0, off=0.4), "plant.x", 0.99, slice(-3, None)), manifest()))
-    late = belief(craft)
-    assert late is not None
-    assert math.isfinite(responses(craft, "x")[-1].settling)
-    assert not late.wanders
 
 
 @pytest.mark.thorough
@@ -258,35 +230,6 @@ def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_r
     assert faults(tmp_path / "report.html", dark=True) == []
 
 
-@pytest.mark.thorough
-def test_half_an_hour_at_50_hz_is_whole_in_a_few_megabytes(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    results = craft_run(1800.0)
-    for name in ("plant.psi", "controller.psi", "controller.psi_dot", "controller.ax", "controller.x_hat"):
-        results = changed(results, name, results[name] + 0.01 * rng.normal(size=results.time.size))
-    text = page(tmp_path, results, manifest())
-    assert embedded(text)["groups"][0]["of"] == results.time.size == 90_001
-    assert len(text) < 4e6
-
-
-def test_figures_of_merit_use_every_row() -> None:
-    spike = changed(craft_run(60.0), "plant.x", 1.5, slice(1733, 1734))
-    (craft,) = find_crafts(Run(spike, manifest()))
-    assert responses(craft, "x")[-1].overshoot == pytest.approx(0.5)
-
-
-def test_a_step_a_ramp_and_a_hold_are_told_apart() -> None:
-    t = np.arange(0, 10, 0.02)
-    reference = np.where(t < 2, 0.0, 1.0) + np.clip(t - 5, 0, 2)
-    steps = reference_steps(t, reference)
-    assert [(t[s.begin], t[s.arrived]) for s in steps] == [
-        pytest.approx((0, 0)),
-        pytest.approx((2, 2)),
-        pytest.approx((5.02, 7), abs=0.021),  # the ramp's first and last change, to a row
-    ]
-    assert [s.end for s in steps] == [*(s.begin for s in steps[1:]), t.size]
-
-
 def test_settling_is_measured_from_the_last_step() -> None:
     (craft,) = find_crafts(Run(craft_run(10.0), manifest()))
     (answer,) = responses(craft, "x")
@@ -302,14 +245,6 @@ def test_saturation_is_the_share_of_time_at_the_limit() -> None:
     assert saturation(craft, "left") == 0
     beyond = changed(craft_run(1.0), "plant.tilt_right", math.radians(53))
     assert find_crafts(Run(beyond, manifest(scenario={})))[0].tilt_limit is None  # not stated, and exceeded
-
-
-def test_angles_are_shown_in_degrees() -> None:
-    results = changed(craft_run(1.0), "plant.psi", math.pi / 2)
-    (craft,) = find_crafts(Run(results, manifest()))
-    heading = next(panel for panel in state_panels(craft) if panel.symbol == "ψ")
-    assert heading.unit == "°"
-    assert heading.traces[-1].values[-1] == pytest.approx(90.0)
 
 
 def test_roles_are_found_through_connections_whatever_the_names() -> None:
@@ -394,20 +329,3 @@ def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:
     paths = write_figures(tmp_path / "figures", both, {})
     assert sorted(tmp_path.joinpath("figures").iterdir()) == sorted(paths)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
-
-
-@pytest.mark.parametrize("variable", ["XDG_CONFIG_HOME", "XDG_CACHE_HOME"])
-@pytest.mark.thorough
-def test_without_a_place_matplotlib_says_nothing_and_leaves_nothing(variable: str, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "temporary").mkdir()
-    without = {name: value for name, value in os.environ.items() if name != "MPLCONFIGDIR"}
-    done = subprocess.run(
-        [sys.executable, "-c", "from cosim.report.figure import new_figure; new_figure(3.0, 2.0)"],
-        env=without | {variable: str(tmp_path / "file"), "TMPDIR": str(tmp_path / "temporary")},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert (done.stdout, done.stderr) == ("", "")
-    assert list((tmp_path / "temporary").iterdir()) == []

@@ -255,35 +255,6 @@ def test_a_zoom_changes_the_charts_of_its_axis_alone_and_lines_still_begin_anew(
     assert shapes(page) == before
 
 
-@pytest.mark.thorough
-def test_of_curves_with_points_of_their_own_the_nearest_are_read(page: Page) -> None:
-    for share in np.random.default_rng(8).uniform(0.02, 0.98, 12):
-        there = point_at(page, 2, share)
-        at = float(page.locator(".when").nth(2).inner_text().split()[0])
-        every = np.concatenate((FLOW, FINE))
-        assert np.abs(every - at).min() < 1e-4  # it is where some point is, and none is nearer to the pointer
-        assert abs(at - 9.0 * share) <= np.abs(every - 9.0 * share).min() + 9.0 * 1.5 / there["width"]
-        read, k, j = read_outs(page), int(np.abs(FLOW - at).argmin()), int(np.abs(FINE - at).argmin())
-        assert near(MEAN, read["mean"], MEAN[k])
-        low, high = (float(v) for v in read["data"].split(" … "))
-        assert (low, high) == pytest.approx((MEAN[k] - 0.2, MEAN[k] + 0.2), abs=1e-4)
-        assert near(CURVE, read["claim"], CURVE[j])
-
-
-def test_marks_are_drawn_again_where_they_are_looked_at_and_keys_go_from_point_to_point(page: Page) -> None:
-    before, figure = shapes(page), page.locator("[data-box]").nth(3)
-    figure.focus()
-    figure.press("Home")
-    figure.press("ArrowRight")
-    assert page.locator(".when").nth(3).inner_text() == "0.2 s"
-    assert f"{RHO[1]:.{decimals_of(RHO)}f}".replace("-", "\u2212") in page.locator("p.told").inner_text()
-    for _ in range(2):
-        figure.press("+")
-    after = shapes(page)
-    assert [k for k, (a, b) in enumerate(zip(after, before, strict=True)) if a != b] == [6]
-    assert 8 <= after[6].count("M") <= 10  # a quarter of 30, and one beyond each end
-
-
 def test_the_numbers_of_a_chart_with_bars_are_saved_with_both_ends(page: Page) -> None:
     header, rows = table_of(page, "Loss against flow")
     assert header == ["flow [l/s]", "data, lower [kW]", "data, upper [kW]", "mean [kW]", "claim [kW]"]

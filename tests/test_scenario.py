@@ -201,14 +201,6 @@ def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
     build_system(ScenarioFile(path, ["step=0.05", "components.controller.start.sample_time=0.05"]))
 
 
-def test_swap_differs_from_regulate_in_one_line_of_the_system() -> None:
-    one, other = ((ROOT / "scenarios" / f"{name}.yaml").read_text() for name in ("regulate", "swap"))
-    system_of = [t[t.index("duration:") : t.index("criteria:")].splitlines() for t in (one, other)]
-    differing = [(a, b) for a, b in zip(*system_of, strict=True) if a != b]
-    assert len(differing) == 1
-    assert "fmu:" in differing[0][0]
-
-
 def test_aliases_and_merged_keys_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(

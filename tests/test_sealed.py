@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +10,11 @@ import numpy as np
 import pytest
 
 from cosim.fmi.building.file import load_model
-from cosim.logs.log import Log, read_log
+from cosim.logs.log import read_log
 from cosim.model import Stepper
-from cosim.refinement.proof.measure import Evidence
-from cosim.refinement.proof.sealed import find_rises, is_significant_rise, repeated_motion
+from cosim.refinement.proof.sealed import is_significant_rise, repeated_motion
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import write_refine_report
-from cosim.residuals.windows import Replay
 from tests.logs import write_log
 from tests.studies import named, proven
 from tests.test_refine_conditions import MOTOR
@@ -72,28 +69,6 @@ def test_what_sealed_logs_show_changes_no_model_and_no_verdict(another: Refineme
     kept = [{k: v for k, v in x.record.items() if k not in sealed} for x in (r, another)]
     assert kept[0] == kept[1]
     assert json.loads((another.folder / "refine.json").read_text())["sentence"] == said
-
-
-def evidence(sizes: list[float], horizon: float = 1.0) -> Evidence:
-    """A log with replays of ten rows, each of which misses by a size of its own."""
-    rows = 10 * len(sizes) + 1
-    time = 0.1 * np.arange(rows)
-    log = Log(Path("a.csv"), time, {}, {"y": np.zeros(rows)}, {"y": "m"}, 0.1, {"y": ""}, {})
-    missed = np.concatenate([[np.nan], np.repeat(sizes, 10)])
-    return [(log, Replay(time, horizon, {10 * k: {} for k in range(len(sizes))}, {"y": missed}, {"y": "m"}))]
-
-
-def test_a_rise_counts_by_how_it_scatters_from_replay_to_replay() -> None:
-    rng = np.random.default_rng(3)
-    before = 1.0 + 0.3 * rng.random(12)
-    assert find_rises(evidence(before.tolist()), evidence((1.1 * before).tolist())).keys() == {"y"}
-    assert not find_rises(evidence(before.tolist()), evidence((0.9 * before).tolist()))
-    once = before.copy()
-    once[5] *= 4.0  # one replay alone, by much: as the others have it, chance
-    assert not find_rises(evidence(before.tolist()), evidence(once.tolist()))
-    assert not find_rises(evidence([1.0]), evidence([2.0]))  # one replay shows no scatter
-    assert find_rises(evidence(before.tolist(), math.inf), evidence((2.0 * before).tolist(), math.inf))
-    assert not find_rises(evidence(before.tolist()), evidence(before.tolist()))
 
 
 def test_chance_alone_makes_a_rise_as_rarely_as_it_says() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import Data
-from cosim.estimation.past_readings import lagged, lagged_table
+from cosim.estimation.past_readings import lagged
 from cosim.model import Equations, Lag, Model, Quantity, parameter
 
 STEP, TIME, ROWS = 0.05, 0.4, 400
@@ -138,11 +138,3 @@ def test_the_lag_of_a_ramp_is_exact():
     time = np.arange(0.0, 5.0, 0.1)
     expected = 2.0 * (time - TIME + TIME * np.exp(-time / TIME))
     np.testing.assert_allclose(lagged(time, 2.0 * time, TIME), expected, atol=1e-12)
-
-
-def test_open_loop_readings_begin_at_the_reading_and_follow_the_output():
-    outputs = np.column_stack([np.ones(200), np.arange(200.0)])
-    readings = lagged_table(outputs, np.array([10.0, 0.0]), np.array([0.2, np.nan]))
-    assert readings[:, 0] == pytest.approx(1.0 - 0.8 * np.exp(-np.arange(200.0) / 10.0), abs=1e-12)
-    assert np.array_equal(readings[:, 1], outputs[:, 1])
-    assert lagged_table(outputs, None) is outputs

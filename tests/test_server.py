@@ -94,7 +94,7 @@ def test_an_answer_is_never_stored_framed_or_shared_and_a_page_runs_its_own_scri
     assert "sandbox allow-scripts" in alone
 
 
-@pytest.mark.parametrize("token", ["", "x", "a" * 43, "%C3%BC", "%00", "..", "right-", "rightx", "right/right"])
+@pytest.mark.parametrize("token", ["", "x", "%00", "..", "right-", "rightx", "right/right"])
 def test_a_wrong_token_finds_nothing_and_changes_nothing(served: Served, token: str) -> None:
     token = token.replace("right-", served.token[:-1]).replace("right", served.token)
     for path, method in (("/", "GET"), ("/rows", "GET"), ("/none", "GET"), ("/set", "POST")):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.core.scratch import LOCK, scratch, sweep
+from cosim.core.scratch import LOCK, sweep
 from cosim.fmi.native.compiler import compiler
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
@@ -58,25 +58,6 @@ def test_folders_of_another_user_stop_no_command(shared: Path, name: str) -> Non
     assert {closed, open_} <= set(shared.iterdir())  # the other user's, whoever that is
 
 
-@pytest.mark.parametrize("kind", ["pipe", "link to a pipe", "link to a file", "folder"])
-def test_only_a_plain_file_is_taken_for_a_lock(tmp_path: Path, kind: str) -> None:
-    folder = tmp_path / "work-x"
-    folder.mkdir()
-    lock, elsewhere = folder / LOCK, tmp_path / "elsewhere"
-    if kind == "folder":
-        lock.mkdir()
-    elif kind == "link to a file":
-        elsewhere.write_text("mine")
-        lock.symlink_to(elsewhere)
-    else:
-        os.mkfifo(lock if kind == "pipe" else elsewhere)
-        if kind != "pipe":
-            lock.symlink_to(elsewhere)
-    code = f"from pathlib import Path; from {sweep.__module__} import sweep; sweep(Path({str(tmp_path)!r}), 'work-')"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=60)
-    assert folder.exists()
-
-
 def test_a_link_to_a_folder_is_not_swept(tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()
@@ -103,19 +84,6 @@ def test_the_folder_of_a_process_is_swept_after_it_was_killed(tmp_path: Path) ->
     assert list(temporary.iterdir())
     assert cosim("check", deeds_fmu(tmp_path / "good.fmu"), env=given).returncode == 0
     assert not list(temporary.iterdir())
-
-
-def test_a_fork_does_not_remove_the_folder_of_its_parent(tmp_path: Path) -> None:
-    held = scratch("work-", tmp_path)
-    if (child := os.fork()) == 0:
-        held.remove()
-        os._exit(0)
-    os.waitpid(child, 0)
-    assert held.path.is_dir()
-    sweep(tmp_path, "work-")
-    assert held.path.is_dir()
-    held.remove()
-    assert not held.path.exists()
 
 
 # -- the cache ------------------------------------------------------------------------------------

@@ -1,70 +1,14 @@
-"""Event location and time in model exchange, references over time, and values on their way to an FMU and back."""
+"""Location of events in model exchange, and slopes by differences."""
 
 from __future__ import annotations
 
-import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cosim.blocks.derivatives import slopes_at
-from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import SolveIvp
-
-
-class Fmu:
-    """An FMU for model exchange whose events of time are listed; `log` keeps what is called, and when."""
-
-    def __init__(self, events: Any = (), step_events: bool = False, ends_at: float = math.inf) -> None:
-        self.events, self.step_events, self.ends_at = sorted(events), step_events, ends_at
-        self.time, self.log = 0.0, list[tuple[str, float]]()
-        self.more = 0
-
-    def setTime(self, time: float) -> None:
-        self.time = time
-
-    def enterEventMode(self) -> None:
-        self.log.append(("event", self.time))
-
-    def enterContinuousTimeMode(self) -> None:
-        self.log.append(("continuous", self.time))
-
-    def completedIntegratorStep(self) -> tuple[bool, bool]:
-        return self.step_events, self.time >= self.ends_at
-
-    def newDiscreteStates(self) -> Any:
-        self.events = [event for event in self.events if event > self.time + 1e-12]
-        self.more -= 1
-        due = self.events[0] if self.events else 0.0
-        return self.more > 0, False, False, False, bool(self.events), due
-
-
-class Solver:
-    """Gets to its target, or to the first event of state before it; `spans` keeps from where to where."""
-
-    def __init__(self, crossings: Any = ()) -> None:
-        self.crossings, self.spans, self.resets = list(crossings), list[tuple[float, float]](), list[float]()
-
-    def step(self, t: float, target: float) -> tuple[bool, None, float]:
-        self.spans.append((t, target))
-        found = [time for time in self.crossings if t < time <= target]
-        return bool(found), None, min(found, default=target)
-
-    def reset(self, time: float) -> None:
-        self.resets.append(time)
-
-
-def exchange(fmu: Fmu, solver: Solver, start: float = 0.0, completed: bool = False) -> ModelExchange:
-    ways = SimpleNamespace(needsCompletedIntegratorStep=completed)
-    counts = {"numberOfContinuousStates": 1, "numberOfEventIndicators": 0}
-    calls = ModelExchange("m", SimpleNamespace(modelExchange=ways, derivatives=[], fmiVersion="2.0", **counts))
-    calls.fmu, calls.solver, calls._started, calls.time = fmu, solver, True, start
-    fmu.time = start
-    calls.update()
-    fmu.log.clear()
-    return calls
 
 
 class Falling:

@@ -164,8 +164,6 @@ def test_every_fault_is_told_at_once_with_its_place_and_cure(tmp_path: Path) -> 
         ('source="http://somewhere/lag.fmu"', "is not in the package"),
         ('source="resources/Lag.fmu"', 'no file "resources/Lag.fmu" in it'),
         ('source="a%00b"', "is no name of a file"),
-        ('source="."', 'no file "." in it'),
-        (f'source="{"a" * 5000}"', "is no name of a file"),
         ('source="resources/lag.fmu" implementation="ScheduledExecution"', "is not run here"),
         ('source="resources/lag.fmu" implementation="ModelExchange"', "offers co-simulation only"),
         ('source="resources/bad.fmu"', "is no FMU"),
@@ -266,7 +264,6 @@ def test_what_is_exported_satisfies_the_schema_and_is_the_same_each_time(tmp_pat
         ({"faults": [{"on": "a.u", "kind": "bias", "value": 1}]}, "faults cannot be exported"),
         ({"events": [{"at": 1, "set": {"a.gain": 2}}]}, "events cannot be exported"),
         ({"connections": [{"from": "r.drive", "to": "b.u", "factor": 2}]}, "the connection converts"),
-        ({"connections": [{"from": "r.drive", "to": "b.u", "offset": 2}]}, "the connection converts"),
     ],
 )
 def test_what_an_ssp_cannot_hold_is_refused_with_the_cure(tmp_path: Path, changed: dict[str, Any], words: str) -> None:

@@ -72,25 +72,6 @@ def test_predictions_are_parts_of_the_free_run(study: Study, problem: Problem) -
     assert sizes == pytest.approx([*NOISE.values()], rel=0.3)
 
 
-def test_deviations_of_outputs_go_on_as_those_by_start_states_do() -> None:
-    """Two coupled outputs with three start states each obey one matrix, also in other units."""
-    matrix = np.array([[1.0, 0.01], [-0.2, 0.95]])
-    slopes = np.empty((200, 2, 3))
-    slopes[0] = [[1.0, 0.0, 0.3], [0.0, 50.0, -2.0]]
-    for k in range(1, 200):
-        slopes[k] = matrix @ slopes[k - 1]
-    run = np.random.default_rng(3).standard_normal((200, 2))  # it does not matter where a linear machine is
-    found = propagations(slopes, run)
-    assert found.shape == (200, 2, 4)
-    assert (found == found[0]).all()
-    now, before = np.hsplit(found[0], 2)
-    assert now == pytest.approx(matrix, abs=1e-9)
-    assert (before == 0.0).all()
-    assert (propagations(np.empty((200, 2, 0)), run) == 0.0).all()
-    growing = propagations(1.05 ** np.arange(200)[:, None, None] * slopes, run)
-    assert np.abs(np.linalg.eigvals(growing[0, :, :2])).max() == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("missed", [0, 1])
 def test_deviations_go_on_as_the_place_of_the_run_demands(missed: int) -> None:
     """A pendulum swings over ±1.2 rad; a deviation of 1 mrad follows from row to row, also one that nobody tried.

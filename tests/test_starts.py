@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cosim.core.arrays import Array
-from cosim.core.errors import SimulationError
 from cosim.logs.log import Log
-from cosim.residuals import starts
 from cosim.residuals.drive import as_columns
 from cosim.residuals.starts import (
     StartParameter,
@@ -37,77 +34,9 @@ def parameter(name: str = "y_start", gain: float = 1.0, low: float = -math.inf, 
     return StartParameter(name, gain, low, high, (0.1, 0.2))
 
 
-# -- which parameter starts an output ---------------------------------------------------------------
-
-
-class Trial:
-    """A drive that tells what an output is at the start, by a function of one start parameter."""
-
-    has_readable_state = False
-
-    def __init__(self, shown: Any, name: str = "y_start", output: str = "y", **variable: Any) -> None:
-        start = {"start": variable.get("start"), "min": variable.get("min"), "max": variable.get("max")}
-        kind = {"type": variable.get("type", "Real"), "causality": variable.get("causality", "parameter")}
-        self.description = SimpleNamespace(modelVariables=[SimpleNamespace(name=name, **start, **kind)])
-        self.outputs, self.shown, self.name, self.tried = (output,), shown, name, list[float]()
-
-    def initial(self, start: Mapping[str, float], row: int) -> dict[str, float]:
-        assert row == 0
-        self.tried.append(start[self.name])
-        return {self.outputs[0]: self.shown(start[self.name])}
-
-
-def found(drive: Any) -> dict[str, StartParameter]:
-    return starts.start_parameters(drive)
-
-
-def test_an_output_starts_where_a_parameter_of_its_name_says() -> None:
-    (one,) = found(Trial(lambda v: 2.0 * v, start="3")).values()
-    assert (one.name, one.gain, one.value(5.0)) == ("y_start", pytest.approx(2.0), pytest.approx(2.5))
-    assert found(Trial(lambda v: v, "tilt_start", "tilt_actual")).keys() == {"tilt_actual"}
-    assert found(Trial(lambda v: v, "z_start")) == {}
-    assert found(Trial(lambda v: v, type="Integer")) == {}
-    assert found(Trial(lambda v: v, causality="input")) == {}
-
-
-def test_an_output_that_does_not_follow_in_proportion_starts_elsewhere() -> None:
-    assert found(Trial(lambda v: v + 1e-3)) == {}
-    assert found(Trial(lambda v: 4.0)) == {}
-    assert found(Trial(lambda v: v * v)) == {}
-    assert found(Trial(lambda v: 1e-10 * v)) == {}
-    assert found(Trial(lambda v: 1e-8 * v)).keys() == {"y"}  # small, and in proportion
-    assert found(Trial(lambda v: v + 1e-8)).keys() == {"y"}  # rounding
-
-
-def test_an_fmu_that_refuses_a_start_value_is_started_as_it_is() -> None:
-    def refused(_: float) -> float:
-        raise SimulationError("plant", 0.0, "no")
-
-    assert found(Trial(refused)) == {}
-
-
 # -- the parabola -----------------------------------------------------------------------------------
 
-VALUE, SLOPE, BEND = 0.3, -0.7, 1.9
-
-
-def parabola(error: Array, log: Log, at: int, rows: Any, sigma: float = 1e-3, rate: Array | None = None) -> Any:
-    errors = [(error[rows], sigma, False)] + ([] if rate is None else [(rate[rows], sigma, True)])
-    return starts._parabola(log, errors, at, np.asarray(rows))
-
-
-def test_a_parabola_is_met_exactly_in_value_and_slope() -> None:
-    time = seconds(4.0)
-    log = log_of(time, y=time)
-    tau = time - time[100]
-    error = VALUE + SLOPE * tau + 0.5 * BEND * tau**2
-    for rows in (range(75, 101), range(95, 101)):
-        assert parabola(error, log, 100, [*rows]) == (pytest.approx(VALUE), pytest.approx(SLOPE))
-    rate = SLOPE + BEND * tau
-    assert parabola(error, log, 100, [98, 99, 100], rate=rate) == (pytest.approx(VALUE), pytest.approx(SLOPE))
-    assert parabola(rate, log, 100, [*range(75, 101)], rate=np.full(time.size, BEND)) == (
-        pytest.approx(SLOPE), pytest.approx(BEND),
-    )  # fmt: skip
+VALUE, SLOPE = 0.3, -0.7
 
 
 # -- a body whose state is known --------------------------------------------------------------------

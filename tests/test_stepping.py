@@ -13,10 +13,8 @@ import pytest
 import yaml
 
 from cosim.blocks.coupling import OWN
-from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import InputError, Interrupted
 from cosim.files.results import Results
-from cosim.fmi.description import read_description
 from cosim.isolation.rows import Rows
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
@@ -259,19 +257,3 @@ def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: 
     assert isinstance(stopped.value.error, Interrupted)
     assert stopped.value.results.loop == "C"
     assert 1 < len(stopped.value.results.time) < steps
-
-
-def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = deeds_fmu(tmp_path / "one.fmu")
-    block = FmuBlock("one", path, read_description(path), {}, frozenset())
-
-    def stop(text: str) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(block.instance, "remember", stop)
-    block.instance.listen(1, b"a word")  # called by C, out of which no exception leads
-    with pytest.raises(KeyboardInterrupt):
-        block.set_time(1.0)
-    block.set_time(1.0)

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from cosim.core.errors import InputError
-from cosim.files import csv_source
 from cosim.files.yaml_file import REMOVED_KEYS
 from cosim.refinement.study import read_study
 from tests.logs import MOVING, fly, measured, times, write_log
@@ -81,23 +80,3 @@ def test_one_file_under_two_names_is_told_at_each_place(tmp_path: Path, flown: b
     (tmp_path / "e.csv").write_bytes(flown)
     (tmp_path / "v.csv").symlink_to("e.csv")
     assert [t[:7] for t in told(study(tmp_path, "[e.csv, ./e.csv]"))] == [":3:23: ", ":4:16: "]
-
-
-def test_a_large_log_is_refused_unread(tmp_path: Path, flown: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "e.csv").write_bytes(flown)
-    (tmp_path / "v.csv").write_bytes(2 * flown)
-    monkeypatch.setattr(csv_source, "MOST_BYTES", len(flown))
-    opened, whole = Path.open, Path.read_bytes
-
-    def read(path: Path) -> bytes:
-        assert path.name != "v.csv"
-        return whole(path)
-
-    def small(path: Path, *arguments: object, **keywords: object) -> object:
-        assert path.name != "v.csv" or arguments == ("rb",)  # its first bytes say which format it has
-        return opened(path, *arguments, **keywords)  # type: ignore[arg-type, call-overload]
-
-    monkeypatch.setattr(Path, "open", small)
-    monkeypatch.setattr(Path, "read_bytes", read)
-    (fault,) = told(study(tmp_path))
-    assert "pieces" in fault

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +13,14 @@ from scipy.signal import lsim
 from cosim.fmi.building.file import own_terms
 from cosim.fmi.native.compiler import load_library
 from cosim.model.namespaces import SCALAR
-from cosim.model.quantities import Parameter, Quantity, parameters_of
+from cosim.model.quantities import Parameter, Quantity
 from cosim.terms.catalogue import (
-    Coulomb,
     InputLag,
     Play,
     RateLimit,
-    Saturation,
     SecondOrderLag,
     Stribeck,
     bound_terms,
-    sensor_errors,
 )
 from cosim.terms.code import term_code
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
@@ -146,29 +142,3 @@ def test_a_users_file_adds_terms(tmp_path: Path) -> None:
     assert issubclass(windage, Force)
     (bound,) = [t for t in bound_terms([INPUT, PAIR], [windage]) if t.name.startswith("windage")]
     assert (bound.name, bound(coefficient=2.0).force(SCALAR, 0.0, 3.0)) == ("windage_at_speed", -54.0)
-
-
-def test_a_saturation_acts_as_soon_as_it_is_below_the_largest_value_of_the_logs() -> None:
-    """The score test steps from neutral; a limit far above all values would promise nothing."""
-    bound = bind(Saturation, replace(INPUT, units={**INPUT.units, "M": "V"}, sizes={**INPUT.sizes, "M": 5.0}))
-    (limit,) = parameters_of(bound)
-    assert (limit.default, limit.neutral, limit.bounds[0], limit.unit) == (0.2, 0.2, 0.2, "1/V")
-    assert bound().change(SCALAR, -9.0) == -9.0
-    assert bound(inverse_limit=1.01 * 0.2).change(SCALAR, 5.0) == pytest.approx(5.0 / 1.01)
-    assert bound(inverse_limit=1.01 * 0.2).change(SCALAR, 4.9) == 4.9
-
-
-def test_a_sensor_that_never_reads_below_zero_may_show_the_magnitude() -> None:
-    speed = Quantity("speed", "rad/s", "")
-    signed, unsigned = ({e.name: e for e in sensor_errors(speed, 3.0, 0.1, 10.0, signed=s)} for s in (True, False))
-    assert unsigned.keys() - signed.keys() == {"magnitude_at_speed"}
-    reading = unsigned["magnitude_at_speed"](value=1.0)
-    assert [reading.read(SCALAR, 0.0, {"speed": y}) for y in (-2.0, 0.0, 2.0)] == [2.0, 0.0, 2.0]
-    assert unsigned["magnitude_at_speed"]().read(SCALAR, 0.0, {"speed": -2.0}) == -2.0
-    assert not reading.is_straight()
-
-
-def test_the_transition_of_friction_is_not_finer_than_the_integration() -> None:
-    softness = {p.name: p for p in parameters_of(bind(Coulomb, replace(PAIR, resolution=0.05)))}["softness"]
-    assert softness.bounds[0] == 0.05
-    assert {p.name: p for p in parameters_of(bind(Coulomb, PAIR))}["softness"].bounds[0] == pytest.approx(1e-3)

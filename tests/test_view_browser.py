@@ -289,33 +289,3 @@ def test_the_page_is_accessible_narrow_and_on_paper(browser: Browser, page_of_ru
     assert page.locator(".box").first.is_visible()
     page.close()
     assert faults == []
-
-
-def test_names_that_end_in_a_blank_or_a_mark_are_derived_from_and_names_that_steer_are_escapes(
-    browser: Browser, tmp_path: Path
-) -> None:
-    rows = "".join(f"{k},{k}\n" for k in range(5))
-    for number, name in enumerate(("x\u00a0", "x\ufeff", "x\u202e\x1b[31m")):
-        file = tmp_path / f"r{number}.csv"
-        file.write_text(f"time,{name} [m]\n{rows}")
-        run = ViewedRun(RunPlace("r\u202e", "run\u202e", file))
-        faults: list[str] = []
-        with view_page("run\u202e", [run], Layouts(tmp_path / "view.json")) as served:
-            page = opened(browser, served.url, faults, viewport={"width": 1300, "height": 900})
-            page.wait_for_selector("html[data-ready=view]", state="attached")
-            page.locator("#tree").focus()
-            for key in ("End", "Enter"):
-                page.keyboard.press(key)
-            until(page, DRAWN)
-            page.click("#derive")
-            page.fill("#formula", "2 * a")
-            page.fill("#derived-name", "twice")
-            page.click("#derive-form button:has-text('Add')")
-            page.wait_for_selector("#derive-box:not([open])", state="attached")
-            until(page, DRAWN)
-            assert len(_names(page)) == 2
-            text = page.locator("body").inner_text()
-            assert not {"\u202e", "\x1b"} & {*text}
-            assert (r"\u202e\u001b[31m" in text) == ("\x1b" in name)
-            page.close()
-        assert faults == []

@@ -1,10 +1,9 @@
-"""Windows of a replay, row by row; floors, lags and sentences at both sides of their limits."""
+"""Windows of a replay, row by row; lags and units at both sides of their limits."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ import pytest
 from cosim.core.arrays import Array
 from cosim.logs.log import Log
 from cosim.logs.model_comparison import delay, delays, scales
-from cosim.residuals import windows
-from cosim.residuals.windows import chains, window_rows
+from cosim.residuals.windows import window_rows
 
 
 def log_of(time: Array, step: float = 0.02, outputs: Any = None, inputs: Any = None, **more: Any) -> Log:
@@ -40,26 +38,6 @@ def test_windows_are_consecutive_and_whole_and_begin_after_what_is_skipped() -> 
     short = seconds(4.0)
     for early, count in ((0.009, 1), (0.011, 0)):
         assert len(window_rows(log_of(short - early * (np.arange(short.size) == short.size - 1)), 2.0)) == count
-
-
-def test_after_a_pause_a_chain_settles_as_long_as_is_skipped_at_the_start() -> None:
-    time = np.concatenate((seconds(6.0), 8.0 + seconds(6.0)))
-    first, second = chains(log_of(time), 2.0)
-    for chain, offset in ((first, 0), (second, 301)):
-        assert chain.begin == offset + 100
-        assert [k - offset for k in chain.rows if k >= chain.begin] == [100, 200, 300]
-        assert all(a < b for a, b in pairwise(chain.rows))
-    settle = [k - 301 for k in second.rows if k < second.begin]
-    assert settle[0] == 0  # nothing is known of what was before
-    assert {b - a for a, b in pairwise(settle)} == {round(windows.PAST / 0.02)}
-    begin = [k for k in first.rows if k < first.begin]
-    assert begin[0] == round(windows.FIRST / 0.02)
-    slow = chains(log_of(seconds(200.0, 1.0), 1.0), 40.0)[0]
-    assert {b - a for a, b in pairwise([k for k in slow.rows if k < slow.begin])} == {round(20 * windows.PAST)}
-    assert slow.begin == 40
-
-
-# -- statistics -------------------------------------------------------------------------------------
 
 
 # -- against a model --------------------------------------------------------------------------------

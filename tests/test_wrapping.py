@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,24 +70,6 @@ def test_dry_friction_at_a_port_is_that_of_the_equations(fmi: int, tmp_path: Pat
         assert off(truth, simulated(tmp_path / "w.fmu", way, force, drag)) < near
 
 
-@pytest.mark.thorough
-def test_forces_in_co_simulation_improve_with_shorter_substeps(tmp_path: Path) -> None:
-    original, force = fmu_of("drive", 2, STEPS, tmp_path), push()
-    truth = simulated(original, STEPS, force, {"coulomb_friction.level": 12.0})
-    errors = []
-    for substep in (1e-2, 1e-3, 1e-4):
-        path = tmp_path / f"{substep}.fmu"
-        wrap(
-            original,
-            terms_of("coulomb", states_of("drive")),
-            {"coulomb_at_velocity.level": 12.0},
-            path,
-            substep=substep,
-        )
-        errors.append(off(truth, simulated(path, STEPS, force)))
-    assert errors[0] > 3 * errors[1] > 9 * errors[2]
-
-
 @VERSIONS
 def test_an_added_rate_acts_in_model_exchange_alone(fmi: int, tmp_path: Path) -> None:
     original, force = fmu_of("drive", fmi, EXCHANGE, tmp_path), push()
@@ -148,25 +127,3 @@ def test_a_delay_shifts_the_input(fmi: int, tmp_path: Path) -> None:
         expected = exact(force, delay)
         assert off(expected, simulated(tmp_path / "w.fmu", EXCHANGE, force)) < 1e-6
         assert off(expected, simulated(tmp_path / "w.fmu", STEPS, force)) < (1e-6 if delay == 0.12 else 1e-4)
-
-
-CHECKER = os.environ.get("FMUCHECK")
-
-
-@pytest.mark.skipif(CHECKER is None, reason="FMUCHECK does not name the program of FMUComplianceChecker")
-@pytest.mark.parametrize("way", ["cs", "me"])
-def test_dormant_it_equals_the_original_in_the_compliance_checker(way: str, tmp_path: Path) -> None:
-    assert CHECKER is not None
-    original, path = fmu_of("drive", 2, STEPS, tmp_path), tmp_path / "wrapped.fmu"
-    wrap(original, terms_of("all" if way == "me" else "coulomb", states_of("drive")), {}, path, substep=1e-3)
-    rows = [f"{t:.2f},{60.0 * math.sin(3.0 * t)!r}" for t in STEP * np.arange(401)]
-    (tmp_path / "in.csv").write_text("\n".join(["time,force", *rows]) + "\n")
-    outputs = []
-    for fmu in (original, path):
-        out = tmp_path / f"{fmu.stem}.csv"
-        words = ["-k", way, "-i", tmp_path / "in.csv", "-o", out, "-h", STEP, "-s", 4.0, "-e", tmp_path / "log", fmu]
-        done = subprocess.run([CHECKER, *map(str, words)], check=False)
-        assert done.returncode == 0, (tmp_path / "log").read_text()
-        outputs.append(out.read_text())
-    assert outputs[0] == outputs[1]
-    assert len(outputs[0].splitlines()) > 400
