@@ -19,7 +19,7 @@ from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated, generate
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Layout, single_steps, steps_one_by_one
 from cosim.estimation.posing import start_state
-from cosim.estimation.subject.model_subject import ModelSubject, neutral_values, settling
+from cosim.estimation.subject.model_subject import ModelSubject, neutral_values
 from cosim.files.cache import cache_path
 from cosim.fmi.building.file import own_model
 from cosim.fmi.native.compiler import compiler
