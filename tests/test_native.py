@@ -221,6 +221,8 @@ def test_a_native_fmu_is_valid_and_runs_without_a_tool(name: str, native_fmus: P
     assert validate_fmu(str(native_fmus / name)) == []
     ways = [way for way in (description.coSimulation, description.modelExchange) if way is not None]
     assert len(ways) == (2 if "plant" in name else 1)  # the controller samples
+    assert description.modelName == ("HovercraftPlant" if "plant" in name else "HovercraftController")
+    assert {way.modelIdentifier for way in ways} == {f"{description.modelName}Native"}
     assert {way.needsExecutionTool for way in ways} == {False}
     with zipfile.ZipFile(native_fmus / name) as archive:
         listed = set(archive.namelist())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from cosim.probing.own_step import probe_own_step
 from cosim.probing.places import probe_structure
 from cosim.residuals.drive import log_of_fmu
 from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.simulate_verb import simulate
 from tests.blind.fmu_build import PLANTS, WAYS, build
 from tests.deeds import deeds_fmu
 from tests.slider import slider_fmu, slider_log
@@ -177,6 +179,16 @@ def test_a_step_of_its_own_above_those_of_the_log_is_found(
 def test_a_check_of_an_fmu_warns_of_its_misbehaviour(tmp_path: Path, fault: str, count: int) -> None:
     fmu = build(tmp_path / "a.fmu", "drive", 3 if fault == "idle_reset" else 2, ways=WAYS, fault=fault)
     assert sum(": warning: " in text for text in check_files(fmu)) == count
+
+
+def test_a_name_that_stands_twice_is_a_warning_and_means_its_first_variable(tmp_path: Path) -> None:
+    fmu, twice = slider_fmu(tmp_path / "slider.fmu"), tmp_path / "twice.fmu"
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(twice, "w") as target:
+        for name in source.namelist():
+            target.writestr(name, source.read(name).replace(b'name="velocity"', b'name="position"'))
+    assert any("position" in text and ": warning: " in text for text in check_files(twice))
+    once, again = (simulate(path, tmp_path / path.stem, {"force": 1.0}, stop=1.0) for path in (fmu, twice))
+    assert np.array_equal(again.to_pandas()["twice.position"], once.to_pandas()["slider.position"])
 
 
 # -- places -----------------------------------------------------------------------------------------

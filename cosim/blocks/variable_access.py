@@ -42,9 +42,11 @@ class Ports:
         self.clock_inputs, self.clock_outputs = clocks
         self.kinds, self.fmi3 = kinds_of(description.fmiVersion), description.fmiVersion.startswith("3")
         fed, unfed, outputs, others = list[Any](), list[Any](), list[Any](), list[Any]()
+        seen = set[str]()
         for v in description.modelVariables:
-            if v.type not in self.kinds:
+            if v.type not in self.kinds or v.name in seen:  # a name that stands twice means its first variable
                 continue
+            seen.add(v.name)
             if v.causality == "output":
                 outputs.append(v)
             elif v.causality != "input":

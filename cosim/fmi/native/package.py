@@ -82,11 +82,11 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
         for q, e in zip(model.outputs, trace.outputs, strict=True):
             sources.setdefault(q.name, set()).update(sources_of(e))
         acting = dict(zip(inputs, trace.shaped, strict=True))
-        for name, e in zip(states, trace.derivative, strict=True):
+        for state, e in zip(states, trace.derivative, strict=True):
             direct = sources_of(e)  # The acting command is shaped.
             shaped = (sources_of(acting[n]) for n in direct & acting.keys())
-            sources.setdefault(f"der({name})", set()).update(direct, *shaped)
-    dependencies = {name: sorted(direct) for name, direct in sources.items()}
+            sources.setdefault(f"der({state})", set()).update(direct, *shaped)
+    dependencies = {output: sorted(direct) for output, direct in sources.items()}
     parts = {"equations.c": part("equations.c")}
     return Native(name, recipe.about, body, sizes, parts, recipe.text, tuple(variables), dependencies)
 
