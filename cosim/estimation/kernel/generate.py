@@ -270,11 +270,13 @@ def _with_constants(
     body.derivative.update({n: e.xreplace(states) for n, e in body.derivative.items()})
     body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
     places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
-    between = _downstream(body, places) & _upstream(body, [body.outputs[n] for n in measured])
+    reached, reaching = _influence(body, places, [body.outputs[n] for n in measured])
     # base states coupled only by an effect are excluded, as for noise
     apart = {q.name for q in body.symbols.model.base_states} - {*driven}
     carrying = tuple(
-        n for k, n in enumerate(body.derivative) if k in between and not (n in apart or n.startswith(DISTURBANCE))
+        n
+        for k, n in enumerate(body.derivative)
+        if k in reached & reaching and not (n in apart or n.startswith(DISTURBANCE))
     )
     body.derivative.update({CONSTANT + n: sympy.Integer(0) for n in constant})
     return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), carrying
@@ -293,7 +295,7 @@ def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str],
     names = list(body.derivative)
     forced = [names.index(n) for n in model.forced]
     outputs = [body.outputs[n] for n in measured]
-    reached, reaching = _downstream(body, forced), _upstream(body, outputs)
+    reached, reaching = _influence(body, forced, outputs)
     both = sorted(reached & reaching)
     return (
         [names[k] for k in forced if k in both],
@@ -303,24 +305,18 @@ def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str],
     )
 
 
-def _downstream(body: Body, first: Sequence[int]) -> set[int]:
-    """Return the indices of states influenced by `first`, inclusive."""
-    feeds, reached = _feeds(body), set(first)
-    while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
-        reached |= grown
+def _reachable(first: set[int], following: Sequence[set[int]]) -> set[int]:
+    """Return the indices that are reached from `first`, inclusive, over the indices that follow each."""
+    reached = first
+    while not (grown := reached.union(*(following[k] for k in reached))) <= reached:
+        reached = grown
     return reached
 
 
-def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
-    """Return the indices of all states with direct or indirect influence on some expressions."""
-    feeds, place = _feeds(body), {symbol: k for k, symbol in enumerate(body.symbols.state)}
-    reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
-    while grown := {j for i in reaching for j in feeds[i]} - reaching:
-        reaching |= grown
-    return reaching
-
-
-def _feeds(body: Body) -> list[set[int]]:
-    """Return the state indices in each state equation."""
+def _influence(body: Body, first: Sequence[int], expressions: Sequence[Any]) -> tuple[set[int], set[int]]:
+    """Return the indices of states influenced by those of `first`, and of those with influence on some expressions."""
     place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
-    return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]
+    feeds = [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]
+    fed = [{k for k, parts in enumerate(feeds) if j in parts} for j in range(len(place))]
+    reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
+    return _reachable(set(first), fed), _reachable(reaching, feeds)
