@@ -37,16 +37,15 @@ class Generated:
         source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
             `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to stochastic states.
         stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
-        library: Number of states, inputs and outputs of an FMU's library; None without one.
-        stepped: True for a library of co-simulation, with the outputs in place of states.
+        library: Number of states of an FMU's library, in co-simulation of outputs in their place, and number of its
+            outputs; None without a library.
         unnamed: True if its free runs have unnamed terms.
     """
 
     layout: Layout
     source: str
     stiff: bool = False
-    library: tuple[int, int, int] | None = None
-    stepped: bool = False
+    library: tuple[int, int] | None = None
     unnamed: bool = False
 
 
@@ -104,7 +103,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
     )
-    counts = len(model.base_states), len(model.inputs), len(model.outputs)
+    counts = len(model.base_states), len(model.outputs)
     return Generated(layout, text, stiff, counts if isinstance(model, FmuModel) else None)
 
 
@@ -164,9 +163,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
         along=along,
         positions=tuple(measured.index(n) for n in places if n in measured),
     )
-    return Generated(
-        layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True, unnamed=unnamed
-    )
+    return Generated(layout, "\n".join(texts), library=(len(names), len(names)), unnamed=unnamed)
 
 
 def _library_inputs(body: Body) -> list[Any]:
