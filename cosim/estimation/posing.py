@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.estimation.data import count_unscored, data_of, first_measured, start_state
+from cosim.estimation.data import data_of, first_measured, start_state
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
@@ -43,7 +43,7 @@ def build_problem(
     layout = kernel.layout
     settle = subject.settling([layout.states[k] for k in layout.driven])
     data = [data_of(subject, log, layout, settle, settings.interpolated) for log in logs]
-    readings = [readings_of(d.y, count_unscored(d)) for d in data]
+    readings = list(map(readings_of, data))
     begins = origins(subject, layout, logs, data, settings)
     values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
     values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
@@ -176,13 +176,13 @@ def halve_log(problem: Problem) -> Problem:
     if problem.layout.is_free_run:
         early = np.arange(len(log.u))[:, None] < half
         parts = [replace(log, y=np.where(rows, log.y, np.nan)) for rows in (early, ~early)]
-        readings = [readings_of(d.y, count_unscored(d)) for d in parts]
+        readings = list(map(readings_of, parts))
         return replace(problem, logs=parts, readings=readings, x0=[x0, x0], origins=[*problem.origins] * 2)
     halves = [log.rows(0, half), log.rows(half, len(log.u))]
     following = replace(problem, trusted=False, sensing=None)
     run = following.run(problem.values, following.plain, 0, states=True)
     reached = problem.drop_unknown_inputs(run.states[half])
-    readings = [readings_of(d.y, count_unscored(d)) for d in halves]
+    readings = list(map(readings_of, halves))
     for origin in problem.origins:
         # A start from a reading depends on the group's parameter value.
         p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
-from cosim.estimation.data import UNSCORED, count_unscored
+from cosim.estimation.data import UNSCORED
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, run_all
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
@@ -197,7 +197,7 @@ class Problem:
     def _first_rows(self, rows: int, chosen: Sequence[int]) -> dict[str, Any]:
         """Return the attributes that belong to the first rows of some logs."""
         logs = [self.logs[k].rows(0, rows) for k in chosen]
-        readings = [readings_of(log.y, count_unscored(log)) for log in logs]
+        readings = list(map(readings_of, logs))
         origins = [self.origins[k] for k in chosen if self.origins]
         return {"logs": logs, "readings": readings, "x0": [self.x0[k] for k in chosen], "origins": origins}
 

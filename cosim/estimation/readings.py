@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
+from cosim.estimation.data import count_unscored
+from cosim.estimation.kernel.kernel import Data
 
 NEAR = 4  # readings on each side for a slope
 ON_GRID = 0.99  # share of steps between readings that marks quantisation
@@ -56,10 +58,10 @@ class Readings:
         return moved
 
 
-def readings_of(y: Array, unscored: int) -> Readings:
-    """Return the readings of a log; the first `unscored` rows do not count in the likelihood."""
-    scored = np.isfinite(y)
-    scored[:unscored] = False
+def readings_of(data: Data) -> Readings:
+    """Return the readings of a log; its first rows do not count in the likelihood."""
+    y, scored = data.y, np.isfinite(data.y)
+    scored[: count_unscored(data)] = False
     return Readings(
         scored,
         np.column_stack([_slopes(column) for column in y.T]),

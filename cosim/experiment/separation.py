@@ -18,7 +18,7 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares
-from cosim.estimation.data import count_unscored, data_of, start_state
+from cosim.estimation.data import data_of, start_state
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
@@ -78,7 +78,7 @@ class Separation:
         layout = self.problem.layout
         data = replace(data_of(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.subject, data, layout.outputs, layout.states)
-        readings = [readings_of(data.y, count_unscored(data))]
+        readings = [readings_of(data)]
         problem = replace(self.problem, logs=[data], readings=readings, x0=[start])
         scored = problem.score(problem.values, self.noise)
         sigma, count = np.sqrt(scored.variances), len(scored.errors)

@@ -47,8 +47,8 @@ def kernel(
         try:
             if isinstance(model, FmuModel) and fmu is not None:
                 variables = {p.name: model.variables[p.name] for p in model.parameters}
-                stepped = generate_stepped(model, measured, unnamed) if model.stepped else None
-                _kernels[key] = RemoteLibraryKernel(stepped or generate(model, measured, unnamed), fmu, variables)
+                generated = (generate_stepped if model.stepped else generate)(model, measured, unnamed)
+                _kernels[key] = RemoteLibraryKernel(generated, fmu, variables)
             else:
                 _kernels[key] = CompiledKernel(generate(model, measured, unnamed, constant))
         except OfNumbersOnly as error:

@@ -104,16 +104,15 @@ def _address(a: Array) -> int | None:
 
 def _source(generated: Generated) -> str:
     """Return the C source of the filter: sizes, generated functions and hand-written code."""
-    stepped, library = generated.stepped, generated.library
     layout, before = generated.layout, list[Path]()
+    stepped = layout.is_free_run
     groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
     numbers = {name: len(group) for name, group in groups.items()} | {"NM": layout.memory, "DELAY": layout.delay}
     sizes = {name: f"({number})" for name, number in numbers.items()}
     sizes["STOCHASTIC"] = f"{{{', '.join(map(str, layout.stochastic or (0,)))}}}"
     sizes |= {"STIFF": str(int(generated.stiff)), "STEPPED": str(int(stepped))}
-    if library is not None:
-        states, _, outputs = library
-        sizes |= {"NB": f"({outputs if stepped else states})", "NL": f"({outputs})"}
+    if generated.library is not None:
+        sizes |= {name: f"({count})" for name, count in zip(("NB", "NL"), generated.library, strict=True)}
         before = [FOLDER / "library_calls.c", FOLDER / ("stepped_library.c" if stepped else "library.c")]
     if stepped:
         sizes["UNNAMED"] = str(int(generated.unnamed))

@@ -37,16 +37,15 @@ class Generated:
         source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
             `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to stochastic states.
         stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
-        library: Number of states, inputs and outputs of an FMU's library; None without one.
-        stepped: True for a library of co-simulation, with the outputs in place of states.
+        library: Number of states of an FMU's library, in co-simulation of outputs in their place, and number of its
+            outputs; None without a library.
         unnamed: True if its free runs have unnamed terms.
     """
 
     layout: Layout
     source: str
     stiff: bool = False
-    library: tuple[int, int, int] | None = None
-    stepped: bool = False
+    library: tuple[int, int] | None = None
     unnamed: bool = False
 
 
@@ -104,7 +103,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
     )
-    counts = len(model.base_states), len(model.inputs), len(model.outputs)
+    counts = len(model.base_states), len(model.outputs)
     return Generated(layout, text, stiff, counts if isinstance(model, FmuModel) else None)
 
 
@@ -164,9 +163,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
         along=along,
         positions=tuple(measured.index(n) for n in places if n in measured),
     )
-    return Generated(
-        layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True, unnamed=unnamed
-    )
+    return Generated(layout, "\n".join(texts), library=(len(names), len(names)), unnamed=unnamed)
 
 
 def _library_inputs(body: Body) -> list[Any]:
@@ -270,11 +267,13 @@ def _with_constants(
     body.derivative.update({n: e.xreplace(states) for n, e in body.derivative.items()})
     body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
     places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
-    between = _downstream(body, places) & _upstream(body, [body.outputs[n] for n in measured])
+    reached, reaching = _influence(body, places, [body.outputs[n] for n in measured])
     # base states coupled only by an effect are excluded, as for noise
     apart = {q.name for q in body.symbols.model.base_states} - {*driven}
     carrying = tuple(
-        n for k, n in enumerate(body.derivative) if k in between and not (n in apart or n.startswith(DISTURBANCE))
+        n
+        for k, n in enumerate(body.derivative)
+        if k in reached & reaching and not (n in apart or n.startswith(DISTURBANCE))
     )
     body.derivative.update({CONSTANT + n: sympy.Integer(0) for n in constant})
     return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), carrying
@@ -293,7 +292,7 @@ def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str],
     names = list(body.derivative)
     forced = [names.index(n) for n in model.forced]
     outputs = [body.outputs[n] for n in measured]
-    reached, reaching = _downstream(body, forced), _upstream(body, outputs)
+    reached, reaching = _influence(body, forced, outputs)
     both = sorted(reached & reaching)
     return (
         [names[k] for k in forced if k in both],
@@ -303,24 +302,18 @@ def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str],
     )
 
 
-def _downstream(body: Body, first: Sequence[int]) -> set[int]:
-    """Return the indices of states influenced by `first`, inclusive."""
-    feeds, reached = _feeds(body), set(first)
-    while grown := {i for i, parts in enumerate(feeds) if parts & reached} - reached:
-        reached |= grown
+def _reachable(first: set[int], following: Sequence[set[int]]) -> set[int]:
+    """Return the indices that are reached from `first`, inclusive, over the indices that follow each."""
+    reached = first
+    while not (grown := reached.union(*(following[k] for k in reached))) <= reached:
+        reached = grown
     return reached
 
 
-def _upstream(body: Body, expressions: Sequence[Any]) -> set[int]:
-    """Return the indices of all states with direct or indirect influence on some expressions."""
-    feeds, place = _feeds(body), {symbol: k for k, symbol in enumerate(body.symbols.state)}
-    reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
-    while grown := {j for i in reaching for j in feeds[i]} - reaching:
-        reaching |= grown
-    return reaching
-
-
-def _feeds(body: Body) -> list[set[int]]:
-    """Return the state indices in each state equation."""
+def _influence(body: Body, first: Sequence[int], expressions: Sequence[Any]) -> tuple[set[int], set[int]]:
+    """Return the indices of states influenced by those of `first`, and of those with influence on some expressions."""
     place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
-    return [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]
+    feeds = [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]
+    fed = [{k for k, parts in enumerate(feeds) if j in parts} for j in range(len(place))]
+    reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
+    return _reachable(set(first), fed), _reachable(reaching, feeds)

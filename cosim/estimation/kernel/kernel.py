@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Protocol
+from functools import cached_property, partial
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -184,24 +184,19 @@ class Kernel(Protocol):
 
 
 Inputs = tuple[Data, Array, Array, Array, Array, Array]  # arguments of `Kernel.run`
+Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
 
 
 def run_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
     """Filter several logs, in one call if the kernel offers it."""
-    together = getattr(kernel, "run_all", None)
-    return [kernel.run(*each) for each in inputs] if together is None else together(inputs)
-
-
-Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
+    together: Any = getattr(kernel, "call_all", None)
+    return together("run", inputs) if together else [kernel.run(*each) for each in inputs]
 
 
 def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:
     """Simulate several times, in one call if the kernel offers it."""
-    together = getattr(kernel, "simulate_all", None)
-    if together is None:
-        return [kernel.simulate(*each[:5], first=each[5]) for each in begins]
-    simulated: Sequence[Simulated] = together(begins)
-    return simulated
+    together: Any = getattr(kernel, "call_all", None)
+    return together("simulate", begins) if together else [kernel.simulate(*b[:5], first=b[5]) for b in begins]
 
 
 def single_steps(
@@ -213,9 +208,7 @@ def single_steps(
         points: Rows of the log but the last, with the states and memories there.
         back: Rows of commands before a step that a delay may reach back to.
     """
-    together = getattr(kernel, "step", None)
-    if together is None:
-        return steps_one_by_one(kernel, data, p, points, back)
+    together: Any = getattr(kernel, "step", partial(steps_one_by_one, kernel))
     stepped: tuple[Array, Array] = together(data, p, points, back)
     return stepped
 

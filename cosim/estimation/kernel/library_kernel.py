@@ -134,7 +134,7 @@ class LibraryKernel(CompiledKernel):
         self._library.use_library.argtypes = [ctypes.POINTER(_Library)]
         self._fmu = fmu
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
-        self._own, self._stepped = threading.local(), generated.stepped
+        self._own, self._stepped = threading.local(), self.layout.is_free_run
         order = self.layout.parameters
         self._turned = {order.index(n): v for n, v in fmu.neutral.items() if n in order}
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}

@@ -6,10 +6,8 @@ import atexit
 import itertools
 import queue
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,7 +17,7 @@ from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import Begin, Data, Filtered, Inputs, Simulated
+from cosim.estimation.kernel.kernel import Data, Filtered, Simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 from cosim.estimation.kernel.propagation import lasting
 from cosim.isolation.limits import Limits
@@ -34,12 +32,12 @@ PATIENCE, LEAST = 20.0, 1.0  # after a hang, limit relative to the longest pass 
 _kept: dict[tuple[int, int], Data] = {}  # in a worker: the last logs, as they are filtered again and again
 
 
-class HostedKernel:
+class HostedKernel(LibraryKernel):
     """A kernel within a worker."""
 
     def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
         claim(fmu.path)
-        self._kernel = LibraryKernel(generated, fmu, parameters)
+        super().__init__(generated, fmu, parameters)
 
     def call(self, method: str, passes: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], float]:
         """Call a method with the log and arguments of each pass; return results and processor time [s]."""
@@ -48,7 +46,7 @@ class HostedKernel:
             data = _kept[number] = _kept[number] if sent is None else sent
             for oldest in [*_kept][:-MOST_KEPT]:
                 del _kept[oldest]
-            results.append(getattr(self._kernel, method)(data, *arguments, **options))
+            results.append(getattr(self, method)(data, *arguments, **options))
         return results, time.process_time() - begin
 
 
@@ -79,11 +77,11 @@ class _Workers:
             sent = [(self._sent(log, worker, known), *rest) for log, *rest in passes]
             results, spent = remote.call("call", method, sent, options, watch=watch)
             self.spent += spent
-            kernel.pace.longest = max(kernel.pace.longest, spent)
+            kernel.longest[kernel.path] = max(kernel.longest.get(kernel.path, 0.0), spent)
             return list(results)
         except TimedOut:
             self.spent += time.perf_counter() - begin  # It may sleep, and a fit must end in time all the same.
-            kernel.pace.has_hung = True
+            kernel.hung.add(kernel.path)
             raise
         finally:
             self._idle.put((worker, kernels, known))
@@ -114,14 +112,6 @@ def processor_time() -> float:
     return time.process_time() + workers.spent
 
 
-@dataclass
-class _Pace:
-    """Longest processor time of a call of an FMU's kernels [s], and whether one has hung."""
-
-    longest: float = 0.0
-    has_hung: bool = False
-
-
 class RemoteLibraryKernel:
     """Kernel of an FMU with terms, in worker processes. A pass in which the FMU fails counts as diverged.
 
@@ -130,14 +120,14 @@ class RemoteLibraryKernel:
     """
 
     _numbers = itertools.count()
-    _paces: ClassVar[dict[Path, _Pace]] = {}  # by FMU: a fit and its repetition have kernels of their own
+    longest: ClassVar[dict[Path, float]] = {}  # by FMU: longest processor time of a call that succeeded [s]
+    hung: ClassVar[set[Path]] = set()  # FMUs of which a call has hung; a fit and its repetition have own kernels
 
     def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
-        self.layout, self.number = generated.layout, next(self._numbers)
-        self.recipe = generated, fmu._replace(path=fmu.path.resolve()), dict(parameters)
+        self.layout, self.number, self.path = generated.layout, next(self._numbers), fmu.path.resolve()
+        self.recipe = generated, fmu._replace(path=self.path), dict(parameters)
         self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LONGEST})
         self.failures: list[SimulationError] = []
-        self.pace = self._paces.setdefault(self.recipe[1].path, _Pace())
 
     def limits_of(self, logs: int) -> Limits:
         """Return the limits of a call for several logs.
@@ -145,58 +135,51 @@ class RemoteLibraryKernel:
         An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
         """
         longest = (self.limits.load or LONGEST) * logs
-        if self.pace.has_hung:
-            longest = min(longest, max(LEAST, PATIENCE * self.pace.longest))
+        if self.path in self.hung:
+            longest = min(longest, max(LEAST, PATIENCE * self.longest.get(self.path, 0.0)))
         return self.limits.model_copy(update={"load": longest})
 
-    def _try(self, method: str, arguments: Any, diverged: Callable[[], Any], **options: Any) -> Any:
-        """Return the result of a method, or that of `diverged` if the FMU fails."""
+    def call_all(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
+        """Call `run`, `simulate` or `step` for several logs, one after the other if the FMU fails.
+
+        If a filter hangs, those of the other logs are not tried.
+        """
         try:
-            return workers.call(self, method, [arguments], **options)[0]
+            return workers.call(self, method, passes, **options)
         except SimulationError as error:
+            if len(passes) > 1 and not (method == "run" and isinstance(error, TimedOut)):
+                return [self.call_all(method, [each], **options)[0] for each in passes]
             self.failures.append(error)
-            return diverged()
+            return [self._diverged(method, *each, **options) for each in passes]
+
+    def _diverged(self, method: str, data: Data, *arguments: Any, states: bool = False) -> Any:
+        """Return the outcome of a pass that failed."""
+        layout, (rows, ny) = self.layout, data.y.shape
+        outputs, nx, memory, random = len(layout.outputs), len(layout.states), layout.memory, len(layout.stochastic)
+        if method == "run":
+            kept = rows if states else 0
+            shapes: list[tuple[int, ...]] = [(kept, nx), (kept, memory), (kept, random, random)]
+            return Filtered(np.full((rows, ny), np.inf), np.ones((rows, ny)), *(np.full(s, np.nan) for s in shapes))
+        if method == "simulate":
+            return Simulated(*(np.full((rows, count), np.nan) for count in (outputs, nx, memory)))
+        return tuple(np.full((len(arguments[1][0]), count), np.nan) for count in (nx, outputs))
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
-        diverged = partial(self._diverged, data, states=states)
-        filtered: Filtered = self._try("run", (data, p, x0, P0, q, r), diverged, states=states)
+        filtered: Filtered = self.call_all("run", [(data, p, x0, P0, q, r)], states=states)[0]
         return filtered
-
-    def _diverged(self, data: Data, *, states: bool = False) -> Filtered:
-        """Return the outcome of a pass that failed."""
-        rows, layout, count = len(data.u) if states else 0, self.layout, len(self.layout.stochastic)
-        nothing = _nothing(rows, len(layout.states)), _nothing(rows, layout.memory), _nothing(rows, count, count)
-        return Filtered(np.full(data.y.shape, np.inf), np.ones(data.y.shape), *nothing)
-
-    def run_all(self, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
-        """Filter several logs; one after the other if the FMU fails, none if it hangs."""
-        try:
-            return workers.call(self, "run", inputs)
-        except TimedOut as error:
-            self.failures.append(error)
-            return [self._diverged(data) for data, *_ in inputs]
-        except SimulationError:
-            return [self.run(*each) for each in inputs]
 
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
-        counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
-        simulated: Simulated = self._try(
-            "simulate",
-            (data, p, x0, memory, kicks, first),
-            lambda: Simulated(*(_nothing(len(data.u), count) for count in counts)),
-        )
+        simulated: Simulated = self.call_all("simulate", [(data, p, x0, memory, kicks, first)])[0]
         return simulated
 
-    def simulate_all(self, begins: Sequence[Begin]) -> Sequence[Simulated]:
-        """Simulate several times, one after the other if the FMU fails."""
-        try:
-            return workers.call(self, "simulate", begins)
-        except SimulationError:
-            return [self.simulate(*each) for each in begins]
+    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
+        """Return single steps from rows of a log, as `single_steps`."""
+        stepped: tuple[Array, Array] = self.call_all("step", [(data, p, points, back)])[0]
+        return stepped
 
     def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""
@@ -206,15 +189,3 @@ class RemoteLibraryKernel:
     def propagation(self, data: Data, x0: Array) -> Array:
         """Return the matrices by which deviations of a free run go on that no reading corrects, as `propagations`."""
         return lasting(self.responses(data, x0)[1])
-
-    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
-        """Return single steps from rows of a log, as `single_steps`."""
-        counts, rows = (len(self.layout.states), len(self.layout.outputs)), len(points[0])
-        stepped: tuple[Array, Array] = self._try(
-            "step", (data, p, points, back), lambda: tuple(_nothing(rows, count) for count in counts)
-        )
-        return stepped
-
-
-def _nothing(*shape: int) -> Array:
-    return np.full(shape, np.nan)

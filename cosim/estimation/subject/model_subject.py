@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import cached_property, partial
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal
@@ -15,24 +15,27 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import eigenvalues
 from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.kernel import Kernel
+from cosim.estimation.kernel.kernel import CONSTANT, Data, Kernel
 from cosim.estimation.kernel.nameless import Known, bases
 from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
-from cosim.estimation.subject.fmu_replayer import FmuReplayer, shaping_effects
-from cosim.estimation.subject.interface import Predict, Replayer, Subject, Workplace
+from cosim.estimation.subject.interface import Predict, Replayer, Start, Subject, Workplace
 from cosim.fmi.building.build import class_fmu
 from cosim.fmi.building.file import LoadedModel, write_model
 from cosim.fmi.building.own_run import predicted_outputs, shown_states
 from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.fmi.fmu_build import build
+from cosim.fmi.state import MEMORY, Memory
 from cosim.logs.log import Log
 from cosim.model.delay import Gain
 from cosim.model.integrate import substeps
-from cosim.model.model import Model
+from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
 from cosim.model.quantities import Parameter, parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
+from cosim.residuals.drive import Drive
+from cosim.residuals.remote_drive import DriveApart
+from cosim.residuals.windows import Replay, windows
 
 NEGLIGIBLE_SHARE = 1e-4  # of a wrong start
 MIN_DECAY_RATE = 1e-9  # [1/s]
@@ -208,3 +211,67 @@ def settling(model: Model, names: Sequence[str]) -> float:
     poles = eigenvalues(np.column_stack(columns)).real if columns else np.zeros(0)
     decay = [-float(pole) for pole in poles if pole < -MIN_DECAY_RATE]
     return math.log(1.0 / NEGLIGIBLE_SHARE) / min(decay) if decay else 0.0
+
+
+@dataclass
+class FmuReplayer(Replayer):
+    """A model's FMU in a worker process.
+
+    Attributes:
+        parameters: Values to set on the FMU if different from its defaults.
+    """
+
+    model: Model
+    fmu: Path
+    place: Workplace
+    through: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def replays(
+        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+    ) -> Generator[Replay, None, None]:
+        """Yield one replay for each horizon, with one load of the FMU."""
+        worker, limits = self.place.worker, self.place.limits
+        remote = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
+        with remote or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
+            for horizon, begins in starts.items():
+                numbers = {k: {**self.parameters, **start_values(self.model, start)} for k, start in begins.items()}
+                memories = {k: delayed_commands(self.model, values, log, data, k) for k in begins}
+                yield windows(drive, numbers, horizon, memories)
+
+
+def start_values(model: Model, start: Start) -> dict[str, float]:
+    """Return the FMU's start parameters for a replay.
+
+    Delays and sensor errors are excluded.
+    """
+    awake, plant = {e.name for e in model.awake}, model.declared
+    values = {name: value for name, value in start.per_log.items() if name in plant}
+    for name, value in start.states.items():
+        if not name.startswith(CONSTANT) and ("." not in name or name.split(".")[0] in awake):
+            values[f"{name}_start"] = value
+    # for the memory of a delay see `delayed_commands`
+    places = [(e.name, q.name) for e in shaping_effects(model.catalogue) if not e.delay for q in e.memory]
+    for (name, memory), value in zip(places, start.memory, strict=False):
+        if name in awake:
+            values[f"{name}.{memory}_start"] = float(value)
+    return values
+
+
+@cache
+def shaping_effects(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
+    """Return the command-shaping effects of a catalogue, in order."""
+    return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
+
+
+def delayed_commands(model: Model, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
+    """Return commands still in a delay at row k, (start time, command), oldest first."""
+    shaping = overrides(model.awake, "shape", Effect)
+    waiting: dict[tuple[int, int], Any] = {}
+    for place, shaper in enumerate(shaping):
+        if shaper.delay:
+            row = int(log.grid[k])
+            late = values[f"{shaper.name}.{shaper.delay}"] / data.step
+            rows = range(max(0, math.floor(row - late)), row) or [row]
+            waiting[MEMORY, place] = [[float(log.time[k]) - (row - j) * data.step, data.u[j].tolist()] for j in rows]
+    return waiting

@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.linear_algebra import square_roots
-from cosim.estimation.data import count_unscored, data_of, start_state
+from cosim.estimation.data import data_of, start_state
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
@@ -54,7 +54,7 @@ def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> P
     layout = problem.layout
     data = [data_of(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
     x0 = [start_state(subject, d, layout.outputs, layout.states) for d in data]
-    readings = [readings_of(d.y, count_unscored(d)) for d in data]
+    readings = list(map(readings_of, data))
     begins = origins(subject, layout, logs, data, problem.settings)
     posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
     return replace(posed, P0=start_covariance(subject, posed))

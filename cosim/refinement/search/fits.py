@@ -14,11 +14,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit
+from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit, values_beside_plateaus
 from cosim.estimation.free_runs import fit_growing, leaves_the_motion
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.plateaus import values_beside_plateaus
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
