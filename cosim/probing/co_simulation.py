@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from itertools import permutations
 
 import numpy as np
 
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
-from cosim.fmi.description import reals, scalars, takes_any_step
+from cosim.fmi.description import takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
+from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, outputs_along
 from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
@@ -28,15 +27,6 @@ PARTS = 32  # of a step, in the search for lags
 MOST_GAIN = 4.0  # gain over a part relative to that over a step, beyond which the FMU makes steps of its own
 DIRECT = 2.8  # response after two steps over that after one: about 2 through one integrator, 4 through two
 LASTS = 1.4  # least such ratio of a stored quantity; 1 without an integrator, 2 for one that loses nothing
-
-
-def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, SimulationError | None]:
-    """Return the real outputs along a course, and the error that ended it early. Runs in the worker."""
-    block, row = fmu.opened_by("co-simulation", course)
-    with closing(block):
-        table, stop = run_along(block, row, course)
-        names = [s.name for s in block.outputs]
-    return table[:, [names.index(name) for name in scalars(reals(fmu.description, "output"))]], stop
 
 
 def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Structure:

@@ -14,8 +14,8 @@ from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.blocks import extract_calls, function, kinks, tangent
 from cosim.model.symbolic.languages import C
-from cosim.model.symbolic.trace import Block, Trace, Untraceable
 from cosim.model.symbolic.symbols import number_guard
+from cosim.model.symbolic.trace import Block, Trace, Untraceable
 
 MOST_SWITCHES = 4  # each doubles the generated code
 LANGUAGE = C()

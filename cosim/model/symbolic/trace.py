@@ -15,7 +15,7 @@ from cosim.model.delay import Delay
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
-from cosim.model.symbolic.symbols import number_guard, sympified, symbolic
+from cosim.model.symbolic.symbols import number_guard, symbolic, sympified
 
 INTEGRATOR_HOOKS = ("shape", "remember")  # hooks called by the integrator instead of the equations
 
