@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Collection, Mapping
-from contextlib import closing
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -159,8 +159,16 @@ class Fmu:
         states, inputs, outputs = (scalars(group) for group in listed)
         return states, inputs, outputs
 
-    def opened(self, course: Course, way: Way | None = None, recorded: frozenset[str] = frozenset()) -> tuple[Any, Any]:
-        """Return a loaded instance before its initialization with the first inputs of a course, and its row of signals.
+    def too_short(self, course: Course) -> SimulationError:
+        """Return the error of a course with too few rows."""
+        text = "the log has too few rows to probe the FMU; give a longer one"
+        return SimulationError(self.name, float(course.time[0]), text)
+
+    @contextmanager
+    def opened(
+        self, course: Course, way: Way | None = None, recorded: frozenset[str] = frozenset()
+    ) -> Iterator[tuple[Any, Any]]:
+        """Yield a loaded instance before its initialization with the first inputs of a course, and its row of signals.
 
         Args:
             way: Interface that is stepped; None for an instance with derivatives of model exchange.
@@ -180,7 +188,8 @@ class Fmu:
 
         block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=name_reading)
         put_row(block, row, course, 0)
-        return block, row
+        with closing(block):
+            yield block, row
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -273,8 +282,7 @@ def outputs_along(
     fmu: Fmu, course: Course, way: Way = "co-simulation", recorded: frozenset[str] = frozenset()
 ) -> tuple[Array, SimulationError | None]:
     """Return the outputs along a course, then recorded variables, and the error that ended it early."""
-    block, row = fmu.opened(course, way, recorded)
-    with closing(block):
+    with fmu.opened(course, way, recorded) as (block, row):
         table, stop = run_along(block, row, course)
         names = [s.name for s in block.outputs]
     order = dict.fromkeys((*scalars(reals(fmu.description, "output")), *names))

@@ -6,7 +6,6 @@ import ctypes
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -90,8 +89,7 @@ def outputs_again(way: Way, fmu: Fmu, course: Course) -> Array:
     """Return the outputs of a second simulation, between which and the first the library stays loaded."""
     import fmpy
 
-    block, row = fmu.opened(course, way)
-    with closing(block):
+    with fmu.opened(course, way) as (block, row):
         library, _ = library_of(fmu.place, block.description, block.calls.about.modelIdentifier) or (None, "")
         kept = ctypes.CDLL(str(library))
         run_along(block, row, course)
@@ -112,8 +110,7 @@ def outputs_in(way: Way, fmu: Fmu, course: Course, folder: str) -> Array:
 
 def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> Array:
     """Return the outputs of an FMU that has been simulated and reset."""
-    block, row = fmu.opened(course, way)
-    with closing(block):
+    with fmu.opened(course, way) as (block, row):
         run_along(block, row, course)
         with block.instance.check_calls():
             block.instance.fmu.reset()
@@ -124,8 +121,7 @@ def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> Array:
 
 def outputs_after_restoring(way: Way, fmu: Fmu, course: Course, at: int) -> tuple[Array, Array]:
     """Return the outputs from a row on, and the same again after the state of that row is restored."""
-    block, row = fmu.opened(course, way)
-    with closing(block):
+    with fmu.opened(course, way) as (block, row):
         _, early = run_along(block, row, course.first(at + 1))
         state = block.instance.save_state()
         table, stop = run_along(block, row, course, at)
@@ -143,7 +139,6 @@ def growth(way: Way, fmu: Fmu, course: Course) -> float:
     for k in range(WARM + INSTANCES):
         if k == WARM:
             size = resident(os.getpid())
-        block, _ = fmu.opened(course, way)
-        with closing(block):
+        with fmu.opened(course, way) as (block, _):
             block.start()
     return (resident(os.getpid()) - size) / INSTANCES

@@ -75,9 +75,7 @@ def probe_own_step(
         begin = time.monotonic()
         table, stop = prober.call(outputs_along, prober.fmu, course, "co-simulation", states)
         if len(table) < 2:
-            raise stop or SimulationError(
-                prober.fmu.name, float(course.time[0]), "the log has too few rows to probe the FMU; give a longer one"
-            )
+            raise stop or prober.fmu.too_short(course)
         quick = prober.hurried(time.monotonic() - begin)
 
         def steps(step: float, count: int) -> Array:
