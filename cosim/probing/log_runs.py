@@ -242,8 +242,8 @@ def simulate(
         stop = error
     counts, made = block.calls.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    tables = (np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made]))
-    return Run(course.time[:made], *tables, events, stop)
+    tables = [np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made])]
+    return Run(course.time[:made], tables[0], tables[1], tables[2], events, stop)
 
 
 def run_along(

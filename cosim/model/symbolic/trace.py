@@ -163,10 +163,9 @@ class Trace:
         key = repr((place, name, arguments, keywords))
         if key in self._calls:
             return self._calls[key][-1]
-        switches = [p for p in parameters_of(effect) if p.neutral is not None]
+        switches = {p.name: p.neutral for p in parameters_of(effect) if p.neutral is not None}
         neutral = {
-            getattr(effect, p.name): sympy.Integer(int(v)) if (v := float(p.neutral)) == int(v) else sympy.Float(v)
-            for p in switches
+            getattr(effect, n): sympy.Integer(int(v)) if v == int(v) else sympy.Float(v) for n, v in switches.items()
         }
         values, block = lines(effect, *arguments, **keywords), Block({}, place, {}, f"{effect.name}.{name}")
 
@@ -174,7 +173,7 @@ class Trace:
             awake = sympy.sympify(value)
             asleep = awake.xreplace(neutral)
             if asleep.has(sympy.nan, sympy.zoo, sympy.oo):
-                at = ", ".join(f"{p.name} is {p.neutral:g}" for p in switches)
+                at = ", ".join(f"{n} is {v:g}" for n, v in switches.items())
                 text = f"{effect.name} has no value where {at}: {name} gives {asleep}"
                 cure = "let m.where choose another value there"
                 raise Untraceable(text, type(effect), name, cure)
