@@ -12,6 +12,8 @@ from typing import Any
 
 from cosim.model.namespaces import Namespace
 
+Slope = Callable[[float, float, float], float]  # of both operands and the value
+
 
 class Dual:
     """A value and its derivative by each state."""
@@ -21,52 +23,14 @@ class Dual:
     def __init__(self, value: float, slopes: Sequence[float]) -> None:
         self.value, self.slopes = value, slopes
 
-    def __add__(self, other: Any) -> Dual:
-        if isinstance(other, Dual):
-            return Dual(self.value + other.value, [a + b for a, b in zip(self.slopes, other.slopes, strict=True)])
-        return Dual(self.value + other, self.slopes)
-
-    def __mul__(self, other: Any) -> Dual:
-        if isinstance(other, Dual):
-            v, w = self.value, other.value
-            return Dual(v * w, [a * w + v * b for a, b in zip(self.slopes, other.slopes, strict=True)])
-        return _scale(self, self.value * other, other)
-
     def __neg__(self) -> Dual:
-        return _scale(self, -self.value, -1.0)
-
-    def __sub__(self, other: Any) -> Dual:
-        return self.__add__(-other)
-
-    def __rsub__(self, other: Any) -> Dual:
-        return self.__neg__().__add__(other)
-
-    def __truediv__(self, other: Any) -> Dual:
-        if isinstance(other, Dual):
-            return self * _scale(other, 1.0 / other.value, -1.0 / (other.value * other.value))
-        return _scale(self, self.value / other, 1.0 / other)
-
-    def __rtruediv__(self, other: Any) -> Dual:
-        return _scale(self, other / self.value, -other / (self.value * self.value))
-
-    def __pow__(self, other: Any) -> Dual:
-        if isinstance(other, Dual):
-            power = self.value**other.value
-            by_exponent = _scale(other, 0.0, power * math.log(self.value)) if any(other.slopes) else 0.0
-            return _scale(self, power, other.value * self.value ** (other.value - 1.0)) + by_exponent
-        return _scale(self, self.value**other, other * self.value ** (other - 1) if other else 0.0)
-
-    def __rpow__(self, other: Any) -> Dual:
-        power = other**self.value
-        return _scale(self, power, power * math.log(other))
+        return Dual(-self.value, [-a for a in self.slopes])
 
     def __abs__(self) -> Dual:
         return -self if self.value < 0.0 else self
 
     def __pos__(self) -> Dual:
         return self
-
-    __radd__, __rmul__ = __add__, __mul__
 
     __eq__, __lt__, __le__, __gt__, __ge__ = (  # by value
         lambda self, other, compare=compare: bool(compare(self.value, _value(other)))
@@ -79,29 +43,46 @@ def _value(number: Any) -> Any:
     return number.value if isinstance(number, Dual) else number
 
 
-def _scale(x: Dual, value: float, slope: float) -> Dual:
-    """Return a dual function value from value and slope."""
-    return Dual(value, [slope * a for a in x.slopes])
+def _lift(value: Callable[..., float], first: Slope, second: Slope | None = None) -> Callable[..., Any]:
+    """Return a function of one or two numbers on dual numbers, from its slopes by the operands."""
 
-
-def _lift(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Any], Any]:
-    """Return a function on dual numbers; `slope` takes argument and function value."""
-
-    def lifted(x: Any) -> Any:
-        value = function(_value(x))
-        return _scale(x, value, slope(x.value, value)) if isinstance(x, Dual) else value
+    def lifted(a: Any, b: Any = 0.0) -> Any:
+        v, w = _value(a), _value(b)
+        y = value(v) if second is None else value(v, w)
+        parts = []
+        if isinstance(a, Dual) and any(a.slopes):
+            slope = first(v, w, y)
+            parts.append([slope * s for s in a.slopes])
+        if second is not None and isinstance(b, Dual) and any(b.slopes):
+            slope = second(v, w, y)
+            parts.append([slope * s for s in b.slopes])
+        if len(parts) == 2:
+            return Dual(y, list(map(operator.add, *parts)))
+        return Dual(y, parts[0]) if parts else y
 
     return lifted
+
+
+for _name, _function, _first, _second in (
+    ("add", operator.add, lambda v, w, y: 1.0, lambda v, w, y: 1.0),
+    ("sub", operator.sub, lambda v, w, y: 1.0, lambda v, w, y: -1.0),
+    ("mul", operator.mul, lambda v, w, y: w, lambda v, w, y: v),
+    ("truediv", operator.truediv, lambda v, w, y: 1.0 / w, lambda v, w, y: -v / (w * w)),
+    ("pow", operator.pow, lambda v, w, y: w * v ** (w - 1.0) if w else 0.0, lambda v, w, y: y * math.log(v)),
+):
+    _lifted = _lift(_function, _first, _second)
+    setattr(Dual, f"__{_name}__", _lifted)
+    setattr(Dual, f"__r{_name}__", lambda self, other, lifted=_lifted: lifted(other, self))
 
 
 class DualNamespace(Namespace):
     """Functions of the equations on dual numbers."""
 
-    sin = staticmethod(_lift(math.sin, lambda x, _: math.cos(x)))
-    cos = staticmethod(_lift(math.cos, lambda x, _: -math.sin(x)))
-    tanh = staticmethod(_lift(math.tanh, lambda _, y: 1.0 - y * y))
-    exp = staticmethod(_lift(math.exp, lambda _, y: y))
-    sqrt = staticmethod(_lift(math.sqrt, lambda _, y: 0.5 / y if y else 0.0))  # slope at 0 is unused
+    sin = staticmethod(_lift(math.sin, lambda v, _, y: math.cos(v)))
+    cos = staticmethod(_lift(math.cos, lambda v, _, y: -math.sin(v)))
+    tanh = staticmethod(_lift(math.tanh, lambda v, _, y: 1.0 - y * y))
+    exp = staticmethod(_lift(math.exp, lambda v, _, y: y))
+    sqrt = staticmethod(_lift(math.sqrt, lambda v, _, y: 0.5 / y if y else 0.0))  # slope at 0 is unused
 
     @staticmethod
     def rint(x: Any) -> Any:

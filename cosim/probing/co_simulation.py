@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Sequence
+from functools import partial
 from itertools import permutations
 
 import numpy as np
 
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
-from cosim.fmi.description import reals, scalars, takes_any_step
+from cosim.fmi.description import takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
+from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, outputs_along
 from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
@@ -30,15 +30,6 @@ DIRECT = 2.8  # response after two steps over that after one: about 2 through on
 LASTS = 1.4  # least such ratio of a stored quantity; 1 without an integrator, 2 for one that loses nothing
 
 
-def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, SimulationError | None]:
-    """Return the real outputs along a course, and the error that ended it early. Runs in the worker."""
-    block, row = fmu.opened_by("co-simulation", course)
-    with closing(block):
-        table, stop = run_along(block, row, course)
-        names = [s.name for s in block.outputs]
-    return table[:, [names.index(name) for name in scalars(reals(fmu.description, "output"))]], stop
-
-
 def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     """Return the structure of an FMU for co-simulation.
 
@@ -52,9 +43,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     counts = [len(table) > (SPAN if stop else 2) for table, stop in runs]
     good = [(course, table) for course, (table, _), counted in zip(courses, runs, counts, strict=True) if counted]
     if not good:
-        raise runs[0][1] or SimulationError(
-            fmu.name, float(courses[0].time[0]), "the log has too few rows to probe the FMU; give a longer one"
-        )
+        raise runs[0][1] or fmu.too_short(courses[0])
     values = np.concatenate([table for _, table in good])
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     short, base = good[0][0].first(min(ROWS, len(good[0][1]))), good[0][1][:ROWS]
@@ -65,10 +54,8 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     paired = {k for position, velocity, _ in chosen for k in (position, velocity)}
     found = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], LASTS)
     feeds = {outputs[k]: port for k, acting in found.items() for port in acting[::-1] if port.is_alone}
-    spreads = {}
-    for name in inputs:
-        columns = [course.inputs[name] for course, _ in good if name in course.inputs]
-        spreads[name] = float(np.std(np.concatenate(columns))) if columns else 0.0
+    columns = {name: [course.inputs[name] for course, _ in good if name in course.inputs] for name in inputs}
+    spreads = {name: float(np.std(np.concatenate(c))) if c else 0.0 for name, c in columns.items()}
     return Structure(
         fmu=prober.path,
         way="co-simulation",
@@ -88,7 +75,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
         parameters=_parameters(prober, short, size),
-        starts=start_values(prober, outputs_along, short, base[: short.time.size], responses.noise),
+        starts=start_values(prober, short, base[: short.time.size], responses.noise),
         stops=tuple(str(stop) for _, stop in runs if stop),
     )
 
@@ -105,22 +92,19 @@ def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedPara
     count = max(1, len(settable_parameters(prober.description)))
     rows = int(min(FEW_ROWS, max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
 
-    def react_along(course: Course) -> Callable[[Fmu], tuple[Array, Array]]:
-        def react(fmu: Fmu) -> tuple[Array, Array]:
-            """Return initial and later outputs."""
-            table, stop = prober.call(outputs_along, fmu, course)
-            if not len(table):
-                raise stop
-            return table[0], table[1:]
+    def react(rows: int, fmu: Fmu) -> tuple[Array, Array]:
+        """Return initial and later outputs."""
+        table, stop = prober.call(outputs_along, fmu, course.first(rows))
+        if not len(table):
+            raise stop
+        return table[0], table[1:]
 
-        return react
-
-    quickly = tried_parameters(prober, react_along(course.first(rows)), size)
+    quickly = tried_parameters(prober, partial(react, rows), size)
     idle = {p.name for p in quickly if not p.acts and not p.starts and not p.failure}
     longer = min(course.time.size, int(SECONDS / (TRIALS * max(1, len(idle)) * per_row)))
     if not idle or longer <= rows:
         return quickly
-    again = {p.name: p for p in tried_parameters(prober, react_along(course.first(longer)), size, idle)}
+    again = {p.name: p for p in tried_parameters(prober, partial(react, longer), size, idle)}
     return tuple(again.get(p.name, p) for p in quickly)
 
 
@@ -180,10 +164,8 @@ class Responses:
 
     def flags(self, inputs: Sequence[str]) -> Flags:
         """Return whether an input (column) changes an output (row) at any time."""
-        columns = []
-        for name in inputs:
-            _, _, difference, _ = self._response(name, STEPS[0], 1)
-            columns.append((np.abs(difference) > self.noise).any(axis=0))
+        differences = (self._response(name, STEPS[0], 1)[2] for name in inputs)
+        columns = [(np.abs(difference) > self.noise).any(axis=0) for difference in differences]
         return np.column_stack(columns) if columns else no_flags(self._size.size, 0)
 
     def ports(

@@ -6,7 +6,6 @@ Runs in the worker process.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -112,8 +111,7 @@ def start_point(fmu: Fmu, course: Course) -> tuple[Array, Array, dict[int, int]]
 
     The equalities are those at points displaced about the start.
     """
-    block, _ = fmu.opened(course)
-    with closing(block):
+    with fmu.opened(course) as (block, _):
         block.start()
         x, u = block.current_point()
         start = block.rates(x, u)[x.size :]
@@ -140,8 +138,7 @@ def equal_columns(known: Array, values: Array) -> dict[int, int]:
 
 def simulated(fmu: Fmu, course: Course, first: Mapping[int, float]) -> Run:
     """Return a simulation along a course."""
-    block, row = fmu.opened(course)
-    with closing(block):
+    with fmu.opened(course) as (block, row):
         return simulate(block, row, course, first)
 
 
@@ -153,8 +150,7 @@ def evaluated(
     Args:
         run: The simulation, so that the FMU is moved to its points; None to simulate again, as events demand.
     """
-    block, row = fmu.opened(course)
-    with closing(block):
+    with fmu.opened(course) as (block, row):
         if run is None:
             simulate(block, row, course, first, lambda t, x, u: points.add(block, t, x, u), rows)
             return points
@@ -167,8 +163,7 @@ def evaluated(
 
 def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Array]]) -> tuple[Array, Array]:
     """Return the states after initialization, and rates with outputs at points, NaN where the FMU refuses."""
-    block, _ = fmu.opened(course)
-    with closing(block):
+    with fmu.opened(course) as (block, _):
         block.start()
         states, _ = block.current_point()
         return states, np.array([_safe_rates(block, x, u, t) for t, x, u in places])

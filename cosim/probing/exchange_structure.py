@@ -55,9 +55,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
     ]
     if not any(run.time.size for run in runs):
-        raise runs[0].stop or SimulationError(
-            prober.fmu.name, float(courses[0].time[0]), "the log has too few rows to probe the FMU; give a longer one"
-        )
+        raise runs[0].stop or prober.fmu.too_short(courses[0])
     points, scales = _points(prober, courses, firsts, runs)
     known, table = points.known_table
     n = len(states)
@@ -180,8 +178,7 @@ def _connections(
 
 def _constant_ratio(*ends: tuple[Array, Array]) -> float | None:
     """Return the ratio of both slopes of the first pair with positive ones; None if there is none, or one changes."""
-    joined = [(one, other) for one, other in ends if (one > 0.0).any() and (other > 0.0).any()]
-    ratios = [other[one > 0.0] / one[one > 0.0] for one, other in joined]
+    ratios = [o[one > 0.0] / one[one > 0.0] for one, o in ends if (one > 0.0).any() and (o > 0.0).any()]
     if not ratios or any(np.ptp(x) > CONSTANT * np.median(x) for x in ratios):
         return None
     return float(np.median(ratios[0]))

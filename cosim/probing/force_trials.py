@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,25 +29,6 @@ CHANGES = (1.0, 0.1, -0.25)
 RATIO_PLACES = 4  # points at which ratios are measured
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """Points about which one velocity moves, with reactions of the FMU as it is.
-
-    Attributes:
-        index: Index of the velocity.
-        speed: Usual speed V.
-        slopes: Input → rates per input, shape (points, states), of the inputs that act on the velocity.
-        places: At each point with the velocity 0, V, 2·V, and V while other velocities and the inputs are elsewhere.
-    """
-
-    pair: Pair
-    states: Sequence[str]
-    index: int
-    speed: float
-    slopes: Mapping[str, Array]
-    places: list[tuple[float, Array, Array]]
-
-
 def dampings(
     prober: Prober, course: Course, points: Points, pairs: Sequence[Pair], parameters: Sequence[ProbedParameter]
 ) -> tuple[Damping, ...]:
@@ -57,18 +38,70 @@ def dampings(
     whatever the other velocities and the inputs are, and no output changes directly.
     """
     states, inputs, _ = prober.fmu.names
+    n, every = len(states), points.spacing(PLACES)
     velocities = [states.index(p.velocity) for p in pairs]
-    shared = (p for p in pairs if not any(port.is_alone for port in p.ports))
-    trials = [*filter(None, (_trial_of(p, (states, inputs), velocities, points) for p in shared))]
+    trials, places = list[Pair](), list[tuple[float, Array, Array]]()
+    for pair, index in zip(pairs, velocities, strict=True):
+        speed = float(points.scale[index])
+        fits = points.low[index] <= 0.0 < 2.0 * speed <= points.high[index]
+        if not fits or any(port.is_alone for port in pair.ports):
+            continue
+        elsewhere = [*(k for k in velocities if k != index), *range(n, n + len(inputs))]
+        # each point with the velocity 0, V, 2·V, and V while other velocities and the inputs are elsewhere
+        for number, (t, x, u) in enumerate(points.places[::every]):
+            for multiple in (0.0, 1.0, 2.0):
+                moved = x.copy()
+                moved[index] = multiple * speed
+                places.append((t, moved, u))
+            z, rng = np.concatenate([x, u]), np.random.default_rng(4 * number + 3)
+            z[elsewhere] += LARGE * points.scale[elsewhere] * rng.uniform(-1.0, 1.0, len(elsewhere))
+            z[index] = speed
+            z = np.clip(z, points.low, points.high)
+            places.append((t, z[:n], z[n:]))
+        trials.append(pair)
     able = [p for p in parameters if p.acts and not p.starts and not p.failure]
     if not trials or not able:
         return ()
-    places = [place for trial in trials for place in trial.places]
 
     def react(values: Mapping[str, float]) -> Array:
         """Return the reactions with parameter values, shape (trials, points, 4, columns)."""
         table: Array = prober.call(reactions, prober.with_values(values), course, places)[1]
         return table.reshape(len(trials), -1, 4, table.shape[1])
+
+    slopes = np.array(points.slopes[::every])[:, :n, n:]
+
+    def damping_of(pair: Pair, parameter: str, change: float, once: Array, twice: Array) -> Damping | None:
+        """Return the damping from changes of the reactions; None if they are those of something else.
+
+        Args:
+            once, twice: Changes of rates and outputs by the change of the parameter and by twice this change, shape
+                (points, 4, columns).
+        """
+        usable = np.isfinite(once).all(axis=(1, 2)) & np.isfinite(twice).all(axis=(1, 2))
+        once, twice = once[usable], twice[usable]
+        if not len(once):
+            return None
+        index = states.index(pair.velocity)
+        speed = float(points.scale[index])
+        usual, noise, force = once[:, 1], SAME * points.size, -change * speed
+        near = noise + NEARLY * np.abs(usual).max(axis=0)
+        equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
+        if any((np.abs(one - other) > near).any() for one, other in equal):
+            return None
+        affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, index] / force
+        if affected.max(initial=-1) >= len(states) or (own * abs(force) <= noise[index]).any():
+            return None
+        gain, rates = float(np.median(own)), tuple(states[k] for k in affected.tolist())
+        is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
+        direction = usual[:, : len(states)] / force
+        port = ""
+        for name in (port.input for port in pair.ports):  # slopes that are a constant multiple of the direction
+            along = slopes[usable][:, :, inputs.index(name)]
+            factor = float((along * direction).sum() / (direction**2).sum())
+            if np.abs(along - factor * direction).max() <= CONSTANT * np.abs(along).max():
+                port = name
+                break
+        return Damping(pair, parameter, gain, rates, is_constant, port, change, speed)
 
     base, found = react({}), dict[str, Damping]()
     for parameter in able:
@@ -80,76 +113,13 @@ def dampings(
             continue
         with suppress(SimulationError):
             once = react({name: value + change}) - base
-            likely = [_damping(o, 2.0 * o, trial, name, change, points) for o, trial in zip(once, trials, strict=True)]
-            if not any(likely):
+            if not any(damping_of(pair, name, change, o, 2.0 * o) for pair, o in zip(trials, once, strict=True)):
                 continue
             twice = react({name: value + 2.0 * change}) - base
-            for o, t, trial in zip(once, twice, trials, strict=True):
-                if (damping := _damping(o, t, trial, name, change, points)) is not None:
-                    found.setdefault(damping.pair.velocity, damping)
+            for pair, o, t in zip(trials, once, twice, strict=True):
+                if (damping := damping_of(pair, name, change, o, t)) is not None:
+                    found.setdefault(pair.velocity, damping)
     return tuple(found.values())
-
-
-def _trial_of(
-    pair: Pair, names: tuple[Sequence[str], Sequence[str]], velocities: Sequence[int], points: Points
-) -> _Trial | None:
-    """Return the points of a pair; None if its velocity may not have both speeds and 0.
-
-    Args:
-        names: Names of the states, and of the inputs.
-        velocities: Indices of all velocities.
-    """
-    states, inputs = names
-    n, index = len(states), states.index(pair.velocity)
-    speed, every = float(points.scale[index]), points.spacing(PLACES)
-    if not points.low[index] <= 0.0 < 2.0 * speed <= points.high[index]:
-        return None
-    elsewhere, places = [*(k for k in velocities if k != index), *range(n, n + len(inputs))], []
-    for t, x, u in points.places[::every]:
-        for multiple in (0.0, 1.0, 2.0):
-            moved = x.copy()
-            moved[index] = multiple * speed
-            places.append((t, moved, u))
-        z, rng = np.concatenate([x, u]), np.random.default_rng(len(places))
-        z[elsewhere] += LARGE * points.scale[elsewhere] * rng.uniform(-1.0, 1.0, len(elsewhere))
-        z[index] = speed
-        z = np.clip(z, points.low, points.high)
-        places.append((t, z[:n], z[n:]))
-    slopes = np.array(points.slopes[::every])
-    acting = {port.input: slopes[:, :n, n + inputs.index(port.input)] for port in pair.ports}
-    return _Trial(pair, states, index, speed, acting, places)
-
-
-def _damping(once: Array, twice: Array, trial: _Trial, parameter: str, change: float, points: Points) -> Damping | None:
-    """Return the damping from changes of the reactions; None if they are those of something else.
-
-    Args:
-        once, twice: Changes of rates and outputs by the change of the parameter and by twice this change, shape
-            (points, 4, columns).
-    """
-    usable = np.isfinite(once).all(axis=(1, 2)) & np.isfinite(twice).all(axis=(1, 2))
-    once, twice = once[usable], twice[usable]
-    if not len(once):
-        return None
-    usual, noise, force = once[:, 1], SAME * points.size, -change * trial.speed
-    near = noise + NEARLY * np.abs(usual).max(axis=0)
-    equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
-    if any((np.abs(one - other) > near).any() for one, other in equal):
-        return None
-    affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, trial.index] / force
-    if affected.max(initial=-1) >= len(trial.states) or (own * abs(force) <= noise[trial.index]).any():
-        return None
-    gain, rates = float(np.median(own)), tuple(trial.states[k] for k in affected.tolist())
-    is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
-    direction = usual[:, : len(trial.states)] / force
-    port = ""
-    for name, slopes in trial.slopes.items():  # an input whose slopes are a constant multiple of the direction
-        along = slopes[usable]
-        factor = float((along * direction).sum() / (direction**2).sum())
-        if np.abs(along - factor * direction).max() <= CONSTANT * np.abs(along).max():
-            port = name
-            break
-    return Damping(trial.pair, parameter, gain, rates, is_constant, port, change, trial.speed)
 
 
 # -- ratios ---------------------------------------------------------------------------------------

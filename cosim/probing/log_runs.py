@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Collection, Mapping
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,11 +51,11 @@ class Course:
     def first(self, rows: int) -> Course:
         """Return the first rows."""
         inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
-        return Course(self.name, self.time[:rows], inputs, outputs, self.step)
+        return replace(self, time=self.time[:rows], inputs=inputs, outputs=outputs)
 
     def with_input(self, name: str, values: Array) -> Course:
         """Return the course with other values of an input."""
-        return Course(self.name, self.time, {**self.inputs, name: values}, self.outputs, self.step)
+        return replace(self, inputs={**self.inputs, name: values})
 
     def parted(self, row: int, parts: int) -> Course:
         """Return the course with two further rows in the step after a row, each a part of the step apart."""
@@ -64,7 +64,7 @@ class Course:
         part = (self.time[row + 1] - self.time[row]) / parts
         time = np.insert(self.time, row + 1, self.time[row] + part * np.array([1.0, 2.0]))
         inputs = {n: np.insert(v, row + 1, [v[row]] * 2) for n, v in self.inputs.items()}
-        return Course(self.name, time, inputs, {}, self.step)
+        return replace(self, time=time, inputs=inputs, outputs={})
 
 
 def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
@@ -159,42 +159,37 @@ class Fmu:
         states, inputs, outputs = (scalars(group) for group in listed)
         return states, inputs, outputs
 
-    def opened(self, course: Course) -> tuple[DifferentiableFmu, Any]:
-        """Return an instance for model exchange before its initialization, and the row of its signals."""
-        block = DifferentiableFmu(self.name, self.path, self.description, self.values, frozenset(course.inputs))
-        return block, bound_row(block, course, self.place)
+    def too_short(self, course: Course) -> SimulationError:
+        """Return the error of a course with too few rows."""
+        text = "the log has too few rows to probe the FMU; give a longer one"
+        return SimulationError(self.name, float(course.time[0]), text)
 
-    def opened_by(self, way: Way, course: Course, recorded: frozenset[str] = frozenset()) -> tuple[FmuBlock, Any]:
-        """Return an instance before its initialization, and the row of its signals.
+    @contextmanager
+    def opened(
+        self, course: Course, way: Way | None = None, recorded: frozenset[str] = frozenset()
+    ) -> Iterator[tuple[Any, Any]]:
+        """Yield a loaded instance before its initialization with the first inputs of a course, and its row of signals.
 
         Args:
+            way: Interface that is stepped; None for an instance with derivatives of model exchange.
             recorded: Names of variables that are read beside the outputs.
         """
-        values = self.description, self.values, frozenset(course.inputs)
-        block = FmuBlock(self.name, self.path, *values, way=way, recorded=recorded)
-        return block, bound_row(block, course, self.place)
+        about = self.name, self.path, self.description, self.values, frozenset(course.inputs)
+        block = FmuBlock(*about, way=way, recorded=recorded) if way else DifferentiableFmu(*about)
+        here.progress.made[0], here.progress.doing[0] = 0, OTHER
+        block.instance.place = self.place
+        here.share_log(block)
+        row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
+        block.bind(row, 0, [None] * (len(block.exact_inputs) + len(block.exact_outputs)), 0)
 
+        def name_reading() -> None:
+            """Announce the reading of outputs after the initialization; loading has its own limit."""
+            here.progress.doing[0] = GET
 
-def bound_row(block: FmuBlock, course: Course, place: Path) -> Any:
-    """Load and open an FMU with the first inputs of a course; return the row of its signals.
-
-    Args:
-        place: Folder of the unpacked FMU.
-    """
-    here.progress.made[0], here.progress.doing[0] = 0, OTHER
-    block.instance.place = place
-    here.share_log(block)
-    row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
-    exact = len(block.exact_inputs) + len(block.exact_outputs)
-    block.bind(row, 0, [None] * exact, 0)
-
-    def name_reading() -> None:
-        """Announce the reading of outputs, which follows the calls of the initialization; loading has its own limit."""
-        here.progress.doing[0] = GET
-
-    block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=name_reading)
-    put_row(block, row, course, 0)
-    return row
+        block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=name_reading)
+        put_row(block, row, course, 0)
+        with closing(block):
+            yield block, row
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -204,25 +199,6 @@ def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
             row[number] = float(course.inputs[signal.name][k])
     here.progress.doing[0] = PUT
     block.put()
-
-
-def begin(block: FmuBlock) -> None:
-    """Leave initialization mode and read the outputs."""
-    here.progress.doing[0] = OTHER
-    block.start()
-    here.progress.doing[0] = GET
-    block.get()
-
-
-def step_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
-    """Step from a row of the course to the next, and read the outputs for the inputs there."""
-    put_row(block, row, course, k)
-    here.progress.doing[0] = ADVANCE
-    block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
-    put_row(block, row, course, k + 1)
-    here.progress.doing[0] = GET
-    block.get()
-    here.progress.made[0] += 1
 
 
 def simulate(
@@ -266,30 +242,48 @@ def simulate(
         stop = error
     counts, made = block.calls.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    parts = (np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made]))
-    known, acting, found = parts
-    return Run(course.time[:made], known, acting, found, events, stop)
+    tables = [np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made])]
+    return Run(course.time[:made], tables[0], tables[1], tables[2], events, stop)
 
 
-def run_along(block: FmuBlock, row: Any, course: Course) -> tuple[Array, SimulationError | None]:
-    """Return the outputs of an opened FMU along a course, one row each, and the error that ended it early."""
-    first, table = len(block.inputs), list[list[float]]()
-    stop: SimulationError | None = None
+def run_along(
+    block: FmuBlock, row: Any, course: Course, first: int | None = None
+) -> tuple[Array, SimulationError | None]:
+    """Return the outputs of an opened FMU along a course, one row each, and the error that ended it early.
+
+    Args:
+        first: Row from which a started FMU goes on; None to start it.
+    """
+    table, stop = list[list[float]](), None
+
+    def get() -> None:
+        here.progress.doing[0] = GET
+        block.get()
+        table.append(row[len(block.inputs) : len(block.inputs) + len(block.outputs)])
+
     try:
-        begin(block)
-        table.append(row[first : first + len(block.outputs)])
-        for k in range(course.time.size - 1):
-            step_row(block, row, course, k)
-            table.append(row[first : first + len(block.outputs)])
+        if first is None:
+            here.progress.doing[0] = OTHER
+            block.start()
+        get()
+        for k in range(first or 0, course.time.size - 1):
+            put_row(block, row, course, k)
+            here.progress.doing[0] = ADVANCE
+            block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
+            put_row(block, row, course, k + 1)
+            get()
+            here.progress.made[0] += 1
     except SimulationError as error:
         stop = error
     return np.array(table, float).reshape(len(table), len(block.outputs)), stop
 
 
-def outputs_by(
-    way: Way, fmu: Fmu, course: Course, recorded: frozenset[str] = frozenset()
+def outputs_along(
+    fmu: Fmu, course: Course, way: Way = "co-simulation", recorded: frozenset[str] = frozenset()
 ) -> tuple[Array, SimulationError | None]:
-    """Return the outputs and recorded variables along a course, and the error that ended it early."""
-    block, row = fmu.opened_by(way, course, recorded)
-    with closing(block):
-        return run_along(block, row, course)
+    """Return the outputs along a course, then recorded variables, and the error that ended it early."""
+    with fmu.opened(course, way, recorded) as (block, row):
+        table, stop = run_along(block, row, course)
+        names = [s.name for s in block.outputs]
+    order = dict.fromkeys((*scalars(reals(fmu.description, "output")), *names))
+    return table[:, [names.index(name) for name in order]], stop

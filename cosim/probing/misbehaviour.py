@@ -6,7 +6,6 @@ import ctypes
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import Way, library_of, ways
 from cosim.isolation.memory import resident
-from cosim.probing.log_runs import SAME, Course, Fmu, begin, outputs_by, put_row, run_along, sine_course, step_row
+from cosim.probing.log_runs import SAME, Course, Fmu, outputs_along, put_row, run_along, sine_course
 from cosim.probing.own_step import excited_course
 from cosim.probing.prober import Prober
 
@@ -34,7 +33,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
         course = excited_course(prober, sine_course(prober.description, {}))
         start = time.monotonic()
         try:
-            first, stop = prober.call(outputs_by, way, prober.fmu, course)
+            first, stop = prober.call(outputs_along, prober.fmu, course, way)
         except (SimulationError, FmuError):
             return
         if stop is not None or not first.size:
@@ -78,9 +77,8 @@ def _on_difference(what: str, table: Array, other: Array | Exception, noise: Arr
     if isinstance(other, Exception):
         yield f"{what} fails: {other}"
         return
-    size = np.maximum(np.abs(table).max(axis=0), SAME)
-    share = float((_gaps(table, other) / size)[_gaps(table, other) > SAME * size + NOISE * noise].max(initial=0.0))
-    if share:
+    size, gaps = np.maximum(np.abs(table).max(axis=0), SAME), _gaps(table, other)
+    if share := float((gaps / size)[gaps > SAME * size + NOISE * noise].max(initial=0.0)):
         yield f"{what} has other outputs, by {share:.2g} of their largest value"
 
 
@@ -91,12 +89,11 @@ def outputs_again(way: Way, fmu: Fmu, course: Course) -> Array:
     """Return the outputs of a second simulation, between which and the first the library stays loaded."""
     import fmpy
 
-    block, row = fmu.opened_by(way, course)
-    with closing(block):
+    with fmu.opened(course, way) as (block, row):
         library, _ = library_of(fmu.place, block.description, block.calls.about.modelIdentifier) or (None, "")
         kept = ctypes.CDLL(str(library))
         run_along(block, row, course)
-    table, _ = outputs_by(way, fmu, course)
+    table, _ = outputs_along(fmu, course, way)
     fmpy.freeLibrary(kept._handle)
     return table
 
@@ -106,15 +103,14 @@ def outputs_in(way: Way, fmu: Fmu, course: Course, folder: str) -> Array:
     before = Path.cwd()
     os.chdir(folder)
     try:
-        return outputs_by(way, fmu, course)[0]
+        return outputs_along(fmu, course, way)[0]
     finally:
         os.chdir(before)
 
 
 def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> Array:
     """Return the outputs of an FMU that has been simulated and reset."""
-    block, row = fmu.opened_by(way, course)
-    with closing(block):
+    with fmu.opened(course, way) as (block, row):
         run_along(block, row, course)
         with block.instance.check_calls():
             block.instance.fmu.reset()
@@ -125,25 +121,16 @@ def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> Array:
 
 def outputs_after_restoring(way: Way, fmu: Fmu, course: Course, at: int) -> tuple[Array, Array]:
     """Return the outputs from a row on, and the same again after the state of that row is restored."""
-    block, row = fmu.opened_by(way, course)
-    first, width = len(block.inputs), len(block.outputs)
-
-    def outputs(rows: range) -> list[list[float]]:
-        block.get()
-        table = [row[first : first + width]]
-        for k in rows:
-            step_row(block, row, course, k)
-            table.append(row[first : first + width])
-        return table
-
-    with closing(block):
-        begin(block)
-        outputs(range(at))
-        state, rest = block.instance.save_state(), range(at, course.time.size - 1)
-        table = outputs(rest)
+    with fmu.opened(course, way) as (block, row):
+        _, early = run_along(block, row, course.first(at + 1))
+        state = block.instance.save_state()
+        table, stop = run_along(block, row, course, at)
         block.instance.restore_state(state)
         block.instance.time = float(course.time[at])
-        return np.array(table), np.array(outputs(rest))
+        repeated, failure = run_along(block, row, course, at)
+        if error := early or stop or failure:
+            raise error
+        return table, repeated
 
 
 def growth(way: Way, fmu: Fmu, course: Course) -> float:
@@ -152,7 +139,6 @@ def growth(way: Way, fmu: Fmu, course: Course) -> float:
     for k in range(WARM + INSTANCES):
         if k == WARM:
             size = resident(os.getpid())
-        block, _ = fmu.opened_by(way, course)
-        with closing(block):
+        with fmu.opened(course, way) as (block, _):
             block.start()
     return (resident(os.getpid()) - size) / INSTANCES

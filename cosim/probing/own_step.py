@@ -16,7 +16,7 @@ from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import reals, state_names, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
-from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, outputs_by, sine_course
+from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, outputs_along, sine_course
 from cosim.probing.prober import LIMITS, Prober
 
 ROWS = 60  # rows of a simulation
@@ -73,11 +73,9 @@ def probe_own_step(
         course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description, values))
         states = frozenset(state_names(prober.description)) - {v.name for v in reals(prober.description, "output")}
         begin = time.monotonic()
-        table, stop = prober.call(outputs_by, "co-simulation", prober.fmu, course, states)
+        table, stop = prober.call(outputs_along, prober.fmu, course, "co-simulation", states)
         if len(table) < 2:
-            raise stop or SimulationError(
-                prober.fmu.name, float(course.time[0]), "the log has too few rows to probe the FMU; give a longer one"
-            )
+            raise stop or prober.fmu.too_short(course)
         quick = prober.hurried(time.monotonic() - begin)
 
         def steps(step: float, count: int) -> Array:
@@ -85,7 +83,7 @@ def probe_own_step(
             times = np.asarray(course.time[0] + step * np.arange(count + 1), np.float64)
             inputs = {n: np.repeat(v[:1], count + 1) for n, v in course.inputs.items()}
             held = Course(course.name, times, inputs, {}, step)
-            result: Array = prober.call(outputs_by, "co-simulation", prober.fmu, held, states, limits=quick)[0]
+            result: Array = prober.call(outputs_along, prober.fmu, held, "co-simulation", states, limits=quick)[0]
             return result
 
         try:

@@ -12,8 +12,8 @@ from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import REALS
 from cosim.probing.fmu_structure import ProbedParameter, StartValue
-from cosim.probing.log_runs import SAME, Course, Fmu
-from cosim.probing.prober import Job, Prober, quantities
+from cosim.probing.log_runs import SAME, Course, Fmu, outputs_along
+from cosim.probing.prober import Prober, quantities
 from cosim.scenario.start_values import settable
 
 START_STEP = 1e-2  # displacement of a start value, as a share of its size or nominal value
@@ -89,13 +89,12 @@ def _trial_values(value: float, bounds: tuple[float, float]) -> list[float]:
     return inside
 
 
-def start_values(prober: Prober, simulate: Job, course: Course, base: Array, noise: Array) -> tuple[StartValue, ...]:
+def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> tuple[StartValue, ...]:
     """Return the start values of states of an FMU for co-simulation that change an output: its unknown start states.
 
     Parameters are not tried: those of a start are a matter of names.
 
     Args:
-        simulate: Function of FMU and course, in the worker, that returns the outputs and an error.
         base: Outputs along the course with the FMU's own start values.
         noise: Differences of equal outputs.
     """
@@ -113,7 +112,7 @@ def start_values(prober: Prober, simulate: Job, course: Course, base: Array, noi
         size = START_STEP * (abs(value) or abs(nominal) or 1.0)
         moved = value + size if value + size <= quantity.bounds[1] else value - size
         try:
-            table, _ = prober.call(simulate, prober.with_values({variable.name: moved}), course)
+            table, _ = prober.call(outputs_along, prober.with_values({variable.name: moved}), course)
         except SimulationError:
             continue
         rows = min(len(table), len(base))

@@ -25,7 +25,7 @@ from cosim.model.quantities import Quantity
 from cosim.probing.log_runs import Fmu, limits_of
 
 Job = Callable[..., Any]
-JOBS = ("exchange_points", "co_simulation", "log_runs", "misbehaviour")
+JOBS = ("exchange_points", "log_runs", "misbehaviour")
 MODULES = (*(f"cosim.probing.{job}" for job in JOBS), "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
 LIMITS = Limits(step=20.0, load=60.0)
 USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]

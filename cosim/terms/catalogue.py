@@ -20,7 +20,6 @@ SHORTEST = 1e-3  # least time constant of a lag, as a share of a substep; below,
 # -- at an input -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
 class InputBias(InputTerm):
     """Offset of an input."""
 
@@ -34,7 +33,6 @@ class InputBias(InputTerm):
         return value + self.value
 
 
-@dataclass(frozen=True, kw_only=True)
 class InputGain(InputTerm):
     """Gain of an input."""
 
@@ -48,7 +46,6 @@ class InputGain(InputTerm):
         return self.value * value
 
 
-@dataclass(frozen=True, kw_only=True)
 class DeadBand(InputTerm):
     """Dead band of an input about zero."""
 
@@ -62,7 +59,6 @@ class DeadBand(InputTerm):
         return value - m.clip(value, -self.width, self.width)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Saturation(InputTerm):
     """Limit of an input; without effect at the largest value of the logs, from where its effect grows steadily."""
 
@@ -80,7 +76,6 @@ class Saturation(InputTerm):
         return m.where(self.inverse_limit > (1.0 + 1e-9) * least, m.clip(value, -limit, limit), value)
 
 
-@dataclass(frozen=True, kw_only=True)
 class RateLimit(RememberingTerm):
     """Limit of the rate of an input."""
 
@@ -99,7 +94,6 @@ class RateLimit(RememberingTerm):
         return m.where(self.inverse_rate > 0.0, mean, value), (m.where(self.inverse_rate > 0.0, end, value),)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Play(RememberingTerm):
     """Play of an input."""
 
@@ -115,7 +109,6 @@ class Play(RememberingTerm):
         return after, (after,)
 
 
-@dataclass(frozen=True, kw_only=True)
 class InputLag(RememberingTerm):
     """First-order lag of an input."""
 
@@ -134,7 +127,6 @@ class InputLag(RememberingTerm):
         return m.where(acts, mean, value), (m.where(acts, end, value),)
 
 
-@dataclass(frozen=True, kw_only=True)
 class SecondOrderLag(RememberingTerm):
     """Two equal lags of an input in series."""
 
@@ -176,7 +168,6 @@ def _swung(m: Namespace, r: Number, damping: Number) -> tuple[Number, Number]:
 # -- at a pair of position and velocity ------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
 class Coulomb(Force):
     """Dry friction."""
 
@@ -192,7 +183,6 @@ class Coulomb(Force):
         return -self.level * m.tanh(velocity / self.softness)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Stribeck(Force):
     """Dry friction that is larger at rest."""
 
@@ -214,7 +204,6 @@ class Stribeck(Force):
         return -level * m.tanh(velocity / self.softness)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Viscous(Force):
     """Viscous friction."""
 
@@ -228,7 +217,6 @@ class Viscous(Force):
         return -self.coefficient * velocity
 
 
-@dataclass(frozen=True, kw_only=True)
 class QuadraticDrag(Force):
     """Drag with the square of the velocity."""
 
@@ -242,7 +230,6 @@ class QuadraticDrag(Force):
         return -self.coefficient * velocity * m.sqrt(velocity * velocity)
 
 
-@dataclass(frozen=True, kw_only=True)
 class CubicSpring(Force):
     """Force with the cube of the position."""
 
@@ -256,7 +243,6 @@ class CubicSpring(Force):
         return -self.stiffness * position * position * position
 
 
-@dataclass(frozen=True, kw_only=True)
 class Cogging(Force):
     """Force that repeats along the position, at least twice over the travel of the logs."""
 
@@ -275,7 +261,6 @@ class Cogging(Force):
         return -self.sine * m.sin(angle) - self.cosine * m.cos(angle)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Offset(Force):
     """Constant force at a pair without an input of its own."""
 
@@ -292,7 +277,6 @@ class Offset(Force):
 # -- at a connection of two pairs ------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
 class Gap(Force):
     """Free play of a connection, which transmits its spring's force from the end of the gap on."""
 
@@ -310,7 +294,6 @@ class Gap(Force):
 # -- at a storage state ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
 class Leak(RateTerm):
     """Loss in proportion to a level."""
 
@@ -324,7 +307,6 @@ class Leak(RateTerm):
         return -self.coefficient * level
 
 
-@dataclass(frozen=True, kw_only=True)
 class Overflow(RateTerm):
     """Loss above a level."""
 

@@ -10,7 +10,7 @@ from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import Parameter
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
-from cosim.model.symbolic.tracing_guard import number_guard
+from cosim.model.symbolic.symbols import number_guard
 from cosim.terms.fmu_model import FmuModel
 from cosim.terms.language import Direction, Force
 

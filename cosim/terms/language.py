@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, dataclass_transform
 
 from cosim.core.units import unit_product
 from cosim.model.model import Effect, Number, Values
@@ -127,9 +127,10 @@ class Place:
         return position - other.gear * state[other.position], velocity - other.gear * state[other.state]
 
 
+@dataclass_transform(frozen_default=True, kw_only_default=True)
 @dataclass(frozen=True, kw_only=True)
 class Term(Effect):
-    """A term of the general catalogue, before or after binding to a place.
+    """A term of the general catalogue, before or after binding to a place; each subclass becomes a dataclass.
 
     Attributes:
         kind: First part of the name, `kind_at_place`.
@@ -141,8 +142,11 @@ class Term(Effect):
     place: ClassVar[Place]
     least: ClassVar[Mapping[str, float]] = {}
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        dataclass(frozen=True, kw_only=True)(cls)
 
-@dataclass(frozen=True, kw_only=True)
+
 class InputTerm(Term):
     """A term that changes one input on its way to the FMU; symbols of `scaled`: u, M (largest value), T (row)."""
 
@@ -155,7 +159,6 @@ class InputTerm(Term):
         return {**command, self.place.name: self.change(m, command[self.place.name])}
 
 
-@dataclass(frozen=True, kw_only=True)
 class RememberingTerm(InputTerm):
     """A change of one input with a memory, advanced once per substep."""
 
@@ -176,7 +179,6 @@ class RememberingTerm(InputTerm):
         return (*command[:place], changed, *command[place + 1 :]), (*after, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Force(Term):
     """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port or direction), q and v.
 
@@ -193,7 +195,6 @@ class Force(Term):
         raise NotImplementedError
 
 
-@dataclass(frozen=True, kw_only=True)
 class RateTerm(Term):
     """An addition to the derivative of a storage state; symbols of `scaled`: r (unit of the derivative) and q."""
 
@@ -252,7 +253,7 @@ def bind(kind: type[Any], place: Place) -> type[Any]:
         "__module__": __name__,
         **own,
     }
-    return dataclass(frozen=True, kw_only=True)(type(f"{kind.__name__}At{place.name}", (kind,), namespace))
+    return type(f"{kind.__name__}At{place.name}", (kind,), namespace)
 
 
 def _factors(expression: str) -> list[tuple[str, int]]:

@@ -16,7 +16,7 @@ from cosim.estimation.kernel.library_kernel import LibraryOf
 from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
 from cosim.model.model import Model
-from cosim.model.symbolic.tracing_guard import OfNumbersOnly
+from cosim.model.symbolic.symbols import OfNumbersOnly
 from cosim.terms.fmu_model import FmuModel
 
 _kernels: dict[tuple[Any, ...], Kernel] = {}

@@ -272,7 +272,7 @@ def own_terms(path: Path) -> list[type[Term]]:
         raise InputError.at(
             path, "holds no term; a term is a subclass of cosim.terms.Force, InputTerm or RateTerm with a kind"
         )
-    return [dataclass(frozen=True, kw_only=True)(v) for v in own]
+    return own
 
 
 _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)

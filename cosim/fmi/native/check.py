@@ -18,7 +18,7 @@ from cosim.model.integrate import Stepper
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
 from cosim.model.quantities import Parameter, parameters_of
-from cosim.model.symbolic.blocks import function, places_of
+from cosim.model.symbolic.blocks import function
 from cosim.model.symbolic.languages import Python
 from cosim.model.symbolic.trace import Trace
 
@@ -63,7 +63,7 @@ class GeneratedCode:
     def __init__(self, trace: Trace) -> None:
         self.names = list(trace.s.parameters)
         self.flags = [e.name for e in trace.effects]
-        places = places_of(trace, {name: f"p[{k}]" for k, name in enumerate(self.names)})
+        places = trace.places({name: f"p[{k}]" for k, name in enumerate(self.names)})
         functions = (
             ("derivatives", "t x u p", trace.blocks, trace.derivative),
             ("outputs", "t x u p", trace.blocks, trace.outputs),

@@ -12,10 +12,10 @@ from cosim.fmi.ports import Port
 from cosim.model.model import STIFF, Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
-from cosim.model.symbolic.blocks import extract_calls, function, kinks, places_of, tangent
+from cosim.model.symbolic.blocks import extract_calls, function, kinks, tangent
 from cosim.model.symbolic.languages import C
-from cosim.model.symbolic.trace import Block, Trace, Untraceable, switches
-from cosim.model.symbolic.tracing_guard import number_guard
+from cosim.model.symbolic.symbols import number_guard
+from cosim.model.symbolic.trace import Block, Trace, Untraceable
 
 MOST_SWITCHES = 4  # each doubles the generated code
 LANGUAGE = C()
@@ -76,7 +76,7 @@ class ModelPrinter:
     def __init__(self, model: Model, ports: Sequence[Port]) -> None:
         self.model, self.ports = model, ports
         self.place = {port.name: k for k, port in enumerate(ports)}
-        self.switches = switches(model)
+        self.switches = [name for name, p in model.declared.items() if isinstance(p.default, bool)]
         if len(self.switches) > MOST_SWITCHES:
             names = ", ".join(self.switches)
             text = f"{len(self.switches)} parameters are true or false ({names}); {MOST_SWITCHES} are printed at most"
@@ -84,7 +84,7 @@ class ModelPrinter:
             raise UnprintableModel(text, type(model), self.switches[MOST_SWITCHES].rpartition(".")[2], cure)
         positions = product((False, True), repeat=len(self.switches))
         try:
-            self.variants = [Trace.of(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
+            self.variants = [Trace(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
         except Untraceable as error:
             raise UnprintableModel(str(error), error.owner, error.hook, error.cure) from error
         self.trace = self.variants[0]
@@ -207,7 +207,7 @@ class ModelPrinter:
 
     def _places(self, trace: Trace) -> dict[Any, str]:
         """Return symbol → its place in C, with parameters by value reference."""
-        return places_of(trace, {name: f"p[{self.place[name]}]" for name in trace.s.parameters})
+        return trace.places({name: f"p[{self.place[name]}]" for name in trace.s.parameters})
 
     def _merge(self, variants: Sequence[Function]) -> str:
         """Return a C function that calls the variant for the values of the model's switches."""

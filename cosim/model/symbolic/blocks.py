@@ -12,7 +12,8 @@ from itertools import count
 from typing import Any
 
 from cosim.model.symbolic.languages import Language
-from cosim.model.symbolic.trace import Block, Trace
+from cosim.model.symbolic.symbols import sympified
+from cosim.model.symbolic.trace import Block
 
 AWAKE, DORMANT = 0, 1  # branches of a block
 
@@ -62,13 +63,11 @@ def tangent(
 
     more = []
     for block in blocks:
-        awake = {s: slope(e) for s, e in block.values.items()}
-        asleep = {s: slope(e) for s, e in block.dormant.items()}
+        awake, asleep = ({s: slope(e) for s, e in of.items()} for of in (block.values, block.dormant))
         moving = [s for s in awake if awake[s] != 0 or asleep.get(s, 0) != 0]
         symbols = {s: sympy.Symbol(f"d_{s}", real=True) for s in moving}
         if symbols:
-            values = {symbols[s]: awake[s] for s in moving}
-            rest = {} if block.effect is None else {symbols[s]: asleep[s] for s in moving}
+            values, rest = ({symbols[s]: of[s] for s in moving if s in of} for of in (awake, asleep))
             more.append(Block(values, block.effect, rest, block.title and f"{block.title}, slope"))
         slopes |= symbols
     return more, [slope(e) for e in expressions]
@@ -110,12 +109,11 @@ def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list
             return call(("power",), e.args).symbols[0]
         return e
 
-    def replace_all(values: Mapping[Any, Any]) -> dict[Any, Any]:
-        return {s: replace(sympy.sympify(e)) for s, e in values.items()}
-
-    needed = _needed_blocks(blocks, results)
-    changed = [Block(replace_all(b.values), b.effect, replace_all(b.dormant), b.title) for b in needed]
-    return changed, [replace(sympy.sympify(e)) for e in results], list(calls.values())
+    changed = []
+    for b in _needed_blocks(blocks, results):
+        values, dormant = ({s: replace(sympy.sympify(e)) for s, e in of.items()} for of in (b.values, b.dormant))
+        changed.append(Block(values, b.effect, dormant, b.title))
+    return changed, [*map(replace, sympified(results))], list(calls.values())
 
 
 @dataclass
@@ -123,8 +121,8 @@ class _Node:
     """A block of the printed code: an effect's block has symbols and expressions for each of its branches."""
 
     branches: tuple[dict[Any, Any], ...]
-    effect: int | None
-    title: str
+    effect: int | None = None
+    title: str = ""
     call: Nearby | None = None
     within: tuple[list[_Node], list[_Node]] = field(default_factory=lambda: ([], []))  # needed by one branch only
 
@@ -146,114 +144,78 @@ def function(
     """
     import sympy
 
-    evaluated = {call.symbols: sympy.Tuple(*call.arguments) for call in calls}
-    needed = _needed_blocks(blocks, [*results, *evaluated.values()])
+    evaluated = [sympy.Tuple(*call.arguments) for call in calls]
+    needed = _needed_blocks(blocks, [*results, *evaluated])
     plain = {s: e for b in needed if b.effect is None for s, e in b.values.items()}
     temporary = (sympy.Symbol(f"c{k}", real=True) for k in count())
-    replaced, reduced = sympy.cse([*plain.values(), *evaluated.values(), *results], symbols=temporary, optimizations=[])
+    replaced, reduced = sympy.cse([*plain.values(), *evaluated, *results], symbols=temporary, optimizations=[])
     called, ends = reduced[len(plain) : len(plain) + len(calls)], reduced[len(plain) + len(calls) :]
-    nodes = [_Node(({s: e},), None, "") for s, e in (*replaced, *zip(plain, reduced, strict=False))]
-    nodes += [_Node((dict.fromkeys(c.symbols, e),), None, "", c) for c, e in zip(calls, called, strict=True)]
+    nodes = [_Node(({s: e},)) for s, e in (*replaced, *zip(plain, reduced, strict=False))]
+    nodes += [_Node((dict.fromkeys(c.symbols, e),), call=c) for c, e in zip(calls, called, strict=True)]
     nodes += [_Node((b.values, b.dormant), b.effect, b.title) for b in needed if b.effect is not None]
-    ordered = _sink(_order(nodes, ends), ends)
-    lines = [line for node in ordered for line in _print_node(node, language, places, "    ")]
+    maker = {s: node for node in nodes for s in node.branches[0]}
+    ordered: dict[int, _Node] = {}
+
+    def visit(expressions: Iterator[Any]) -> None:
+        """Add the nodes in order of dependence."""
+        for symbol in sorted({s for e in expressions for s in e.free_symbols}, key=str):
+            node = maker.get(symbol)
+            if node is not None and id(node) not in ordered:
+                visit(e for branch in node.branches for e in branch.values())
+                ordered[id(node)] = node
+
+    visit(iter(ends))
+    homes: dict[Any, set[Any]] = {s: {None} for e in ends for s in e.free_symbols}  # symbol → branches that use it
+    lasting: list[_Node] = []
+    for node in reversed(ordered.values()):
+        home = None
+        if node.effect is None:  # a node that a single branch uses moves into it
+            own = set().union(*(homes.get(s, set()) for s in node.branches[0]))
+            (home,) = own if len(own) == 1 else (None,)
+        for k, branch in enumerate(node.branches):
+            for symbol in {s for e in branch.values() for s in e.free_symbols}:
+                homes.setdefault(symbol, set()).add(home if node.effect is None else (id(node), k))
+        (ordered[home[0]].within[home[1]] if home else lasting).append(node)
     printer = language.printer(places)
+    lines = [line for node in reversed(lasting) for line in _print_node(node, language, printer, "    ")]
     lines += ["    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(ends)]
     return language.frame(name, [*arguments.split(), "awake", "out"], "\n".join(lines).strip())
 
 
 def _needed_blocks(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
     """Return the blocks required for the results, reduced to the used symbols."""
-    import sympy
-
-    needed = {s for e in results for s in sympy.sympify(e).free_symbols}
+    needed = {s for e in sympified(results) for s in e.free_symbols}
     reduced = []
     for block in reversed(blocks):
-        values = {s: e for s, e in block.values.items() if s in needed}
-        if values:
+        if values := {s: e for s, e in block.values.items() if s in needed}:
             dormant = {s: block.dormant[s] for s in values} if block.dormant else {}
             reduced.append(Block(values, block.effect, dormant, block.title))
             needed |= {s for e in (*values.values(), *dormant.values()) for s in e.free_symbols}
     return reduced[::-1]
 
 
-def _order(nodes: Sequence[_Node], results: Sequence[Any]) -> list[_Node]:
-    """Return the nodes in order of dependence."""
-    maker = {s: node for node in nodes for s in node.branches[0]}
-    done: dict[int, _Node] = {}
-
-    def visit(expressions: Iterator[Any]) -> None:
-        for symbol in sorted({s for e in expressions for s in e.free_symbols}, key=str):
-            node = maker.get(symbol)
-            if node is not None and id(node) not in done:
-                visit(e for branch in node.branches for e in branch.values())
-                done[id(node)] = node
-
-    visit(iter(results))
-    return list(done.values())
-
-
-def _sink(nodes: list[_Node], results: Sequence[Any]) -> list[_Node]:
-    """Move nodes used in a single branch into this branch, and return the remaining nodes."""
-    homes: dict[Any, set[tuple[int, int] | None]] = {}
-
-    def use(expressions: Sequence[Any], home: tuple[int, int] | None) -> None:
-        for e in expressions:
-            for symbol in e.free_symbols:
-                homes.setdefault(symbol, set()).add(home)
-
-    use(results, None)
-    at, stay = {id(node): node for node in nodes}, []
-    for node in reversed(nodes):
-        if node.effect is None:
-            own = set[tuple[int, int] | None]().union(*(homes.get(s, set()) for s in node.branches[0]))
-            (home,) = own if len(own) == 1 else (None,)
-            use(list(node.branches[0].values()), home)
-            if home is not None:
-                at[home[0]].within[home[1]].insert(0, node)
-                continue
-        else:
-            for k, branch in enumerate(node.branches):
-                use(list(branch.values()), (id(node), k))
-        stay.append(node)
-    return stay[::-1]
-
-
-def _print_node(node: _Node, language: Language, places: Mapping[Any, str], indent: str) -> Iterator[str]:
+def _print_node(node: _Node, language: Language, printer: Any, indent: str) -> Iterator[str]:
     """Yield the lines of a node."""
     import sympy
 
-    printer = language.printer(places)
+    symbols, expressions = [*node.branches[0]], [*node.branches[0].values()]
     if node.call is not None:
-        arguments = next(iter(node.branches[0].values()))
-        words = (*map(str, node.call.symbols), *map(printer.doprint, arguments))
-        form = language.angle if len(arguments) == 1 else language.power
-        yield indent + form.format(node.call.place, *words)
+        form = language.angle if len(expressions[0]) == 1 else language.power
+        yield indent + form.format(node.call.place, *symbols, *map(printer.doprint, expressions[0]))
         return
     if node.effect is None:
-        ((symbol, e),) = node.branches[0].items()
-        yield indent + language.local.format(symbol, printer.doprint(e))
+        yield indent + language.local.format(symbols[0], printer.doprint(expressions[0]))
         return
     if language.declared:
-        yield indent + language.declared.format(", ".join(map(str, node.branches[0])))
+        yield indent + language.declared.format(", ".join(map(str, symbols)))
     for k, opening in ((AWAKE, language.when.format(node.effect, node.title)), (DORMANT, language.otherwise)):
         yield indent + opening
-        for inner in node.within[k]:
-            yield from _print_node(inner, language, places, indent + "    ")
-        names = (sympy.Symbol(f"{next(iter(node.branches[0]))}_{'cd'[k]}{j}", real=True) for j in count())
-        values = node.branches[k]
-        common, reduced = sympy.cse(list(values.values()), symbols=names, optimizations=[])
-        for symbol, e in common:
-            yield indent + "    " + language.local.format(symbol, printer.doprint(e))
-        for symbol, e in zip(values, reduced, strict=True):
-            yield indent + "    " + language.assign.format(symbol, printer.doprint(e))
+        for inner in reversed(node.within[k]):
+            yield from _print_node(inner, language, printer, indent + "    ")
+        names = (sympy.Symbol(f"{symbols[0]}_{'cd'[k]}{j}", real=True) for j in count())
+        common, reduced = sympy.cse([*node.branches[k].values()], symbols=names, optimizations=[])
+        for form, lines in ((language.local, common), (language.assign, zip(node.branches[k], reduced, strict=True))):
+            for symbol, e in lines:
+                yield indent + "    " + form.format(symbol, printer.doprint(e))
     if language.end:
         yield indent + language.end
-
-
-def places_of(trace: Trace, values: Mapping[str, str]) -> dict[Any, str]:
-    """Return the places of symbols, such as `x[0]` or `u[1]`, with parameters from `values`."""
-    s = trace.s
-    groups = {"x": s.state, "u": s.command, "memory": trace.memory}
-    places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
-    return {s.time: "t", trace.step: "h", **places, **{symbol: values[name] for name, symbol in s.parameters.items()}}

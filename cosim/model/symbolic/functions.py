@@ -1,7 +1,6 @@
-"""Symbolic equations printed as functions of arrays, the only code generator.
+"""Symbolic equations of a model, which users extend by expressions and print as functions of arrays.
 
-Users of the equations in another language (refinement filter, native FMU, sweep) take the `Body`, add expressions, and
-print C or Python.
+Users are the refinement filter, the wrapper of a refined FMU, and the controllers.
 """
 
 from __future__ import annotations
@@ -11,12 +10,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from cosim.model.model import Effect, Model, overrides
+from cosim.model.model import Model
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.languages import Language
-from cosim.model.symbolic.symbols import SymbolicModel, symbolic
-from cosim.model.symbolic.tracing_guard import number_guard
+from cosim.model.symbolic.symbols import SymbolicModel, number_guard, symbolic
 
 
 @dataclass(frozen=True)
@@ -24,8 +22,7 @@ class Shaping:
     """Shaping of the command by effects, stage by stage, without delays.
 
     Attributes:
-        stages: Symbol → expression for each effect. Later effects refer to plain symbols, because sympy is slow with
-            nested branches.
+        stages: Symbol → expression for each effect.
         results: Resulting command, then the memory after.
         remembered: Symbols of the memory before.
     """
@@ -57,14 +54,12 @@ class Body:
         Raises:
             OfNumbersOnly: The equations use an operation that symbols lack.
         """
-        import sympy
-
         s = symbolic(model, None, effects)
         with number_guard(smooth=True):
             derivative, output = s.model.acting(SymbolNamespace())
-            rates, values = derivative(s.time, s.state, s.command), output(s.time, s.state, s.command)
-        of_states = {q.name: sympy.sympify(e) for q, e in zip(s.model.states, rates, strict=True)}
-        of_outputs = {q.name: sympy.sympify(e) for q, e in zip(s.model.outputs, values, strict=True)}
+            rates, outputs = s.evaluate(derivative), s.evaluate(output)
+        names = ([q.name for q in group] for group in (s.model.states, s.model.outputs))
+        of_states, of_outputs = (dict(zip(n, e, strict=True)) for n, e in zip(names, (rates, outputs), strict=True))
         return cls(s, of_states, of_outputs, dict(s.parameters))
 
     def parameter(self, name: str) -> Any:
@@ -82,24 +77,14 @@ class Body:
 
     @cached_property
     def shaping(self) -> Shaping:
-        """Return the shaping of commands; a delay is excluded, since its users look up the command in the log."""
+        """Return the shaping of commands; users look up a delayed command in the log."""
         import sympy
 
-        command: tuple[Any, ...] = self.symbols.command
-        stages: list[dict[Any, Any]] = []
-        before: list[Any] = []
-        after: list[Any] = []
-        for effect in overrides(self.symbols.model.awake, "shape", Effect):
-            if effect.delay:
-                continue
-            own = tuple(sympy.Symbol(f"memory:{len(before) + k}", real=True) for k in range(len(effect.memory)))
-            with number_guard(smooth=True):
-                shaped, memory = effect.shape(SymbolNamespace(), self.symbols.time, sympy.Symbol("h"), command, own)
-            results = [sympy.sympify(e) for e in (*shaped, *memory)]
-            names = [sympy.Symbol(f"s{len(stages)}_{k}", real=True) for k in range(len(results))]
-            stages.append(dict(zip(names, results, strict=True)))
-            command, after, before = tuple(names[: len(shaped)]), after + names[len(shaped) :], [*before, *own]
-        return Shaping(tuple(stages), (*command, *after), tuple(before))
+        with number_guard(smooth=True):
+            stages = [*self.symbols.shaping(sympy.Symbol("h"))]
+        command = stages[-1].command if stages else self.symbols.command
+        after, before = ([x for stage in stages for x in getattr(stage, n)] for n in ("remembered", "memory"))
+        return Shaping(tuple(stage.changed[0] for stage in stages), (*command, *after), tuple(before))
 
     def function(
         self, language: Language, name: str, expressions: Sequence[Any], before: Sequence[dict[Any, Any]] = ()
@@ -122,14 +107,9 @@ class Body:
 
     def shaping_function(self, language: Language, name: str) -> str:
         """Return the text of `name(h, u, memory, p, out)`: shaped command, then memory, over a substep h."""
-        memory = {symbol: f"memory[{k}]" for k, symbol in enumerate(self.shaping.remembered)}
-        return language.function(
-            name, "h u memory p", self.shaping.results, {**self._places, **memory}, self.shaping.stages
-        )
+        return language.function(name, "h u memory p", self.shaping.results, self._places, self.shaping.stages)
 
     @property
     def _places(self) -> dict[Any, str]:
-        """Return the place of each symbol in the arguments."""
-        groups = {"x": self.symbols.state, "u": self.symbols.command, "p": tuple(self.parameters.values())}
-        places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
-        return {self.symbols.time: "t", **places}
+        parameters = {symbol: f"p[{k}]" for k, symbol in enumerate(self.parameters.values())}
+        return self.symbols.places(parameters, self.shaping.remembered)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from cosim.model.symbolic.dormant import Term, find_skippable
+Term = Mapping[Any, float]  # parameter symbols of a term → neutral values
+COSTLY = ("sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "asin", "acos", "atan", "atan2")
+CHEAP = (-2, -1, 2, 0.5, -0.5)  # exponents that compilers turn into products, quotients and roots
 
 
 class Unprintable(ValueError):
@@ -64,7 +66,7 @@ class Language:
         plain = [(None if isinstance(target, int) else target, e) for target, e in parts]
         conditions = {
             f: self.either.join(f"{places[p]} != {float(v)!r}" for p, v in awake.items())
-            for f, awake in find_skippable(plain, terms).items()
+            for f, awake in _find_skippable(plain, terms).items()
         }
         printer, lines = self.printer(places, conditions), []
         for target, e in parts:
@@ -188,3 +190,74 @@ class Arrays(Python):
                 return " | ".join(f"({self._print(a)})" for a in e.args)
 
         return Printer
+
+
+def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> dict[Any, Term]:
+    """Return costly function → parameters of the terms that need it, with neutral values.
+
+    A term is dormant at its neutral values. A function that is then multiplied by 0 can be replaced by 0 without a
+    change of any bit of the results.
+
+    Args:
+        lines: Symbol of a common subexpression, None for a result; expression.
+    """
+    import sympy
+
+    if not terms:
+        return {}
+    users: dict[Any, list[tuple[Any, Any]]] = {}
+    for line in lines:
+        for symbol in line[1].free_symbols:
+            users.setdefault(symbol, []).append(line)
+    needs: dict[Any, set[int] | None] = {None: None}  # symbol of a subexpression → terms that need it; None for always
+    constants: dict[frozenset[int], dict[Any, Any]] = {}  # by dormant terms
+
+    def vanishes(symbol: Any, e: Any, dormant: frozenset[int]) -> bool:
+        """Return True if an expression no longer contains a symbol while some terms are dormant."""
+        if dormant not in constants:
+            known = constants[dormant] = {p: sympy.sympify(v) for k in dormant for p, v in terms[k].items()}
+            for name, line in lines:
+                if name is not None and (value := line.xreplace(known)).is_Number:
+                    known[name] = value
+        return symbol not in e.xreplace(constants[dormant]).free_symbols
+
+    def terms_through(target: Any, e: Any, symbol: Any) -> set[int] | None:
+        """Return the terms that need a symbol in a line; None if it is always needed."""
+        if not isinstance(e, sympy.Expr) or not e.is_polynomial(symbol):  # the effect of 0 on the line is unclear
+            return None
+        every = frozenset(range(len(terms)))
+        if not vanishes(symbol, e, every):
+            return terms_of(target)
+        for k in every:
+            if vanishes(symbol, e, frozenset((k,))):
+                return {k}
+        for k in every:
+            fewer = every - {k}
+            every = fewer if vanishes(symbol, e, fewer) else every
+        return set(every)
+
+    def terms_of(symbol: Any) -> set[int] | None:
+        if symbol not in needs:
+            needs[symbol] = _union(terms_through(*line, symbol) for line in users.get(symbol, ()))
+        return needs[symbol]
+
+    functions: dict[Any, set[int] | None] = {}
+    for symbol, e in lines:
+        for f in e.atoms(sympy.Function, sympy.Pow):
+            # functions and powers much slower than a branch
+            costly = type(f).__name__ in COSTLY or getattr(f, "is_costly", False) or (f.is_Pow and f.exp not in CHEAP)
+            if costly:
+                place = sympy.Dummy(real=True)
+                needed = terms_of(symbol) if e == f else terms_through(symbol, e.xreplace({f: place}), place)
+                functions[f] = _union((functions.get(f, set()), needed))
+    return {
+        f: {p: float(value) for k in sorted(needed) for p, value in terms[k].items()}
+        for f, needed in functions.items()
+        if needed
+    }
+
+
+def _union(parts: Iterable[set[int] | None]) -> set[int] | None:
+    """Return the union of sets, None if one of them is None."""
+    every = [*parts]
+    return None if None in every else {k for part in every if part for k in part}

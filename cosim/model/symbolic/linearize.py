@@ -14,6 +14,7 @@ from cosim.model.model import Model, Values
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import Arrays, Python
+from cosim.model.symbolic.symbols import sympified
 
 Matrix = NDArray[np.float64]
 
@@ -43,13 +44,9 @@ class Linearizer:
         x = sympy.symbols([f"x{k}" for k in range(n)], real=True)
         u = sympy.symbols([f"u{k}" for k in range(m)], real=True)
         derivative, output = model.acting(SymbolNamespace())
-        rows = [sympy.sympify(e) for e in (*derivative(t, tuple(x), tuple(u)), *output(t, tuple(x), tuple(u)))]
-        slopes = {
-            (i, k): d
-            for i, e in enumerate(rows)
-            for k, s in enumerate((*x, *u))
-            if s in e.free_symbols and (d := sympy.diff(e, s)) != 0
-        }
+        at = t, tuple(x), tuple(u)
+        rows = sympified((*derivative(*at), *output(*at)))
+        slopes = _slopes(rows, (*x, *u))
         self._places = list(slopes)
         self._shape = len(rows), n + m
         places = {s: f"x[{k}]" for k, s in enumerate(x)} | {s: f"u[{k}]" for k, s in enumerate(u)}
@@ -91,8 +88,6 @@ def printed_jacobians(model: Model, outputs: Sequence[str], effects: Collection[
     Args:
         effects: Effects of the catalogue to include, without states.
     """
-    import sympy
-
     body = Body.of(model, effects=effects)
     rates, symbols = [body.derivative[q.name] for q in model.base_states], body.symbols
     functions: dict[str, tuple[Sequence[Any], Sequence[Any]]] = {
@@ -108,15 +103,22 @@ def printed_jacobians(model: Model, outputs: Sequence[str], effects: Collection[
         f"PARAMETERS = {tuple(body.parameters)!r}",
     ]
     for name, (rows, columns) in functions.items():
-        slopes = [
-            (i, j, slope)
-            for i, row in enumerate(rows)
-            for j, variable in enumerate(columns)
-            if (slope := sympy.diff(row, variable)) != 0
-        ]
-        lines.append(f"{name.upper()} = {tuple((i, j) for i, j, _ in slopes)!r}")
-        lines += ["", "", body.function(Arrays(), f"{name}_jacobian", [slope for _, _, slope in slopes])]
+        slopes = _slopes(rows, columns)
+        lines += [f"{name.upper()} = {tuple(slopes)!r}", "", ""]
+        lines.append(body.function(Arrays(), f"{name}_jacobian", [*slopes.values()]))
     return "\n".join(lines)
+
+
+def _slopes(rows: Sequence[Any], columns: Sequence[Any]) -> dict[tuple[int, int], Any]:
+    """Return (row, column) → nonzero derivative of the row by the column."""
+    import sympy
+
+    return {
+        (i, k): slope
+        for i, row in enumerate(rows)
+        for k, symbol in enumerate(columns)
+        if symbol in row.free_symbols and (slope := sympy.diff(row, symbol)) != 0
+    }
 
 
 def load_names(source: str) -> Mapping[str, Any]:

@@ -2,14 +2,46 @@
 
 from __future__ import annotations
 
+import sys
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from cosim.model.model import Model, Values
+from cosim.model.model import Effect, Model, Values, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
+
+SYMBOLIC = Path(__file__).resolve().parent
+EQUALITY = "is decided before the numbers are known; compare with <, <=, > or >= in m.where"
+REMAINDER = "jumps where no solver sees it; let m.where choose: m.where(angle > limit, angle - 2 * limit, angle)"
+EQUALITIES = {"__eq__": "==", "__ne__": "!="}
+SIGNS = {**EQUALITIES, "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
+VARYING = ("state:", "input:")  # prefixes of symbol names
+
+
+class OfNumbersOnly(TypeError):
+    """An operation in a model that needs a number instead of a symbol."""
+
+
+class Shaped(NamedTuple):
+    """Shaping of the command by one effect.
+
+    Attributes:
+        number: Index of the effect in the catalogue.
+        memory: Symbols of the memory before.
+        changed: Symbol → expression, and symbol → value before.
+        command, remembered: Symbols of the command and the memory after.
+    """
+
+    number: int
+    effect: Any
+    memory: Values
+    changed: tuple[dict[Any, Any], dict[Any, Any]]
+    command: Values
+    remembered: Values
 
 
 @dataclass(frozen=True)
@@ -26,6 +58,55 @@ class SymbolicModel:
     parameters: dict[str, Any]
     state: Values
     command: Values
+
+    def evaluate(self, function: Callable[..., Values]) -> list[Any]:
+        """Return the expressions of a derivative or an output function."""
+        return sympified(function(self.time, self.state, self.command))
+
+    def shaping(self, step: Any, *, only_changes: bool = False) -> Iterator[Shaped]:
+        """Yield the shaping of the command by each effect, later ones in plain symbols: sympy is slow with nests.
+
+        Delays are left out, since a history is no expression.
+
+        Args:
+            step: Symbol of the substep's length.
+            only_changes: Keep the symbols of unchanged values, and number the others by the place of the effect.
+        """
+        import sympy
+
+        command, stage, remembered = self.command, 0, 0
+        for k, effect in enumerate(self.model.effects):
+            if effect.delay or not overrides((effect,), "shape", Effect):
+                continue
+            own = tuple(sympy.Symbol(f"memory:{remembered + j}", real=True) for j in range(len(effect.memory)))
+            shaped, memory = effect.shape(SymbolNamespace(), self.time, step, command, own)
+            values, before, results = dict[Any, Any](), dict[Any, Any](), []
+            for j, e in enumerate(sympified((*shaped, *memory))):
+                old = (*command, *own)[j] if only_changes else None
+                if e != old:
+                    symbol = sympy.Symbol(f"s{k if only_changes else stage}_{j}", real=True)
+                    values[symbol], before[symbol] = e, old
+                results.append(e if e == old else symbol)
+            command, after = tuple(results[: len(shaped)]), tuple(results[len(shaped) :])
+            yield Shaped(k, effect, own, (values, before), command, after)
+            stage, remembered = stage + 1, remembered + len(own)
+
+    def places(self, parameters: Mapping[Any, str], memory: Iterable[Any] = ()) -> dict[Any, str]:
+        """Return the place of each symbol in the arguments of printed functions, such as `x[0]` or `u[1]`.
+
+        Args:
+            parameters: Places of the parameters.
+        """
+        groups = {"x": self.state, "u": self.command, "memory": memory}
+        places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
+        return {self.time: "t", **places, **parameters}
+
+
+def sympified(values: Iterable[Any]) -> list[Any]:
+    """Return numbers and expressions as expressions."""
+    import sympy
+
+    return [sympy.sympify(e) for e in values]
 
 
 def symbolic(
@@ -62,28 +143,27 @@ def symbolic(
 def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
     """Return the inputs with direct feedthrough to each output, in input order."""
     s = symbolic(model)
+    outputs = s.evaluate(s.model.acting(SymbolNamespace()).output)
     return {
         q.name: tuple(i.name for i, u in zip(model.inputs, s.command, strict=True) if u in e.free_symbols)
-        for q, e in zip(model.outputs, _outputs(s), strict=True)
+        for q, e in zip(model.outputs, outputs, strict=True)
     }
 
 
 def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
     """Return the parameters, start values and inputs that affect each initial output."""
-    import sympy
-
     dependencies: dict[str, set[str]] = defaultdict(set)
     flags = [p.name for p in model.parameters if isinstance(p.default, bool)]
     variants = []
     for flag in (True, False):
         s = symbolic(model, flag)
-        variants.append(_outputs(s))
+        variants.append(s.evaluate(s.model.acting(SymbolNamespace()).output))
         names = {symbol: name for name, symbol in s.parameters.items()}
         names |= {symbol: q.name for symbol, q in zip(s.command, s.model.inputs, strict=True)}
         names |= {symbol: f"{q.name}_start" for symbol, q in zip(s.state, s.model.states, strict=True)}
         # start parameters that depend on other parameters unless set by the host
         own = s.model.start_state(SymbolNamespace())
-        follows = {f"{name}_start": sympy.sympify(e).free_symbols for name, e in own.items()}
+        follows = dict(zip((f"{n}_start" for n in own), (e.free_symbols for e in sympified(own.values())), strict=True))
         for q, expression in zip(model.outputs, variants[-1], strict=True):
             direct = {names[symbol] for symbol in expression.free_symbols - {s.time}}
             dependencies[q.name].update(direct, *({names[other] for other in follows.get(name, ())} for name in direct))
@@ -93,8 +173,40 @@ def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
     return {name: tuple(sorted(names)) for name, names in dependencies.items()}
 
 
-def _outputs(s: SymbolicModel) -> list[Any]:
+@contextmanager
+def number_guard(*, smooth: bool = False) -> Iterator[None]:
+    """Raise OfNumbersOnly for `==`, `!=`, `%` and `//` of symbols in a model's lines, instead of a wrong value.
+
+    Sympy and the tracer compare expressions too; the file of the operator distinguishes the cases.
+
+    Args:
+        smooth: Refuse `%` and `//` only for states and inputs, whose derivatives are taken.
+    """
     import sympy
 
-    outputs = s.model.acting(SymbolNamespace()).output(s.time, s.state, s.command)
-    return [sympy.sympify(e) for e in outputs]
+    library = (str(Path(sympy.__file__).parent), *map(str, (SYMBOLIC, SYMBOLIC.parent / "namespaces.py")))
+
+    def guard(plain: Callable[[Any, Any], Any], name: str) -> Callable[[Any, Any], Any]:
+        def operator(a: Any, b: Any) -> Any:
+            if isinstance(a, sympy.Expr) and isinstance(b, (int, float, sympy.Expr)):
+                file = sys._getframe(1).f_code.co_filename
+                if not file.startswith((*library, "<")):
+                    symbols = a.free_symbols
+                    if smooth and name not in EQUALITIES:
+                        symbols = {s for s in symbols | sympy.sympify(b).free_symbols if s.name.startswith(VARYING)}
+                    if symbols:
+                        first, second = (b, a) if name.startswith("__r") else (a, b)
+                        text = f"{first} {SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
+                        raise OfNumbersOnly(f"{text} {EQUALITY if name in EQUALITIES else REMAINDER}")
+            return plain(a, b)
+
+        return operator
+
+    operators = [(k, name, vars(k)[name]) for k in sympy.Symbol.__mro__[:-1] for name in SIGNS if name in vars(k)]
+    try:
+        for kind, name, plain in operators:
+            setattr(kind, name, guard(plain, name))
+        yield
+    finally:
+        for kind, name, plain in operators:
+            setattr(kind, name, plain)

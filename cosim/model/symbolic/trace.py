@@ -7,7 +7,7 @@ serves every combination of effects, and a dormant effect costs one jump.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,8 +15,7 @@ from cosim.model.delay import Delay
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
-from cosim.model.symbolic.symbols import SymbolicModel, symbolic
-from cosim.model.symbolic.tracing_guard import number_guard
+from cosim.model.symbolic.symbols import number_guard, symbolic, sympified
 
 INTEGRATOR_HOOKS = ("shape", "remember")  # hooks called by the integrator instead of the equations
 
@@ -50,65 +49,70 @@ class Block:
     title: str = ""
 
 
-@dataclass
 class Trace:
-    """A model as blocks, and expressions of their symbols.
+    """A model with all effects of its catalogue as blocks, and expressions of their symbols.
+
+    Args:
+        flags: Values of the Booleans.
 
     Attributes:
+        effects: Active effects of the catalogue in order.
+        shaping: Blocks of the command.
         derivative, outputs: Expression of each state's derivative and of each output.
         shaped, remembered: Acting commands, and the memory after a substep from the symbols in `memory`; delays are
             excluded, since a history is no expression.
         started: Memory at the start time from the start values in `memory`.
+        step: Symbol of the substep's length.
+
+    Raises:
+        Untraceable: An effect has no symbolic form.
+        OfNumbersOnly: The equations use an operation that symbols lack.
     """
 
-    s: SymbolicModel
-    blocks: list[Block] = field(default_factory=list)
-    shaping: list[Block] = field(default_factory=list)  # blocks of the command
-    derivative: list[Any] = field(default_factory=list)
-    outputs: list[Any] = field(default_factory=list)
-    shaped: list[Any] = field(default_factory=list)
-    remembered: list[Any] = field(default_factory=list)
-    started: list[Any] = field(default_factory=list)
-    memory: list[Any] = field(default_factory=list)
-    step: Any = None  # symbol of the substep's length
-
-    _symbols: dict[Any, Any] = field(default_factory=dict)
-    _calls: dict[Any, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, model: Model, flags: Mapping[str, bool] | None = None) -> Trace:
-        """Return the symbolic trace of a model with all effects of its catalogue; `flags` sets the switches.
-
-        Raises:
-            Untraceable: An effect has no symbolic form.
-            OfNumbersOnly: The equations use an operation that symbols lack.
-        """
+    def __init__(self, model: Model, flags: Mapping[str, bool] | None = None) -> None:
         import sympy
 
-        trace = cls.__new__(cls)
-        catalogue = tuple(trace._watch(kind, k) for k, kind in enumerate(model.catalogue))
+        self.blocks, self.shaping = list[Block](), list[Block]()
+        self._symbols, self._calls = dict[Any, Any](), dict[str, Any]()
+        catalogue = tuple(self._watch(kind, k) for k, kind in enumerate(model.catalogue))
         kind = type(
             type(model).__name__, (type(model),), {"catalogue": catalogue, "__module__": type(model).__module__}
         )
-        values = {p.name: getattr(model, p.name) for p in model.parameters}
-        trace.__init__(symbolic(kind(**values), flags))  # type: ignore[misc]  # the effects know the trace before
-        s, m = trace.s, SymbolNamespace()
+        self.s = s = symbolic(kind(**{p.name: getattr(model, p.name) for p in model.parameters}), flags)
+        self.effects: tuple[Any, ...] = s.model.effects
         with number_guard():
-            derivative, output = s.model.acting(m)
-            rates = derivative(s.time, s.state, s.command)
-            trace.derivative = [sympy.sympify(e) for e in rates]
-            trace._stop_dormant_states()
-            trace.outputs = [sympy.sympify(e) for e in output(s.time, s.state, s.command)]
-            trace._shape(m)
-        return trace
+            derivative, output = s.model.acting(SymbolNamespace())
+            self.derivative = s.evaluate(derivative)
+            place = len(s.model.base_states)
+            for k, effect in enumerate(self.effects):  # the states of a dormant effect stop
+                for q in effect.states:
+                    symbol = sympy.Symbol(f"rate_{k}_{place}", real=True)
+                    awake = self._name(self.derivative[place])
+                    self.blocks.append(Block({symbol: awake}, k, {symbol: sympy.Integer(0)}, f"{effect.name}.{q.name}"))
+                    self.derivative[place] = symbol
+                    place += 1
+            self.outputs = s.evaluate(output)
+            self._check_delays()
+            self.step, self.shaped = sympy.Symbol("h", real=True), [*s.command]
+            self.memory, self.remembered, self.started = list[Any](), list[Any](), list[Any]()
+            for stage in s.shaping(self.step, only_changes=True):
+                effect = stage.effect
+                self.shaping.append(Block(stage.changed[0], stage.number, stage.changed[1], f"{effect.name}.shape"))
+                started = sympified(effect.remember(s.time, stage.memory))
+                if len(started) != len(stage.memory):
+                    text = f"{effect.name} declares {len(stage.memory)} remembered values; remember gives"
+                    raise Untraceable(f"{text} {len(started)}", type(effect), "remember", "let it give one for each")
+                self.memory += stage.memory
+                self.started += started
+                self.remembered += stage.remembered
+                self.shaped = list(stage.command)
 
-    @property
-    def effects(self) -> tuple[Any, ...]:
-        """Return the active effects of the catalogue in order."""
-        effects: tuple[Any, ...] = self.s.model.effects
-        return effects
+    def places(self, parameters: Mapping[str, str]) -> dict[Any, str]:
+        """Return the place of each symbol in the arguments of printed functions, with places of parameters by name."""
+        named = {symbol: parameters[name] for name, symbol in self.s.parameters.items()}
+        return {self.step: "h", **self.s.places(named, self.memory)}
 
-    def name(self, expression: Any) -> Any:
+    def _name(self, expression: Any) -> Any:
         """Return a symbol, the same for equal expressions."""
         import sympy
 
@@ -119,58 +123,28 @@ class Trace:
             self.blocks.append(Block({self._symbols[expression]: expression}))
         return self._symbols[expression]
 
-    def _stop_dormant_states(self) -> None:
-        """Stop the states of dormant effects."""
-        import sympy
-
-        place = len(self.s.model.base_states)
-        for k, effect in enumerate(self.effects):
-            for q in effect.states:
-                symbol = sympy.Symbol(f"rate_{k}_{place}", real=True)
-                title = f"{effect.name}.{q.name}"
-                awake = self.name(self.derivative[place])
-                self.blocks.append(Block({symbol: awake}, k, {symbol: sympy.Integer(0)}, title))
-                self.derivative[place] = symbol
-                place += 1
-
-    def _shape(self, m: SymbolNamespace) -> None:
-        """Trace the shaping of the command, effect by effect, with plain symbols."""
-        import sympy
-
-        self.step = sympy.Symbol("h", real=True)
-        command: tuple[Any, ...] = self.s.command
-        shaping = overrides(self.effects, "shape", Effect)
-        _check_delays(self.effects, shaping)
-        for k, effect in enumerate(self.effects):
-            if effect.delay or effect not in shaping:
-                continue
-            own = tuple(sympy.Symbol(f"memory:{len(self.memory) + j}", real=True) for j in range(len(effect.memory)))
-            shaped, after = effect.shape(m, self.s.time, self.step, command, own)
-            block, results = Block({}, k, {}, f"{effect.name}.shape"), []
-            for j, (e, before) in enumerate(zip((*shaped, *after), (*command, *own), strict=True)):
-                if (awake := sympy.sympify(e)) == before:
-                    results.append(before)
-                    continue
-                results.append(symbol := sympy.Symbol(f"s{k}_{j}", real=True))
-                block.values[symbol], block.dormant[symbol] = awake, before
-            self.shaping.append(block)
-            command = tuple(results[: len(command)])
-            self.memory += own
-            started = [sympy.sympify(e) for e in effect.remember(self.s.time, own)]
-            if len(started) != len(own):
-                text = f"{effect.name} declares {len(own)} remembered values; remember gives {len(started)}"
-                raise Untraceable(text, type(effect), "remember", "let it give one for each")
-            self.started += started
-            self.remembered += results[len(command) :]
-        self.shaped = list(command)
+    def _check_delays(self) -> None:
+        """Check that at most one effect delays the command, comes first, and acts like `Delay`."""
+        if any(e.delay for e in overrides(self.effects, "shape", Effect)[1:]):
+            raise Untraceable("a delay comes first in the catalogue, and there is one at most")
+        for late in (e for e in self.effects if e.delay):
+            for hook in INTEGRATOR_HOOKS:
+                if getattr(type(late), hook) is not getattr(Delay, hook):
+                    text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
+                    raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
 
     def _watch(self, kind: type[Any], place: int) -> type[Any]:
-        """Return the effect's class with recording hooks."""
+        """Return the effect's class with each hook recorded that it overrides and a base effect class defines."""
 
-        def hook(name: str, lines: Callable[..., Any]) -> Callable[..., Any]:
+        def recorded(name: str, lines: Callable[..., Any]) -> Callable[..., Any]:
             return lambda effect, *arguments, **keywords: self._call(lines, effect, name, place, arguments, keywords)
 
-        hooks = {name: hook(name, getattr(kind, name)) for name in _overridden(kind)}
+        names = {n for c in kind.__mro__ for n, v in vars(c).items() if callable(v) and not n.startswith("_")}
+        hooks = {
+            name: recorded(name, getattr(kind, name))
+            for name in sorted(names - set(INTEGRATOR_HOOKS))
+            if sum(name in vars(c) and issubclass(c, Effect) for c in kind.__mro__) > 1
+        }
         return type(kind.__name__, (kind,), {**hooks, "__module__": kind.__module__})
 
     def _call(
@@ -178,21 +152,28 @@ class Trace:
     ) -> Any:
         import sympy
 
-        arguments = _map(arguments, lambda e: self.name(sympy.sympify(e)))
-        key = (place, name, _key((arguments, keywords)))
+        passed = set[Any]()
+
+        def named(value: Any) -> Any:
+            symbol = self._name(sympy.sympify(value))
+            passed.add(symbol)
+            return symbol
+
+        arguments = _map(arguments, named)
+        key = repr((place, name, arguments, keywords))
         if key in self._calls:
-            return self._calls[key]
-        result = lines(effect, *arguments, **keywords)
-        values = {getattr(effect, p.name): p.neutral for p in parameters_of(effect) if p.neutral is not None}
-        neutral = {s: sympy.Integer(int(v)) if v == int(v) else sympy.Float(v) for s, v in values.items()}
-        passed = {e for e in _numbers(arguments) if getattr(e, "is_Symbol", False)}
-        block = Block({}, place, {}, f"{effect.name}.{name}")
+            return self._calls[key][-1]
+        switches = {p.name: p.neutral for p in parameters_of(effect) if p.neutral is not None}
+        neutral = {
+            getattr(effect, n): sympy.Integer(int(v)) if v == int(v) else sympy.Float(v) for n, v in switches.items()
+        }
+        values, block = lines(effect, *arguments, **keywords), Block({}, place, {}, f"{effect.name}.{name}")
 
         def leaf(value: Any) -> Any:
             awake = sympy.sympify(value)
             asleep = awake.xreplace(neutral)
             if asleep.has(sympy.nan, sympy.zoo, sympy.oo):
-                at = ", ".join(f"{p.name} is {p.neutral:g}" for p in parameters_of(effect) if p.neutral is not None)
+                at = ", ".join(f"{n} is {v:g}" for n, v in switches.items())
                 text = f"{effect.name} has no value where {at}: {name} gives {asleep}"
                 cure = "let m.where choose another value there"
                 raise Untraceable(text, type(effect), name, cure)
@@ -202,79 +183,22 @@ class Trace:
             block.values[symbol], block.dormant[symbol] = awake, asleep
             return symbol
 
-        self._calls[key] = _map(result, leaf)
+        result = _map(values, leaf)
+        # with the arguments, so that a text such as <object at 0x…> stays that of one object
+        self._calls[key] = arguments, keywords, result
         if block.values:
             self.blocks.append(block)
-        return self._calls[key]
-
-
-def _check_delays(effects: Sequence[Any], shaping: Sequence[Any]) -> None:
-    """Check that at most one effect delays the command, comes first, and acts like `Delay`.
-
-    Raises:
-        Untraceable: A delay differs.
-    """
-    if any(e.delay for e in shaping[1:]):
-        raise Untraceable("a delay comes first in the catalogue, and there is one at most")
-    for late in (e for e in effects if e.delay):
-        for hook in INTEGRATOR_HOOKS:
-            if getattr(type(late), hook) is not getattr(Delay, hook):
-                text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
-                raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
-
-
-def _overridden(kind: type[Any]) -> Iterator[str]:
-    """Yield the hooks that the class overrides and a base effect class defines."""
-    names = {n for c in kind.__mro__ for n, v in vars(c).items() if callable(v) and not n.startswith("_")}
-    for name in sorted(names - set(INTEGRATOR_HOOKS)):
-        defined = [c for c in kind.__mro__ if name in vars(c) and issubclass(c, Effect)]
-        if len(defined) > 1:
-            yield name
-
-
-def _numbers(value: Any) -> Iterator[Any]:
-    """Yield numbers and expressions at any depth."""
-    if isinstance(value, Mapping):
-        value = tuple(value.values())
-    if isinstance(value, (tuple, list)):
-        for part in value:
-            yield from _numbers(part)
-    elif _is_number(value):
-        yield value
-
-
-def _key(value: Any) -> Any:
-    """Return a hashable key of call arguments."""
-    if isinstance(value, Mapping):
-        return ("mapping", *((key, _key(part)) for key, part in value.items()))
-    if isinstance(value, (tuple, list)):
-        return (type(value), *(_key(part) for part in value))
-    if _is_number(value):
-        return str(value)
-    try:
-        hash(value)
-    except TypeError:
-        return repr(value)
-    return (type(value), value)
-
-
-def _is_number(value: Any) -> bool:
-    import sympy
-
-    return isinstance(value, (int, float, sympy.Expr)) and not isinstance(value, bool)
+        return result
 
 
 def _map(value: Any, change: Callable[[Any], Any]) -> Any:
-    """Return the same structure with every number changed."""
+    """Return the same structure with every number and expression changed."""
+    import sympy
+
     if isinstance(value, Mapping):
         return {key: _map(part, change) for key, part in value.items()}
     if isinstance(value, tuple) and hasattr(value, "_fields"):
         return type(value)(*(_map(part, change) for part in value))
     if isinstance(value, (tuple, list)):
         return tuple(_map(part, change) for part in value)
-    return change(value) if _is_number(value) else value
-
-
-def switches(model: Model) -> tuple[str, ...]:
-    """Return the Boolean parameters by FMI name."""
-    return tuple(name for name, p in model.declared.items() if isinstance(p.default, bool))
+    return change(value) if isinstance(value, (int, float, sympy.Expr)) and not isinstance(value, bool) else value
