@@ -61,8 +61,10 @@ def _sampled(slave: str, about: str, *documented: str, printed: bool = False) ->
         printed: True to include the printed Jacobians, which spare the FMU sympy.
     """
     kind = resolve(f"fmus.{slave}")
-    times = {"step": Settings().sample_time, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
-    description = Description(about, kind.ports, *kind.depends, **times)
+    step = Settings().sample_time
+    description = Description(
+        about, kind.ports, *kind.depends, step=step, stop=10.0, variable_step=False, sampled="sample_time"
+    )
     parts = (resolve(f"controller.{name}") for name in documented)
     recipe = Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
     return replace(recipe, printed=(("controller.printed", jacobians()),)) if printed else recipe
