@@ -61,9 +61,9 @@ def _sampled(slave: str, about: str, *documented: str, printed: bool = False) ->
         printed: True to include the printed Jacobians, which spare the FMU sympy.
     """
     kind = resolve(f"fmus.{slave}")
-    step = Settings().sample_time
+    step, (at_sample, at_start) = Settings().sample_time, kind.depends
     description = Description(
-        about, kind.ports, *kind.depends, step=step, stop=10.0, variable_step=False, sampled="sample_time"
+        about, kind.ports, at_sample, at_start, step=step, stop=10.0, variable_step=False, sampled="sample_time"
     )
     parts = (resolve(f"controller.{name}") for name in documented)
     recipe = Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
