@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -164,8 +164,7 @@ def independent_times(squares: Array) -> float:
     return float(np.clip(SIDE * (1.0 - SIDE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
 
 
-@dataclass(frozen=True)
-class ConsistencyRow:
+class ConsistencyRow(NamedTuple):
     """Result of one case on one flight in one test, such as NEES or NIS.
 
     Attributes:
@@ -186,7 +185,7 @@ class ConsistencyRow:
     def as_json(self) -> Mapping[str, Any]:
         """Return names, measures and verdict as plain data for scripts."""
         names = ("degrees", "runs", "mean", "region", "share", "above", "below", "most", "times", "verdict", "factor")
-        of_row = {name: getattr(self, name) for name in ("case", "flight", "motion", "of")}
+        of_row = dict(zip(self._fields[:4], self, strict=False))
         return of_row | {name: getattr(self.result, name) for name in names}
 
 

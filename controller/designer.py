@@ -25,13 +25,12 @@ from controller.settings import (
     conflicts,
     craft_faults,
 )
-from controller.stability import FlownLoop, worst_modes
+from controller.stability import flown_modes, worst_modes
 from controller.synthesis import (
     POLES,
     Q_INTEGRAL,
     Q_THESIS,
     R_THESIS,
-    integral_gain,
     lqr_gain,
     numbers_of,
     placed_gain,
@@ -206,10 +205,9 @@ def controller_starts(
         p = replace(Settings(), **values)
         if name == PLACED:
             K = placed_gain(p, [complex(pole) for pole in options["poles"]])
-        elif name == INTEGRAL:
-            K, K_i = integral_gain(p, options["Q"], options["R"], options["Q_integral"])
         else:
-            K = lqr_gain(p, options["Q"], options["R"])
+            K = lqr_gain(p, options["Q"], options["R"], options["Q_integral"] if name == INTEGRAL else ())
+            K, K_i = K[:, :5], K[:, 5:] if name == INTEGRAL else None
     except ValueError as error:
         return values, [Objection(_place_of("forward", options, name)[:1], str(error))], []
     values |= {n: float(K[divmod(k, 5)]) for k, n in enumerate(GAINS)}
@@ -231,7 +229,7 @@ def _judged(
     names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
     p = FullSettings(**{n: v for n, v in values.items() if n in names})
     try:
-        modes = FlownLoop(p).modes(K, K_i)
+        modes = flown_modes(p, K, K_i)
     except np.linalg.LinAlgError:  # The estimator has no steady gain.
         return [], []
     objections, warnings = [], []

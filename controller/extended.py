@@ -56,73 +56,18 @@ def carried(psi: float) -> Matrix:
     return G
 
 
-class FilterEquations(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy is untyped
-    """Craft equations for filterpy's extended Kalman filter.
+class ExtendedFilter(Estimator):
+    """Extended Kalman filter for the plant's 14 states.
 
          x̂ = f(x̂, u),   P = F·P·F' + G·Q·G',   F = I + Δt·A + … + (Δt·A)⁴/24,   A = ∂f/∂x at x̂
 
     G = I, except for the world position, moved by the noise of x and y with (cos ψ, sin ψ), (sin ψ, −cos ψ).
 
-    Args:
-        jacobians: Loaded module of `cosim.model.symbolic.linearize.printed_jacobians` for this model and (a_x).
-    """
-
-    def __init__(self, model: Hovercraft, settings: ExtendedSettings, jacobians: Mapping[str, Any]) -> None:
-        super().__init__(SIZE, len(SENSED))
-        self.x: Matrix = np.zeros(SIZE)
-        self.settings, self.slopes = settings, Slopes(model, jacobians)
-        self.stepper = Stepper(model)
-        self.outputs = [[q.name for q in model.outputs].index(name) for name in SENSED]
-        self.P = np.zeros((SIZE, SIZE))
-        self.noise = np.diag(variances_of(settings, "process", PLANT_STATES))
-        self.R = np.diag(variances_of(settings, "measurement", SENSED))
-        self.fixed = [AT(name) for name in AXES[settings.axes]]
-        self.fix_noise = np.diag(variances_of(settings, "measurement", ("x", "y")))
-        self.command: tuple[float, ...] = model.start_command()
-
-    def predict_x(self, u: Any = 0) -> None:
-        """Predict state, transition matrix and noise of the next sample with held command."""
-        dt = self.settings.sample_time
-        A = dt * self.slope("state", SIZE)
-        A2 = A @ A
-        G = carried(float(self.x[AT("psi")]))
-        self.Q = G @ self.noise @ G.T
-        self.F = np.eye(SIZE) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
-        self.x = np.array(self.stepper.step(Moment(0.0, tuple(self.x.tolist())), self.command, dt).state)
-
-    def slope(self, name: str, rows: int) -> Matrix:
-        """Return ∂f/∂x or ∂h/∂x at the estimate."""
-        slopes: Matrix = self.slopes.along(name, self.x[None], np.array([self.command]), (rows, SIZE))[0]
-        return slopes
-
-    def sensed(self, x: Matrix) -> Matrix:
-        """Return (ψ, ψ̇, a_x)."""
-        y = self.stepper.output(0.0, tuple(x.tolist()), self.command)
-        return np.array([y[k] for k in self.outputs])
-
-    def sensed_slope(self, x: Matrix) -> Matrix:
-        """Return the measurement matrix H = ∂(ψ, ψ̇, a_x)/∂state at the state x."""
-        H = np.zeros((3, SIZE))
-        H[0, AT("psi")] = H[1, AT("psi_dot")] = 1.0
-        H[2] = self.slope("output", 1)[0]
-        return H
-
-    def located(self, x: Matrix) -> Matrix:
-        """Return a fix of age T: p(t − T) = p − T·ṗ to first order."""
-        rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
-        return np.array([x[k] - self.settings.fix_latency * rate[k] for k in self.fixed])
-
-    def located_slope(self, x: Matrix) -> Matrix:
-        """Return H of a fix."""
-        H = np.eye(SIZE) - self.settings.fix_latency * self.slope("state", SIZE)
-        return np.asarray(H[self.fixed])
-
-
-class ExtendedFilter(Estimator):
-    """Extended Kalman filter for the plant's 14 states.
-
     Each sample predicts with the held command, updates with (ψ, ψ̇, a_x), and updates with a position fix if a new one
     has arrived. The start is known exactly: P = 0. Positions are along the craft's own axes, fixes along `axes`.
+
+    Args:
+        jacobians: Loaded module of `cosim.model.symbolic.linearize.printed_jacobians` for this model and (a_x).
     """
 
     def __init__(
@@ -133,28 +78,67 @@ class ExtendedFilter(Estimator):
         start: Mapping[str, float],
         fix: float = 0.0,
     ) -> None:
-        self.filter = FilterEquations(model, settings, jacobians)
-        self.filter.x = np.array(model.start(start), dtype=float)
+        self.settings, self.slopes, self.stepper = settings, Slopes(model, jacobians), Stepper(model)
+        self.outputs = [[q.name for q in model.outputs].index(name) for name in SENSED]
+        self.filter = kf = ExtendedKalmanFilter(SIZE, len(SENSED))
+        kf.x, kf.P = np.array(model.start(start), dtype=float), np.zeros((SIZE, SIZE))
+        self.noise = np.diag(variances_of(settings, "process", PLANT_STATES))
+        kf.R = np.diag(variances_of(settings, "measurement", SENSED))
+        self.fixed = [AT(name) for name in AXES[settings.axes]]
+        self.fix_noise = np.diag(variances_of(settings, "measurement", ("x", "y")))
+        self.command: tuple[float, ...] = model.start_command()
         self.fix = fix
         self.damping = model.friction / model.mass  # [1/s]
 
     def step(
         self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
     ) -> None:
-        kf = self.filter
-        kf.command = tuple(command)
-        kf.predict()
-        kf.update(np.array(measured), kf.sensed_slope, kf.sensed)
+        kf, dt, latency = self.filter, self.settings.sample_time, self.settings.fix_latency
+        self.command = tuple(command)
+        A = dt * self.slope("state", SIZE)
+        A2 = A @ A
+        G = carried(float(kf.x[AT("psi")]))
+        F = np.eye(SIZE) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
+        kf.x = np.array(self.stepper.step(Moment(0.0, tuple(kf.x.tolist())), self.command, dt).state)
+        kf.P = F @ kf.P @ F.T + G @ self.noise @ G.T
+
+        def slopes_of_sensed(x: Matrix) -> Matrix:
+            H = np.zeros((3, SIZE))
+            H[0, AT("psi")] = H[1, AT("psi_dot")] = 1.0
+            H[2] = self.slope("output", 1)[0]
+            return H
+
+        kf.update(np.array(measured), slopes_of_sensed, self.sensed)
         self.nis = self.squared_innovation()
-        if fix != self.fix:
-            self.fix = fix
-            kf.update(np.array(position), kf.located_slope, kf.located, kf.fix_noise)
-            self.fix_nis = self.squared_innovation()
+        if fix == self.fix:
+            return
+        self.fix = fix
+
+        def located(x: Matrix) -> Matrix:
+            """Return a fix of age T: p(t − T) = p − T·ṗ to first order."""
+            rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
+            return np.array([x[k] - latency * rate[k] for k in self.fixed])
+
+        def slopes_of_located(x: Matrix) -> Matrix:
+            return np.asarray((np.eye(SIZE) - latency * self.slope("state", SIZE))[self.fixed])
+
+        kf.update(np.array(position), slopes_of_located, located, self.fix_noise)
+        self.fix_nis = self.squared_innovation()
+
+    def slope(self, name: str, rows: int) -> Matrix:
+        """Return ∂f/∂x or ∂h/∂x at the estimate."""
+        slopes: Matrix = self.slopes.along(name, self.filter.x[None], np.array([self.command]), (rows, SIZE))[0]
+        return slopes
+
+    def sensed(self, x: Matrix) -> Matrix:
+        """Return (ψ, ψ̇, a_x)."""
+        y = self.stepper.output(0.0, tuple(x.tolist()), self.command)
+        return np.array([y[k] for k in self.outputs])
 
     @property
     def estimate(self) -> tuple[float, ...]:
         x = dict(zip(PLANT_STATES, self.filter.x.tolist(), strict=True))
-        ax = float(self.filter.sensed(self.filter.x)[2])
+        ax = float(self.sensed(self.filter.x)[2])
         return *(x[name] for name in ESTIMATED), ax + self.damping * x["vx"], x["y"]
 
     @property

@@ -30,16 +30,7 @@ OWN = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")] 
 SENSED_AT = [[q.name for q in Hovercraft.outputs].index(name) for name in SENSED]
 # NEES, NIS, NIS of fixes → (runs, times), degrees of freedom, times [s]
 Squares = Mapping[str, tuple[Matrix, int, Matrix]]
-
-
-@dataclass(frozen=True)
-class Truth:
-    """True states, sensors and fixes of every run; each (samples, runs, values)."""
-
-    states: Matrix
-    sensors: Matrix
-    fixes: Matrix
-    commands: Matrix
+Truth = tuple[Matrix, Matrix, Matrix]  # states, readings and positions of every run; each (samples, runs, values)
 
 
 @dataclass(frozen=True)
@@ -124,7 +115,7 @@ CASES = (*ON_SINES, *(replace(case, flight=MANOEUVRE) for case in ON_SINES))
 
 
 def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
-    """Return runs of the linear model `consistent` with its noise.
+    """Return runs of the linear model `consistent` with its noise, without noise of the sensors.
 
     x⁺ = F·x + G·u + w, z = H·x + v, from x = 0; w by V, v by W.
     """
@@ -134,11 +125,15 @@ def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
     for k in range(len(u)):
         x = x @ F.T + u[k, 2:] @ G.T + rng.normal(0.0, np.sqrt(p.process_variances), (runs, 5))
         states.append(x)
-    return _with_noise(np.array(states), np.array(states) @ H.T, np.array(states)[..., [0]], p, u, rng)
+    S = np.array(states)
+    return S, S @ H.T, S[..., [0]]
 
 
 def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bool) -> Truth:
-    """Return runs of the plant's equations, optionally with the extended filter's process noise."""
+    """Return runs of the plant's equations, optionally with the extended filter's process noise.
+
+    Readings and positions have no noise.
+    """
     p, stepper = ExtendedSettings(), Stepper(Hovercraft(), arrays())
     deviation = np.sqrt(variances_of(p, "process", PLANT_STATES)) * float(disturbed)
     state = np.tile(np.array(Hovercraft().start()), (runs, 1))
@@ -152,17 +147,22 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
         states.append(state)
         sensors.append(np.stack([y[j] for j in SENSED_AT], axis=1))
     S = np.array(states)
-    position = S[..., [AT("x"), AT("y")]]
-    return _with_noise(S, np.array(sensors), position, p, u, rng)
+    return S, np.array(sensors), S[..., [AT("x"), AT("y")]]
 
 
 def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator) -> Squares:
     """Return normalised errors and innovations, each (runs, times), after the first second."""
     u = case.flight.commands(steps)
     if case.truth == "linear":
-        truth = linear_truth(runs, u, rng)
+        assumed: Settings | ExtendedSettings = Settings()
+        states, readings, positions = linear_truth(runs, u, rng)
     else:
-        truth = plant_truth(runs, u, rng, disturbed=case.truth == "disturbed")
+        assumed = ExtendedSettings()
+        states, readings, positions = plant_truth(runs, u, rng, disturbed=case.truth == "disturbed")
+    deviations = np.sqrt(variances_of(assumed, "measurement", SENSED))
+    readings = readings + rng.normal(0.0, deviations, readings.shape)
+    deviations = np.sqrt(variances_of(assumed, "measurement", ("x", "y")[: positions.shape[-1]]))
+    positions = positions + rng.normal(0.0, deviations, positions.shape)
     craft = Hovercraft()
     stepper = Stepper(craft)
     nees, nis, fixed = (np.zeros((runs, steps)) for _ in range(3))
@@ -174,8 +174,8 @@ def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator
             estimator = ExtendedFilter(craft, ExtendedSettings(), _jacobians(), {})
         for k in range(steps):
             fix = float((k + 1) // FIX_EVERY) if case.fixes else 0.0
-            estimator.step(truth.sensors[k, r], truth.commands[k], fix, truth.fixes[k, r])
-            kf, state = estimator.filter, truth.states[k, r]
+            estimator.step(readings[k, r], u[k], fix, positions[k, r])
+            kf, state = estimator.filter, states[k, r]
             e, P = kf.x - state[: len(kf.x)], kf.P
             if isinstance(estimator, ExtendedFilter):
                 e, P = e[OWN], P[np.ix_(OWN, OWN)]
@@ -189,22 +189,8 @@ def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator
     t = Settings().sample_time * np.arange(1.0, steps + 1.0)
     squares = {"NEES": (nees[:, settled], len(e), t[settled]), "NIS": (nis[:, settled], 3, t[settled])}
     if case.fixes:  # every fifth sample has a new fix
-        squares["NIS of fixes"] = (fixed[:, with_fix], truth.fixes.shape[-1], t[with_fix])
+        squares["NIS of fixes"] = (fixed[:, with_fix], positions.shape[-1], t[with_fix])
     return squares
-
-
-def _with_noise(
-    states: Matrix,
-    sensors: Matrix,
-    position: Matrix,
-    p: Settings | ExtendedSettings,
-    u: Matrix,
-    rng: np.random.Generator,
-) -> Truth:
-    """Return the truth with noise of sensors and fixes."""
-    readings = sensors + rng.normal(0.0, np.sqrt(variances_of(p, "measurement", SENSED)), sensors.shape)
-    noise = np.sqrt(variances_of(p, "measurement", ("x", "y")[: position.shape[-1]]))
-    return Truth(states, readings, position + rng.normal(0.0, noise, position.shape), u)
 
 
 @cache

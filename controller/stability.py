@@ -43,53 +43,46 @@ class LoopMode(NamedTuple):
         return -self.pole.real / abs(self.pole) if self.pole.imag else 1.0
 
 
-class FlownLoop:
-    """Craft, hold and filter at hover with ψ = 0, without saturation and fixes, for varying gains.
+def flown_modes(p: FullSettings, K: Matrix, K_i: Matrix | None = None) -> list[LoopMode]:
+    """Return the modes of craft, hold and filter at hover with ψ = 0, without saturation and fixes, fastest first.
 
          xₖ₊₁ = F·xₖ + G·uₖ,   zₖ₊₁ = H·xₖ₊₁,   x̂ₖ₊₁ = F̂·x̂ₖ + Ĝ·uₖ + L·(zₖ₊₁ − Ĥ·(F̂·x̂ₖ + Ĝ·uₖ)),   uₖ = −K·x̂ₖ −
          K_i·ξₖ
 
     F, G belong to the craft with lag on both axes and held inputs; F̂, Ĝ, Ĥ to the design model, both with the numbers
-    p of the controller; L is the steady gain of the estimator.
+    p of the controller; L is the steady gain of the estimator. The modes are those of the craft's five states, x̂ and
+    optional integrals ξ of x and ψ.
 
     Raises:
         LinAlgError: The estimator has no steady gain.
     """
-
-    def __init__(self, p: FullSettings) -> None:
-        A, B = full_model(p)
-        A, B = A[np.ix_(SEEN, SEEN)], B[np.ix_(SEEN, TILTS)]
-        self.sample = p.sample_time
-        self.craft = discretize(A, B, p.sample_time)
-        self.H = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
-        kf = kalman_filter(p, np.zeros(5))
-        last = np.zeros((5, 3))
-        for _ in range(MAX_UPDATES):
-            kf.predict()
-            kf.update(np.zeros(3))
-            if np.abs(kf.K - last).max() <= MAX_CHANGE:
-                break
-            last = kf.K.copy()
-        self.filter, self.H_hat, self.correction = (kf.F, kf.B), kf.H, kf.K
-
-    def modes(self, K: Matrix, K_i: Matrix | None = None) -> list[LoopMode]:
-        """Return the modes of the craft's five states, x̂ and optional integrals of x and ψ, fastest growth first."""
-        u = -np.hstack([np.zeros((2, 5)), K, *([] if K_i is None else [K_i])])
-        n = u.shape[1]
-        (F, G), (F_hat, G_hat), now = self.craft, self.filter, np.eye(n)
-        x = F @ now[:5] + G @ u
-        predicted = F_hat @ now[5:10] + G_hat @ u
-        x_hat = predicted + self.correction @ (self.H @ x - self.H_hat @ predicted)
-        integrals = now[10:] + self.sample * np.vstack([x_hat[:1], x[PSI : PSI + 1]]) if n > 10 else now[10:]
-        values, vectors = np.linalg.eig(np.vstack([x, x_hat, integrals]))
-        modes = []
-        for z, vector in zip(values.tolist(), vectors.T, strict=True):
-            if z:  # common tilt for forward, tilt difference for turning
-                weight = np.abs(vector) ** 2
-                turning = abs(vector[RIGHT] - vector[LEFT]) ** 2 / 2 + sum(weight[k] for k in TURNING if k < n)
-                axis = "turning" if turning > 0.5 * weight.sum() else "forward"
-                modes.append(LoopMode(cmath.log(z) / self.sample, axis))
-        return sorted(modes, key=lambda mode: -mode.pole.real)
+    A, B = full_model(p)
+    A, B = A[np.ix_(SEEN, SEEN)], B[np.ix_(SEEN, TILTS)]
+    F, G = discretize(A, B, p.sample_time)
+    H = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
+    kf, last = kalman_filter(p, np.zeros(5)), np.zeros((5, 3))
+    for _ in range(MAX_UPDATES):
+        kf.predict()
+        kf.update(np.zeros(3))
+        if np.abs(kf.K - last).max() <= MAX_CHANGE:
+            break
+        last = kf.K.copy()
+    u = -np.hstack([np.zeros((2, 5)), K, *([] if K_i is None else [K_i])])
+    n = u.shape[1]
+    now = np.eye(n)
+    x = F @ now[:5] + G @ u
+    predicted = kf.F @ now[5:10] + kf.B @ u
+    x_hat = predicted + kf.K @ (H @ x - kf.H @ predicted)
+    integrals = now[10:] + p.sample_time * np.vstack([x_hat[:1], x[PSI : PSI + 1]]) if n > 10 else now[10:]
+    values, vectors = np.linalg.eig(np.vstack([x, x_hat, integrals]))
+    modes = []
+    for z, vector in zip(values.tolist(), vectors.T, strict=True):
+        if z:  # common tilt for forward, tilt difference for turning
+            weight = np.abs(vector) ** 2
+            turning = abs(vector[RIGHT] - vector[LEFT]) ** 2 / 2 + sum(weight[k] for k in TURNING if k < n)
+            axis = "turning" if turning > 0.5 * weight.sum() else "forward"
+            modes.append(LoopMode(cmath.log(z) / p.sample_time, axis))
+    return sorted(modes, key=lambda mode: -mode.pole.real)
 
 
 def worst_modes(modes: Sequence[LoopMode]) -> list[LoopMode]:

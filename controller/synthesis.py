@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -90,57 +89,32 @@ def roll_numbers_of(craft: Hovercraft) -> dict[str, float]:
     }
 
 
-def lqr_gain(p: Settings, Q: Sequence[float] = Q_THESIS, R: Sequence[float] = R_THESIS) -> Matrix:
+def lqr_gain(
+    p: Settings,
+    Q: Sequence[float] = Q_THESIS,
+    R: Sequence[float] = R_THESIS,
+    Q_integral: Sequence[float] = (),
+) -> Matrix:
     """Return the LQR gain K (2, 5), which minimises ∫ x'Qx + u'Ru for the design model, eqs 6.1-6.3.
 
     Args:
         Q: Diagonal of the state weights.
         R: Diagonal of the input weights.
+        Q_integral: Diagonal of the weights of the integrals of x and ψ; with it, K (2, 7) has their gains last.
 
     Raises:
         ValueError: No stabilising gain exists, or the weights are invalid.
     """
-    if len(Q) != 5 or len(R) != 2 or min(Q) < 0 or min(R) <= 0:
-        raise ValueError("Q has five diagonal entries ≥ 0 and R two > 0; correct them")
-    return _lqr(*design_model(p), np.diag(Q), np.diag(R))
-
-
-def integral_gain(
-    p: Settings,
-    Q: Sequence[float] = Q_THESIS,
-    R: Sequence[float] = R_THESIS,
-    Q_integral: Sequence[float] = Q_INTEGRAL,
-) -> tuple[Matrix, Matrix]:
-    """Return K (2, 5) and K_i (2, 2) of the LQR with integrals of x and ψ.
-
-    All weights are diagonals.
-
-    Raises:
-        ValueError: No stabilising gain exists, or the weights are invalid.
-    """
-    if len(Q) != 5 or len(R) != 2 or len(Q_integral) != 2 or min(Q) < 0 or min(*R, *Q_integral) <= 0:
-        raise ValueError("Q has five diagonal entries ≥ 0, R two > 0 and Q_integral two > 0; correct them")
-    import control
-
-    system = control.ss(*design_model(p), np.eye(5), 0)
-    gain = _lqr(system, np.diag([*Q, *Q_integral]), np.diag(R), integral_action=np.eye(5)[[0, 2]])
-    return gain[:, :5], gain[:, 5:]
-
-
-def _lqr(*problem: Any, **options: Any) -> Matrix:
-    """Return the gain of `control.lqr`.
-
-    Raises:
-        ValueError: No stabilising gain exists.
-    """
+    if len(Q) != 5 or len(R) != 2 or len(Q_integral) not in (0, 2) or min(Q) < 0 or min(*R, *Q_integral) <= 0:
+        raise ValueError("Q has five diagonal entries ≥ 0, R two > 0 and Q_integral none or two > 0; correct them")
     import control  # 1 s to import: only where a gain is designed
 
-    reason = ""
+    integrated = np.eye(5)[[0, 2]] if len(Q_integral) else None
     try:
-        K, _, poles = control.lqr(*problem, **options)
+        K, _, poles = control.lqr(*design_model(p), np.diag([*Q, *Q_integral]), np.diag(R), integral_action=integrated)
         # An integrator without weight remains uncontrolled, and the solver does not report it.
-        if (slowest := max(np.real(poles))) > -STABLE_DECAY:
-            reason = f"a pole stays at {slowest:.2g} rad/s"
+        slowest = max(np.real(poles))
+        reason = f"a pole stays at {slowest:.2g} rad/s" if slowest > -STABLE_DECAY else ""
     except np.linalg.LinAlgError as error:
         reason = str(error)
     if reason:

@@ -5,7 +5,6 @@ Like the controller, they need numpy, scipy and filterpy in the hosting Python.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -36,8 +35,10 @@ SIGNALS = (
 INPUTS = tuple(p.name for p in SIGNALS if p.causality == "input")
 OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
 MEASURED = ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix")
+Dependencies = dict[str, tuple[str, ...]]
 # A command acts until the sample, so no output depends on the command of the same time.
-DEPENDENCIES = dict.fromkeys(OUTPUTS, MEASURED)
+DEPENDENCIES: Dependencies = dict.fromkeys(OUTPUTS, MEASURED)
+INITIAL_DEPENDENCIES: Dependencies = dict.fromkeys(OUTPUTS, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
 NUMBERS: tuple[Parameter, ...] = tuple(p for p in Hovercraft().parameters if not isinstance(p.default, bool))
 # a filter has the parameters of the controller without its gains
 FILTER_NUMBERS = [p for p in parameters_of(Settings) if not p.name.startswith("k_") and p.name != "tilt_max"]
@@ -45,18 +46,11 @@ EXTENDED_NUMBERS = parameters_of(ExtendedSettings)
 FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
 
 
-def initial_dependencies(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
-    """Return dependencies at the start; a also depends on plant parameters."""
-    known: dict[str, tuple[str, ...]] = {n: (f"{n}_start",) for n in ESTIMATE}
-    if any(p.name == "axes" for p in ports):
-        known["a_hat"] = tuple(p.name for p in ports if p.causality == "parameter")
-    return {n: known.get(n, ()) for n in OUTPUTS}
-
-
 class Estimator(SampledSlave):
     """Sampled estimator: a communication step is one sample; a step other than `sample_time` is refused."""
 
     who = "estimator"
+    depends: ClassVar[tuple[Dependencies, Dependencies]] = (DEPENDENCIES, INITIAL_DEPENDENCIES)
 
     def advance(self, t: float, h: float) -> None:
         """Process one sample."""
@@ -106,6 +100,8 @@ class HovercraftEkf(Estimator):
         Port("axes", "parameter", ExtendedSettings().axes, "", FIX_AXES),
         *STARTS,
     )
+    # The acceleration at the start also depends on plant parameters.
+    depends = DEPENDENCIES, INITIAL_DEPENDENCIES | {"a_hat": tuple(p.name for p in ports if p.causality == "parameter")}
 
     def initialize(self, given: dict[str, Value]) -> None:
         """Start the estimate at `*_hat_start` with P = 0, without update.

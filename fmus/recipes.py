@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from types import ModuleType
 
+from controller.settings import Settings
 from cosim.core.registry import resolve
 from cosim.fmi.fmu_build import Recipe, about_model, sort_values
 from cosim.fmi.model_description import Description, docstrings_html, model_text
@@ -53,79 +54,80 @@ def _model(
 heavy_recipe = partial(plant_recipe, HEAVY)
 
 
-def _controller(slave: str, about: str, *documented: str) -> Recipe:
-    """Return the recipe of a controller with the docstrings of its parts."""
-    kind = resolve(f"fmus.controller_fmu:{slave}")
-    times = {"step": kind.settings.sample_time, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
-    description = Description(f"Flight controller of the hovercraft: {about}", kind.ports, *kind.depends, **times)
-    parts = (resolve(f"controller.{name}") for name in ("loop:Loop", *documented))
-    return Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
+def _sampled(slave: str, about: str, *documented: str, printed: bool = False) -> Recipe:
+    """Return the recipe of a controller or estimator with the docstrings of its parts.
+
+    Args:
+        printed: True to include the printed Jacobians, which spare the FMU sympy.
+    """
+    kind = resolve(f"fmus.{slave}")
+    step, (at_sample, at_start) = Settings().sample_time, kind.depends
+    description = Description(
+        about, kind.ports, at_sample, at_start, step=step, stop=10.0, variable_step=False, sampled="sample_time"
+    )
+    parts = (resolve(f"controller.{name}") for name in documented)
+    recipe = Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
+    return replace(recipe, printed=(("controller.printed", jacobians()),)) if printed else recipe
 
 
-MODEL = "design_model:discrete_model"  # of the linear filter
-EXTENDED = ("extended:ExtendedFilter", "extended:FilterEquations")
-controller_recipe = partial(_controller, "HovercraftController", "Kalman filter and LQR with tilt saturation", MODEL)
+LOOP, MODEL, EXTENDED = "loop:Loop", "design_model:discrete_model", "extended:ExtendedFilter"
+FLIGHT = "Flight controller of the hovercraft: "
+controller_recipe = partial(
+    _sampled,
+    "controller_fmu:HovercraftController",
+    f"{FLIGHT}Kalman filter and LQR with tilt saturation",
+    LOOP,
+    MODEL,
+)
 poles_recipe = partial(
-    _controller, "HovercraftPolesController", "Kalman filter and poles placed, with tilt saturation", MODEL
+    _sampled,
+    "controller_fmu:HovercraftPolesController",
+    f"{FLIGHT}Kalman filter and poles placed, with tilt saturation",
+    LOOP,
+    MODEL,
 )
 integral_recipe = partial(
-    _controller,
-    "HovercraftIntegralController",
-    "Kalman filter and LQR with integrals of position and heading",
+    _sampled,
+    "controller_fmu:HovercraftIntegralController",
+    f"{FLIGHT}Kalman filter and LQR with integrals of position and heading",
+    LOOP,
     MODEL,
     "laws:IntegralFeedback",
 )
 predictive_recipe = partial(
-    _controller,
-    "HovercraftPredictiveController",
-    "Kalman filter and model predictive control with limits",
+    _sampled,
+    "controller_fmu:HovercraftPredictiveController",
+    f"{FLIGHT}Kalman filter and model predictive control with limits",
+    LOOP,
     MODEL,
     "predictive:Predicting",
     "predictive:PredictiveLaw",
 )
-
-
-def time_variant_recipe() -> Recipe:
-    """Return the recipe of the predictive controller with A(t), B(t)."""
-    parts = (
-        "predictive:Predicting",
-        "predictive:TimeVariantLaw",
-        "extended:ExtendedFilter",
-        "extended:FilterEquations",
-    )
-    about = "extended Kalman filter and predictive control along the planned motion"
-    recipe = _controller("HovercraftTimeVariantController", about, *parts)
-    return replace(recipe, printed=(("controller.printed", jacobians()),))
-
-
-def _estimator(slave: str, about: str, *documented: str) -> Recipe:
-    """Return the recipe of an estimator with the docstrings of its parts."""
-    from fmus.estimator_fmu import DEPENDENCIES, initial_dependencies
-
-    kind = resolve(f"fmus.estimator_fmu:{slave}")
-    depends = DEPENDENCIES, initial_dependencies(kind.ports)
-    description = Description(
-        about, kind.ports, *depends, step=0.02, stop=10.0, variable_step=False, sampled="sample_time"
-    )
-    parts = (resolve(f"controller.{name}") for name in documented)
-    return Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
-
-
+time_variant_recipe = partial(
+    _sampled,
+    "controller_fmu:HovercraftTimeVariantController",
+    f"{FLIGHT}extended Kalman filter and predictive control along the planned motion",
+    LOOP,
+    "predictive:Predicting",
+    "predictive:TimeVariantLaw",
+    EXTENDED,
+    printed=True,
+)
 filter_recipe = partial(
-    _estimator,
-    "HovercraftFilter",
+    _sampled,
+    "estimator_fmu:HovercraftFilter",
     "Estimators of the hovercraft: three Kalman filters, double integration",
     "observers:LinearFilter",
     MODEL,
     "observers:DoubleIntegration",
 )
-
-
-def extended_recipe() -> Recipe:
-    """Return the recipe of the extended Kalman filter, with printed Jacobians instead of sympy."""
-    about = "Extended Kalman filter of the hovercraft on the plant's equations"
-    recipe = _estimator("HovercraftEkf", about, *EXTENDED)
-    return replace(recipe, printed=(("controller.printed", jacobians()),))
+extended_recipe = partial(
+    _sampled,
+    "estimator_fmu:HovercraftEkf",
+    "Extended Kalman filter of the hovercraft on the plant's equations",
+    EXTENDED,
+    printed=True,
+)
 
 
 def jacobians() -> str:

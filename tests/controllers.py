@@ -31,7 +31,7 @@ from controller.settings import (
     Settings,
     TimeVariantSettings,
 )
-from controller.stability import FlownLoop, LoopMode
+from controller.stability import LoopMode, flown_modes
 from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
 from cosim.model.symbolic.linearize import load_names
@@ -276,11 +276,10 @@ def swings() -> dict[str, dict[str, LoopMode]]:
     found: dict[str, dict[str, LoopMode]] = {}
     for estimator in ESTIMATORS:
         p = FullSettings(estimator=estimator)
-        loop = FlownLoop(p)
         for name, (settings, _) in LAWS.items():
             if name in GAINS:
                 K_i = np.array(settings.integral_matrix) if isinstance(settings, IntegralSettings) else None
-                modes = [m for m in loop.modes(np.array(settings.gain_matrix), K_i) if m.axis == "turning"]
+                modes = [m for m in flown_modes(p, np.array(settings.gain_matrix), K_i) if m.axis == "turning"]
                 found.setdefault(estimator, {})[name] = next(m for m in modes if m.pole.imag > 0)
     return found
 

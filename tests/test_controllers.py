@@ -23,7 +23,16 @@ from controller.settings import (
     Settings,
     TimeVariantSettings,
 )
-from controller.synthesis import POLES, Q_THESIS, R_THESIS, integral_gain, numbers_of, placed_gain, roll_numbers_of
+from controller.synthesis import (
+    POLES,
+    Q_INTEGRAL,
+    Q_THESIS,
+    R_THESIS,
+    lqr_gain,
+    numbers_of,
+    placed_gain,
+    roll_numbers_of,
+)
 from cosim.fmi.fmu_build import build
 from cosim.model.symbolic.linearize import linearize
 from cosim.simulation.workflow import run
@@ -87,7 +96,7 @@ def test_poles_that_cannot_be_are_refused(poles: tuple[complex, ...]) -> None:
 
 
 def test_the_frozen_gains_with_integrals_are_the_designed_ones_and_solve_the_riccati_equation() -> None:
-    K, K_i = integral_gain(Settings())
+    K, K_i = np.hsplit(lqr_gain(Settings(), Q_integral=Q_INTEGRAL), [5])
     p = INTEGRAL_SETTINGS
     assert pytest.approx(K, rel=1e-9) == np.array(p.gain_matrix)
     assert pytest.approx(K_i, rel=1e-9) == np.array(p.integral_matrix)

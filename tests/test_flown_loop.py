@@ -12,8 +12,8 @@ import pytest
 
 from controller.laws import IntegralFeedback, StateFeedback
 from controller.settings import ESTIMATORS, GAINS, INTEGRAL_SETTINGS, INTEGRALS, FullSettings, Settings
-from controller.stability import FlownLoop, LoopMode, worst_modes
-from controller.synthesis import POLES, integral_gain, lqr_gain, placed_gain
+from controller.stability import LoopMode, flown_modes, worst_modes
+from controller.synthesis import POLES, Q_INTEGRAL, lqr_gain, placed_gain
 from tests.controllers import LAWS, STEP, fly
 
 FAST = (-2.0, -4.0, -11.0, -15.0, -16.0)  # stable on eqs 5.33/5.34, not where the turn lags
@@ -21,7 +21,7 @@ FAST = (-2.0, -4.0, -11.0, -15.0, -16.0)  # stable on eqs 5.33/5.34, not where t
 
 def slowest(K: Any, K_i: Any = None, *, axis: str, estimator: str = "appendix_f") -> LoopMode:
     p = FullSettings(estimator=estimator)
-    return next(mode for mode in FlownLoop(p).modes(K, K_i) if mode.axis == axis and mode.pole.imag >= 0)
+    return next(mode for mode in flown_modes(p, K, K_i) if mode.axis == axis and mode.pole.imag >= 0)
 
 
 def flown_poles(K: Any, start: str, size: float, until: float, K_i: Any = None, **settings: Any) -> list[complex]:
@@ -54,7 +54,7 @@ def test_the_forward_axis_grows_in_a_flight_as_its_pole_says_and_integrals_count
     assert expected.imag == pytest.approx(math.pi / STEP)  # from sample to sample
     found = flown_poles(K, "x", 1e-21, 0.6)
     assert min(abs(s.real - expected.real) for s in found) < 1e-3 * expected.real
-    K, K_i = integral_gain(Settings(), (10.0, 0.5, 10.0, 0.01, 0.0), Q_integral=(1.0, 400.0))
+    K, K_i = np.hsplit(lqr_gain(Settings(), (10.0, 0.5, 10.0, 0.01, 0.0), Q_integral=(1.0, 400.0)), [5])
     expected = slowest(K, K_i, axis="turning").pole
     assert expected.real > 0
     assert slowest(K, axis="turning").pole.real < expected.real - 0.1  # without its integrals
@@ -65,7 +65,10 @@ def test_the_forward_axis_grows_in_a_flight_as_its_pole_says_and_integrals_count
 def test_all_designs_of_the_thesis_and_ours_are_damped_with_every_estimator() -> None:
     for estimator in ESTIMATORS:
         p = FullSettings(estimator=estimator)
-        loop = FlownLoop(p)
-        every = [*loop.modes(lqr_gain(p)), *loop.modes(placed_gain(p)), *loop.modes(*integral_gain(p))]
+        every = [
+            *flown_modes(p, lqr_gain(p)),
+            *flown_modes(p, placed_gain(p)),
+            *flown_modes(p, *np.hsplit(lqr_gain(p, Q_integral=Q_INTEGRAL), [5])),
+        ]
         assert worst_modes(every) == []
         assert min(mode.damping for mode in every) > 0.29

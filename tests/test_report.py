@@ -21,8 +21,7 @@ from cosim.report.panels import Panel, Trace
 from cosim.simulation.report import write_figures, write_report
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import judged_panels, signal_panels
-from fmus.report.figures_of_run import responses, saturation
-from fmus.report.roles import find_crafts
+from fmus.report.craft import find_crafts, responses, saturation
 from fmus.report.topview import pose, reference_track, true_track
 from tests.seen import faults
 

@@ -1,48 +1,78 @@
-"""Sentences about the craft in a run."""
+"""Sentences and tables about the craft in a run: motion, errors, effort, responses to steps."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.core.text import amount, length, percent
-from fmus.report.figures_of_run import belief, inside_band, saturation
+from cosim.core.text import MISSING, amount, length, percent
+from cosim.report.html_tables import Grid, Row
+from cosim.simulation import criteria
+from cosim.simulation.report.recorded import Run, mappings, number
+from fmus.report.craft import (
+    BAND,
+    MAX_SETTLED_DISTANCE,
+    SIDES,
+    Craft,
+    error_rms,
+    finite,
+    inside_band,
+    reference_steps,
+    responses,
+    saturation,
+)
 from fmus.report.lines import QUANTITIES
-from fmus.report.roles import SIDES, Craft
 
 SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES}
+SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}
+MAX_RESPONSES = 16
+SETTLING = "settling_time"  # kind of criterion
 
 
 def belief_sentence(craft: Craft) -> str | None:
-    """Warn if only the estimate has settled."""
-    end = belief(craft)
-    if end is None or not end.wanders:
+    """Warn if only the estimate has settled.
+
+    Distances are medians over the last second or the last tenth of the run, the longer of both, but after the last
+    step.
+    """
+    good, x, x_hat, target = finite(craft.signal("x"), craft.estimate("x_hat"), craft.reference("x"))
+    time = craft.run.time[good] if good.size else x
+    if time.size < 3:
+        return None
+    _, arrived, _ = reference_steps(time, target)[-1]
+    begin = max(float(time[arrived]), float(time[-1]) - max(1.0, 0.1 * float(time[-1] - time[0])))
+    true, estimated, apart = (
+        float(np.median(np.abs(one - other)[time >= begin]))
+        for one, other in ((x, target), (x_hat, target), (x, x_hat))
+    )
+    # By the rule of the settling time, a craft with its last sample inside the band has settled.
+    true = min(true, float(np.abs(x - target)[-1]))
+    if not true > max(MAX_SETTLED_DISTANCE, 2 * estimated):
         return None
     sentences = [
         "The estimator believes it has settled; the craft has not.",
-        f"At the end of the run x̂ lay {length(end.estimated)} from its target and the craft {length(end.true)}.",
+        f"At the end of the run x̂ lay {length(estimated)} from its target and the craft {length(true)}.",
     ]
     if craft.estimate("x") is None:
         sentences.append(
             "Heading, yaw rate and acceleration carry no information about the position: x is unobservable, and its"
             " error is not corrected."
         )
-    if end.sigma > 0:
-        outside = end.apart > 2 * end.sigma
-        verdict = "outside" if outside else "within"
-        sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(2 * end.sigma)} by then.")
+    sigma = craft.estimate("x_sigma")
+    if sigma is not None and (double := 2 * float(sigma[good][-1])) > 0:
+        verdict = "outside" if apart > double else "within"
+        sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(double)} by then.")
     return " ".join(sentences)
 
 
 def integral_sentence(craft: Craft) -> str | None:
     """Return the effect of integral control on the position."""
-    if craft.estimate("x_integral") is None:
+    good, x, target = finite(craft.signal("x"), craft.reference("x"))
+    if craft.estimate("x_integral") is None or not good.any():
         return None
-    x, target = craft.signal("x"), craft.reference("x")
-    if x is None or target is None or not (good := np.isfinite(x) & np.isfinite(target)).any():
-        return None
-    last = good & (craft.run.time >= craft.run.time[-1] - 1.0)
+    last = craft.run.time[good] >= craft.run.time[-1] - 1.0
     off = length(abs(float(np.mean((x - target)[last]))))
     error = f"Over the last second the craft was on average {off} off its target."
     if craft.run.source(f"{craft.estimator}.fix") is not None:
@@ -93,3 +123,71 @@ def tilt_sentence(craft: Craft) -> str | None:
         f"Tilt commands stood at their limit of {at} for {percent(shares[0])} of the time on the right, "
         f"{percent(shares[1])} on the left."
     )
+
+
+def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
+    """Return the key figures of the first craft."""
+    rows: list[Row] = []
+    for variable in ("x", "psi"):
+        answers = responses(crafts[0], variable) if crafts and not run.has_failed else []
+        if not answers:
+            continue
+        unit, column = SI[variable], f"{crafts[0].name}.{variable}"
+        time, band = _settling(answers[-1].settling, unit), f"last step, ±{BAND:g} {unit}"
+        for criterion in mappings(run.manifest.get("criteria")):
+            if (criterion.get("kind"), criterion.get("of")) == (SETTLING, column):
+                value, within = criterion.get("value"), amount(number(criterion.get("band")), unit, None)
+                time = amount(number(value), "s") if value is not None else f"not within ±{within}"
+                band = f"last criterion, ±{within}"
+        rows.append(Row(f"Settling of {SYMBOLS[variable]}", time, band))
+    if rows and (answers := responses(crafts[0], "x")):
+        error = length(answers[-1].final).replace("less than", "<")
+        rows.append(Row("Final error of x", error, "craft against reference"))
+    shares = [saturation(craft, side) for craft in crafts[:1] for side in SIDES]
+    if shares and all(map(math.isfinite, shares)):
+        rows.append(Row("Tilt at its limit", percent(max(shares)), "of the time, busier side"))
+    return rows
+
+
+def _settling(value: float, unit: str) -> str:
+    """Return a settling time as text."""
+    if math.isnan(value):
+        return MISSING
+    return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
+
+
+def response_rows(craft: Craft) -> list[dict[str, str]]:
+    """Return the last responses of x and ψ as text."""
+    answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
+    rows = []
+    for answer in answers[-MAX_RESPONSES:]:
+        unit = SI[answer.variable]
+        ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
+        step = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}{ramp}"
+        row = {"symbol": SYMBOLS[answer.variable], "time": amount(answer.time, "s"), "step": step}
+        row |= {name: _settling(getattr(answer, name), unit) for name in ("settling", "believed")}
+        rows.append(row | {name: amount(getattr(answer, name), unit, 2) for name in ("overshoot", "rms", "final")})
+    return rows
+
+
+def error_grid(craft: Craft) -> Grid | None:
+    """Return the RMS errors of control and estimation."""
+    rows = []
+    for quantity in QUANTITIES:
+        true, unit = craft.signal(quantity.name), SI[quantity.name]
+        tracking = error_rms(true, craft.reference(quantity.name))
+        estimation = error_rms(craft.estimate(f"{quantity.name}_hat"), true)
+        if math.isfinite(tracking) or math.isfinite(estimation):
+            rows.append((quantity.symbol, amount(tracking, unit), amount(estimation, unit)))
+    return Grid("RMS errors", ("craft − reference", "estimate − craft"), tuple(rows)) if rows else None
+
+
+def tilt_grid(craft: Craft) -> Grid | None:
+    """Return effort and saturation of the tilts."""
+    rows = []
+    for side in SIDES:
+        good, command = finite(craft.command(f"tilt_{side}"))
+        if command.size:
+            used = amount(criteria.effort(craft.run.time[good], command), "rad.s")
+            rows.append((side, used, amount(float(np.abs(command).max()), "rad"), percent(saturation(craft, side))))
+    return Grid("Tilt commands", ("effort ∫|α| dt", "largest", "at its limit"), tuple(rows)) if rows else None

@@ -13,9 +13,8 @@ from cosim.report.panels import Panel
 from cosim.simulation.report.component_page import ComponentPage
 from cosim.simulation.report.recorded import Run
 from fmus.report import account
-from fmus.report.figures_of_merit import error_grid, response_rows, tiles, tilt_grid
+from fmus.report.craft import Craft, find_crafts
 from fmus.report.lines import error_panels, shown_columns, state_panels, tilt_panels
-from fmus.report.roles import Craft, find_crafts
 from fmus.report.topview import last_row, make_view, poses, true_track
 
 POSES = 1000  # of the moving picture
@@ -33,7 +32,7 @@ def subject(run: Run, drawing: Drawing) -> ComponentPage:
     return ComponentPage(
         template=TEMPLATE,
         values={"pages": pages, "view": view},
-        tiles=tiles(run, crafts),
+        tiles=account.tiles(run, crafts),
         shown=frozenset(shown_columns(crafts)),
         data={
             "few": round_values(run.time[rows], 6),
@@ -58,8 +57,8 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> Mapping[str, Any]
         "band": account.band_sentence(craft),
         "tilt": account.tilt_sentence(craft),
         "readouts": [readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],
-        "responses": response_rows(craft),
-        "grids": [grid for grid in (error_grid(craft), tilt_grid(craft)) if grid],
+        "responses": account.response_rows(craft),
+        "grids": [grid for grid in (account.error_grid(craft), account.tilt_grid(craft)) if grid],
     }
 
 

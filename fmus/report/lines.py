@@ -10,7 +10,7 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.text import DEGREES
 from cosim.report.panels import Band, Panel, Trace
-from fmus.report.roles import COLOURS, SIDES, Craft
+from fmus.report.craft import COLOURS, SIDES, Craft
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from cosim.core.text import DEGREES, MINUS
 from cosim.report.charts import Charts, round_values
 from cosim.report.panels import extent
 from cosim.simulation.report.recorded import number
-from fmus.report.roles import SIDES, Craft
+from fmus.report.craft import SIDES, Craft
 from plant.hovercraft import Hovercraft
 
 CRAFT = Hovercraft()
@@ -76,20 +76,12 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Tick:
-    """A label at a share of the picture's size."""
-
-    at: float
-    label: str
-
-
-@dataclass(frozen=True)
 class View:
     """The whole picture: its box [mm], grid, scale bar and bodies."""
 
     box: tuple[int, int, int, int]
-    across: tuple[Tick, ...]
-    up: tuple[Tick, ...]
+    across: tuple[dict[str, Any], ...]
+    up: tuple[dict[str, Any], ...]
     bar_share: float
     bar_label: str
     magnified: float
@@ -192,12 +184,14 @@ def _round_up(step: float) -> float:
     return next((m * power for m in (1, 2, 2.5, 5) if m * power >= step * (1 - 1e-9)), 10 * power)
 
 
-def _ticks(low: float, high: float, count: int) -> tuple[Tick, ...]:
-    """Return about `count` round ticks between two ends."""
+def _ticks(low: float, high: float, count: int) -> tuple[dict[str, Any], ...]:
+    """Return about `count` round labels between two ends, each at a share of the picture's size."""
     step = _round_up((high - low) / count)
     decimals = next(d for d in range(20) if abs(step * 10**d - round(step * 10**d)) < 1e-6)
     places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    return tuple(Tick((i * step - low) / (high - low), f"{i * step:.{decimals}f}".replace("-", MINUS)) for i in places)
+    return tuple(
+        {"at": (i * step - low) / (high - low), "label": f"{i * step:.{decimals}f}".replace("-", MINUS)} for i in places
+    )
 
 
 def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
