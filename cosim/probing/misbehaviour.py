@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import Way, library_of, ways
-from cosim.isolation.memory import resident
 from cosim.probing.log_runs import SAME, Course, Fmu, begin, outputs_by, put_row, run_along, sine_course, step_row
 from cosim.probing.own_step import excited_course
 from cosim.probing.prober import Prober
@@ -151,8 +151,8 @@ def growth(way: Way, fmu: Fmu, course: Course) -> float:
     size = 0
     for k in range(WARM + INSTANCES):
         if k == WARM:
-            size = resident(os.getpid())
+            size = psutil.Process().memory_info().rss
         block, _ = fmu.opened_by(way, course)
         with closing(block):
             block.start()
-    return (resident(os.getpid()) - size) / INSTANCES
+    return (psutil.Process().memory_info().rss - size) / INSTANCES
