@@ -189,7 +189,7 @@ def _is_alive(content: Mapping[str, Any]) -> bool:
     if not isinstance(pid, int) or not isinstance(begun, float) or content.get("host") != platform.node():
         return False
     try:
-        return abs(psutil.Process(pid).create_time() - begun) < SAME_BEGINNING
+        return bool(abs(psutil.Process(pid).create_time() - begun) < SAME_BEGINNING)
     except (psutil.Error, ValueError, OverflowError):
         return False
 
