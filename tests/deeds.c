@@ -9,7 +9,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/mman.h>
 #include <sys/types.h>
 #include <unistd.h>
 
@@ -83,13 +82,7 @@ static int act(void) {
         kept = malloc(150 << 20); memset(kept, 1, 150 << 20);
         for (int k = 0; k < 3; k++) if (fork() == 0) for (;;) pause();
     }
-    if (!strcmp(deed, "file")) { /* in memory, not mapped */
-        int file = memfd_create("deed", 0);
-        char *part = calloc(1, 1 << 20);
-        for (int k = 0; k < 330; k++) sink = (int)write(file, part, 1 << 20);
-        free(part);
-    }
-    if (strchr("gosf", deed[0]) && strstr("grow orphan share file", deed)) usleep(800000);
+    if (strchr("gos", deed[0]) && strstr("grow orphan share", deed)) usleep(800000);
     if (!strcmp(deed, "close")) { for (int k = 0; k < 64; k++) close(k); for (;;) pause(); }
     if (!strcmp(deed, "closes")) for (int k = 0; k <= 20; k++) close(k);
     if (!strcmp(deed, "closes_all")) for (int k = 0; k < 1024; k++) close(k);

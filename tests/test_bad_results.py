@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.core.version import __version__
-from cosim.files.kinds import MANIFEST, kind_of
+from cosim.files.artefact import MANIFEST
+from cosim.files.kinds import kind_of
 from cosim.files.results import read_results
 from cosim.verbs.cli import app
 from tests.test_first_steps import told

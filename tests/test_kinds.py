@@ -12,7 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.core.errors import CosimError
-from cosim.files.kinds import BINARY, LOG, RESULTS, SCENARIO, kind_of
+from cosim.files.artefact import BINARY, LOG, RESULTS, SCENARIO
+from cosim.files.kinds import kind_of
 from cosim.verbs.cli import app
 
 SHORT = 400  # characters that are read before one gives up

@@ -71,10 +71,9 @@ STOPS = [
      r"at t = 0 s: fmi2Instantiate takes longer than 0.4 s \(limits: load\)", 124, 0, 0),
     ("DoStep", "slow", 0, "{total: 300 ms}", r".*longer than 0.3 s in all \(limits: total\)", 124, 2, 9999),
     ("DoStep", "memory", 5, LARGE, "at t = 0.4 s: fmi2DoStep: .* more than 300 MB", 4, 5, 5),
-    # processes and files that an FMU makes are found at times of their own
+    # processes that an FMU starts are found at times of their own
     ("DoStep", "grow", 5, LARGE, "at t = .* more than 300 MB", 4, 5, 11),
     ("DoStep", "orphan", 5, LARGE, "at t = .* more than 300 MB", 4, 5, 11),
-    ("DoStep", "file", 5, LARGE, "at t = .* more than 300 MB", 4, 5, 11),
 ]  # fmt: skip
 
 

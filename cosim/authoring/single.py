@@ -25,9 +25,10 @@ from cosim.core.messages import Note
 from cosim.core.text import split_assignment
 from cosim.core.times import difference
 from cosim.core.units import computed_in
+from cosim.files.artefact import LOG
 from cosim.files.files import FilePath, check_writable
 from cosim.files.folders import new_run
-from cosim.files.kinds import LOG, check_given
+from cosim.files.kinds import check_given
 from cosim.files.yaml_file import short
 from cosim.files.yaml_nodes import Document, NotYaml
 from cosim.simulation.workflow import Outcome, WriteReport, run

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.core.errors import Fault, FmuError, InputError, refuse
-from cosim.files.kinds import FMU, check_given
+from cosim.files.artefact import FMU
+from cosim.files.kinds import check_given
 from cosim.fmi.description import (
     PARTS,
     platform_of,

@@ -11,9 +11,9 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.files.artefact import kind_by_keys
+from cosim.files.artefact import FIT_STUDY, LOG, STUDY, kind_by_keys
 from cosim.files.files import FilePath
-from cosim.files.kinds import FIT_STUDY, LOG, STUDY, check_form, check_given, kind_of, refuse_other
+from cosim.files.kinds import check_form, check_given, kind_of, refuse_other
 from cosim.files.yaml_file import YamlFile
 from cosim.isolation.limits import Limits, read_limits
 from cosim.refinement.study import FileName, LogLists

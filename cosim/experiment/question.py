@@ -18,8 +18,9 @@ from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subj
 from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges, logged_ranges
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, typical_rival
+from cosim.files.artefact import ANSWER, CODE, FMU, MODEL
 from cosim.files.folders import newest_run
-from cosim.files.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given, kind_by_form
+from cosim.files.kinds import check_form, check_given, kind_by_form
 from cosim.files.yaml_file import YamlFile, did_you_mean
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.refined import names_refine

@@ -25,7 +25,6 @@ from cosim.core.settings import FilePath as FilePath
 
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-MOST_HOLES, SMALL = 1000, 1 << 26  # size over stored bytes, more than any file system compresses; [bytes] always read
 READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 
 
@@ -33,16 +32,13 @@ def open_regular(path: Path) -> int:
     """Return a descriptor of a regular file, for reading.
 
     Raises:
-        OSError: The file is unreadable, or a pipe or device, which may block or never end, or almost only holes.
+        OSError: The file is unreadable, or a pipe or device, which may block or never end.
     """
     descriptor = os.open(path, READING)
-    status = os.fstat(descriptor)
-    stored = 512 * getattr(status, "st_blocks", status.st_size)
-    if stat.S_ISREG(status.st_mode) and status.st_size <= MOST_HOLES * stored + SMALL:
-        return descriptor
-    os.close(descriptor)
-    reason = "is almost without content" if stat.S_ISREG(status.st_mode) else "is no regular file"
-    raise OSError(errno.EINVAL, reason, str(path))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "is no regular file", str(path))
+    return descriptor
 
 
 def open_bytes(path: Path) -> io.BufferedReader:

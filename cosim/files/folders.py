@@ -10,8 +10,6 @@ import json
 import os
 import platform
 import re
-import subprocess
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -33,6 +31,7 @@ COMMAND, STATUS = "command", "status"  # keys of each record
 RUNNING, INTERRUPTED = "running", "interrupted"
 ELSEWHERE = "running or interrupted"  # on another machine, whose processes are unknown here
 REPLAY = "replay.json"  # stored with the rows of a replay
+SAME_BEGINNING = 5.0  # [s] by which the clock of the system may have been set since a process began
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 
@@ -86,6 +85,8 @@ def new_run(
     """
     with delay_stops():
         folder = _new_number(runs_named(name)) if out is None else named_path(out)
+        import psutil
+
         content = content_of(folder / STARTED)
         is_inner = _is_alive(content) and content["pid"] == os.getpid()
         if not is_inner:
@@ -99,7 +100,7 @@ def new_run(
             if has_files and not (force or (goes_on and not others)):
                 raise InputError.at(folder, "is not empty; name another folder as --out, or add --force")
             (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
-            about = {"pid": os.getpid(), "begun": _beginning(os.getpid()), "host": platform.node()}
+            about = {"pid": os.getpid(), "begun": psutil.Process().create_time(), "host": platform.node()}
             about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__}
             about |= {COMMAND: verb, STATUS: INTERRUPTED}
             try:
@@ -182,24 +183,15 @@ def state_of(folder: Path) -> str:
 
 def _is_alive(content: Mapping[str, Any]) -> bool:
     """Return whether the process of a STARTED exists. Systems give its number again, but with another beginning."""
-    pid = content.get("pid")
-    return isinstance(pid, int) and content.get("host") == platform.node() and content["begun"] == _beginning(pid)
+    import psutil  # only a folder with STARTED needs it
 
-
-def _beginning(pid: int) -> str | None:
-    """Return the time when a process began as the system gives it; None without such a process."""
-    if sys.platform == "linux":
-        try:
-            return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
-        except (OSError, IndexError):
-            return None
-    command = ["ps", "-o", "lstart=", "-p", str(pid)]
-    if os.name == "nt":
-        command = ["powershell", "-NoProfile", "-Command", f"(Get-Process -Id {pid}).StartTime.Ticks"]
+    pid, begun = content.get("pid"), content.get("begun")
+    if not isinstance(pid, int) or not isinstance(begun, float) or content.get("host") != platform.node():
+        return False
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return None
+        return bool(abs(psutil.Process(pid).create_time() - begun) < SAME_BEGINNING)
+    except (psutil.Error, ValueError, OverflowError):
+        return False
 
 
 # -- reading --------------------------------------------------------------------------------------

@@ -9,58 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from cosim.core.errors import InputError
-from cosim.files.artefact import (
-    ANSWER,
-    BINARY,
-    CODE,
-    FIT_STUDY,
-    FMU,
-    LOG,
-    MANIFEST,
-    MODEL,
-    RESULTS,
-    SCENARIO,
-    SSP,
-    STUDY,
-    SWEEP,
-    TABLE,
-    TEXT,
-    artefacts,
-    folder_kind,
-    kind_by_keys,
-    of_kind,
-)
+from cosim.files.artefact import BINARY, LOG, TEXT, artefacts, folder_kind, kind_by_keys, of_kind
 from cosim.files.files import open_bytes
 from cosim.files.table import sources, suffixes
 from cosim.files.yaml_file import YamlFile
-
-__all__ = [
-    "ANSWER",
-    "BINARY",
-    "CODE",
-    "FIT_STUDY",
-    "FMU",
-    "LOG",
-    "MANIFEST",
-    "MODEL",
-    "RESULTS",
-    "SCENARIO",
-    "SSP",
-    "STUDY",
-    "SWEEP",
-    "TABLE",
-    "TEXT",
-    "UNREAD",
-    "check_form",
-    "check_given",
-    "kind_by_form",
-    "kind_of",
-    "next_step",
-    "refuse_folder",
-    "refuse_other",
-    "refuse_unreadable",
-    "shell_path",
-]
 
 WRITTEN = {".yaml", ".yml", ".json"}  # endings of files identified by their keys
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}

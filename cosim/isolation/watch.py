@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+import psutil
+
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.isolation.limits import Limits
-from cosim.isolation.memory import ProcessTree
 from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, WAITING, Progress
 
 SIGNALS = {
@@ -120,6 +124,31 @@ def fmi_calls(description: Any) -> Sequence[str]:
     return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], PLAIN_CALLS)
 
 
+def _memory(pid: int, limit: float) -> int:
+    """Return the memory of a process and those that it started [bytes]; above the limit shared pages count once."""
+    processes: dict[int, psutil.Process] = {}
+    with suppress(psutil.Error):
+        own = psutil.Process(pid)
+        processes = {p.pid: p for p in (own, *own.children(recursive=True))}
+    if sys.platform != "win32":
+        for other in psutil.pids():  # orphans stay in the session of the worker
+            with suppress(OSError, psutil.Error):
+                if os.getsid(other) == pid:
+                    processes[other] = psutil.Process(other)
+
+    def total(size: Callable[[psutil.Process], int]) -> int:
+        sizes = 0
+        for process in processes.values():
+            with suppress(psutil.Error):  # it has ended
+                sizes += size(process)
+        return sizes
+
+    resident = total(lambda process: process.memory_info().rss)
+    if resident <= limit or not sys.platform.startswith("linux"):
+        return resident
+    return total(lambda process: process.memory_full_info().pss)
+
+
 def how_ended(code: int) -> str:
     """Return a phrase for a return code."""
     if code < 0:
@@ -138,7 +167,6 @@ class Clock:
         self.since = self.last = time.monotonic()
         self.key: tuple[Any, ...] = ()
         self.rows = 0  # number of rows at the last check
-        self._tree: ProcessTree | None = None
 
     def look(self, pid: int) -> None:
         """Raise TimedOut or SimulationError for an exceeded limit."""
@@ -169,10 +197,8 @@ class Clock:
         limit = self.watch.limits.memory
         if limit is None:
             return
-        if self._tree is None or self._tree.pid != pid:
-            self._tree = ProcessTree(pid)
         rows = self.progress.made[0] * self.watch.width
-        size = self._tree.size(limit + rows) - rows
+        size = _memory(pid, limit + rows) - rows
         if size > limit:
             component, at, call = self.place()
             message = (

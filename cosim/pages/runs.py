@@ -12,8 +12,9 @@ from typing import Any
 from cosim.core.drafts import is_full
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
+from cosim.files.artefact import LOG
 from cosim.files.folders import manifest_in, replay_record, run_name, status_in, warnings_on
-from cosim.files.kinds import LOG, check_given, refuse_folder
+from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, entries
 from cosim.files.run_selection import Selected, select_groups

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import Way, library_of, ways
-from cosim.isolation.memory import resident
 from cosim.probing.log_runs import SAME, Course, Fmu, outputs_along, put_row, run_along, sine_course
 from cosim.probing.own_step import excited_course
 from cosim.probing.prober import Prober
@@ -138,7 +138,7 @@ def growth(way: Way, fmu: Fmu, course: Course) -> float:
     size = 0
     for k in range(WARM + INSTANCES):
         if k == WARM:
-            size = resident(os.getpid())
+            size = psutil.Process().memory_info().rss
         with fmu.opened(course, way) as (block, _):
             block.start()
-    return (resident(os.getpid()) - size) / INSTANCES
+    return (psutil.Process().memory_info().rss - size) / INSTANCES

@@ -25,9 +25,9 @@ from cosim.estimation.problem import Settings
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.interface import Subject
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.files.artefact import kind_by_keys
+from cosim.files.artefact import STUDY, kind_by_keys
 from cosim.files.files import FilePath
-from cosim.files.kinds import STUDY, check_form, refuse_other
+from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
 from cosim.fmi.building.file import LoadedModel, load_model, own_terms
 from cosim.fmi.building.substep import with_substep

@@ -14,9 +14,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.files.artefact import kind_by_keys
+from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import SCHEMA_VERSION, other_version
-from cosim.files.kinds import MANIFEST, SCENARIO, check_form, refuse_other
+from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, location_in, short
 from cosim.files.yaml_nodes import Document, Location, NotYaml
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file

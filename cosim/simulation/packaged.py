@@ -14,9 +14,10 @@ from cosim.blocks.coupling import Jacobi
 from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError
 from cosim.core.scratch import temporary_folder
+from cosim.files.artefact import SSP
 from cosim.files.files import check_writable, write_json
 from cosim.files.folders import remove_earlier
-from cosim.files.kinds import SSP, kind_by_form
+from cosim.files.kinds import kind_by_form
 from cosim.files.yaml_nodes import Location
 from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
 from cosim.ssp.package import Element, open_package

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from cosim.core.errors import InputError
-from cosim.files.artefact import folder_kind
+from cosim.files.artefact import LOG, folder_kind
 from cosim.files.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
-from cosim.files.kinds import LOG, check_given, refuse_folder
+from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.table import suffixes
 

@@ -15,7 +15,7 @@ from cosim.blocks.compiling import compiling, permission
 from cosim.core.drafts import is_full
 from cosim.core.errors import DiskFull, SimulationError, Terminated, stop_error
 from cosim.core.messages import Note
-from cosim.files import kinds
+from cosim.files import artefact
 from cosim.files.files import (
     FilePath,
     check_writable,
@@ -150,7 +150,7 @@ def run(
     begin, path = time.perf_counter(), Path(scenario)
     goes_on = resume or until is not None
     if not goes_on and not is_ssp(path):
-        check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before the worker is started
+        check_form(path, artefact.SCENARIO, artefact.MANIFEST)  # before the worker is started
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:

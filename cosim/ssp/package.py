@@ -15,7 +15,7 @@ from cosim.core.errors import Fault, InputError
 from cosim.core.messages import with_prefix
 from cosim.core.scratch import temporary_folder
 from cosim.files.archive import MOST_XML, SSP, STRUCTURE, BadArchive, check_xml, unpack
-from cosim.files.kinds import SSP as SSP_FILE
+from cosim.files.artefact import SSP as SSP_FILE
 from cosim.files.kinds import check_form
 
 NAMESPACES = {

@@ -13,8 +13,8 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import InputError, refuse
 from cosim.core.messages import with_severity
 from cosim.core.version import __version__
-from cosim.files.artefact import Checking
-from cosim.files.kinds import SWEEP, check_given
+from cosim.files.artefact import SWEEP, Checking
+from cosim.files.kinds import check_given
 from cosim.files.yaml_file import YamlFile, short
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker

@@ -104,17 +104,17 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
 
 def _check(path: Path, checking: Checking) -> list[str]:
     """Return the notes of a file; raise InputError with its faults."""
-    from cosim.files import kinds
+    from cosim.files import artefact, kinds
     from cosim.files.yaml_file import YamlFile
 
-    kind: str | None = kinds.CODE
+    kind: str | None = artefact.CODE
     if not path.suffix.startswith(".py:"):  # FILE.py:Class
         kinds.refuse_unreadable(path, CHECKED_KINDS)
         kind = kinds.kind_by_form(path)
     if kind is None:
         root = YamlFile(path).root
         is_study = root.keys() & {"model", "candidates"} and "step" not in root  # one that forgets its logs
-        kind = kind_by_keys(root) or (kinds.STUDY if is_study else kinds.SCENARIO)
+        kind = kind_by_keys(root) or (artefact.STUDY if is_study else artefact.SCENARIO)
     declared = of_kind(kind)
     if declared is None or not declared.check:
         raise InputError.at(path, f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}")
