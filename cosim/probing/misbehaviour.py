@@ -141,4 +141,4 @@ def growth(way: Way, fmu: Fmu, course: Course) -> float:
             size = psutil.Process().memory_info().rss
         with fmu.opened(course, way) as (block, _):
             block.start()
-    return (psutil.Process().memory_info().rss - size) / INSTANCES
+    return float(psutil.Process().memory_info().rss - size) / INSTANCES
