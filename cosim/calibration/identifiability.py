@@ -190,4 +190,4 @@ def _snapped(direction: Array) -> Array:
     """Return a direction with components relative to the smallest, rounded where close to whole numbers."""
     relative = direction / np.min(np.abs(direction))
     powers = np.rint(relative)
-    return np.where(np.abs(relative - powers) < 0.05 * np.abs(powers), powers, relative)
+    return np.asarray(np.where(np.abs(relative - powers) < 0.05 * np.abs(powers), powers, relative))
