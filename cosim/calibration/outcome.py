@@ -132,8 +132,8 @@ def prove(
             side.append(replays)
     if not all(horizon in replays for replays in (*old, *new)):
         horizon = FREE_RUN
-    floor = {name: math.sqrt(float(np.mean(each))) for name, each in squares.items() if each}
-    return Part(sealed, horizon, [d.log for d in drives], old, new, floor)
+    pooled = {name: math.sqrt(float(np.mean(each))) for name, each in squares.items() if each}
+    return Part(sealed, horizon, [d.log for d in drives], old, new, pooled)
 
 
 def write_record(

@@ -170,7 +170,7 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
     if study.model.lower().endswith(".fmu"):
         of_study = read_study(file)
         assert isinstance(of_study.subject, FmuSubject)
-        of_fmu, study, logs = of_study.subject, of_study.content, of_study.logs
+        of_fmu, study, logs = of_study.subject, of_study.content, [*of_study.logs]
         loaded, first = of_fmu.loaded, first_outputs(logs[0])
     else:
         loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
