@@ -14,7 +14,7 @@ import pytest
 from scipy.signal import lfilter
 
 import cosim
-from cosim.calibration import fit_record, fitted_fmu, simulations
+from cosim.calibration import fit_record, fitted_fmu
 from cosim.core.errors import InputError, SimulationError, TimedOut
 from cosim.files.kinds import kind_of
 from tests.cases import some
@@ -182,23 +182,20 @@ def test_an_fmu_that_fails_before_the_fit_is_an_error(tmp_path: Path) -> None:
 
 
 def test_a_spent_budget_and_ctrl_c_leave_the_best_values(bench: Path, tmp_path: Path, monkeypatch: Any) -> None:
-    plain = simulations.Logs.errors
+    def spend(stage: str, share: float) -> None:
+        if stage == "fitting, iteration 2":
+            monkeypatch.setattr("time.monotonic", lambda: 1e12)
 
-    def stop_at(number: int, error: BaseException) -> None:
-        def errors(self: Any, k: int, values: Any) -> Any:
-            if self.count == number:
-                raise error
-            return plain(self, k, values)
-
-        monkeypatch.setattr(simulations.Logs, "errors", errors)
+    def interrupt(stage: str, share: float) -> None:
+        if stage == "fitting, iteration 2":
+            raise KeyboardInterrupt
 
     arguments = ([bench / "a.csv"], bench / "slider.fmu", tmp_path / "out")
-    stop_at(12, simulations.OutOfTime())
-    with pytest.raises(TimedOut, match="the limit of 60 s") as late:
-        cosim.fit(*arguments, vary=["mass"], limits="total: 60 s", in_process=True)
-    stop_at(12, KeyboardInterrupt())
+    with pytest.raises(TimedOut, match="the limit of 600 s") as late:
+        cosim.fit(*arguments, vary=["mass"], limits="total: 600 s", in_process=True, progress=spend)
+    monkeypatch.undo()
     with pytest.raises(SimulationError, match="keyboard") as stopped:
-        cosim.fit(*arguments, vary=["mass"], sealed=[bench / "b.csv"], in_process=True, force=True)
+        cosim.fit(*arguments, vary=["mass"], sealed=[bench / "b.csv"], in_process=True, force=True, progress=interrupt)
     assert (late.value.exit_code, stopped.value.exit_code) == (124, 130)
     left = cosim.read(tmp_path / "out")
     assert left.verdict == "stopped"  # type: ignore[union-attr]

@@ -5,20 +5,18 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.files.artefact import FIT_STUDY, LOG, STUDY, kind_by_keys
+from cosim.files.artefact import FIT_STUDY, LOG, STUDY
 from cosim.files.files import FilePath
-from cosim.files.kinds import check_form, check_given, kind_of, refuse_other
+from cosim.files.kinds import check_given, kind_of
 from cosim.files.yaml_file import YamlFile
 from cosim.isolation.limits import Limits, read_limits
 from cosim.refinement.study import FileName, LogLists
-
-FMU_SUFFIX = ".fmu"
 
 
 class FitStudyFile(BaseModel):
@@ -81,41 +79,6 @@ class Request:
         return self.fault(("logs", part, index - first), message, self.logs[index])
 
 
-def read_fit_study(path: FilePath, *, vary: Sequence[str] = (), start: Sequence[str] = ()) -> Request:
-    """Return the request of a study file.
-
-    Args:
-        vary: Parameters to estimate instead of those of the study.
-        start: Values beside those of the study.
-
-    Raises:
-        InputError: Every fault of the keys.
-    """
-    path = Path(path)
-    check_form(path, STUDY, FIT_STUDY)
-    yaml = YamlFile(path)
-    refuse_other(path, kind_by_keys(yaml.root), STUDY, FIT_STUDY)
-    is_refine = kind_by_keys(yaml.root) == STUDY
-    unused = tuple(k for k in yaml.root if is_refine and k not in FitStudyFile.model_fields)
-    data = {k: v for k, v in yaml.root.items() if k not in unused}
-    content = yaml.validate(FitStudyFile, data)
-    named = content.vary
-    if not content.model.lower().endswith(FMU_SUFFIX):
-        message = f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters"
-        refuse([yaml.fault(("model",), f"{message} of a model file")])
-    return Request(
-        _beside(path, content.model),
-        [_beside(path, name) for name in content.logs.estimation],
-        [_beside(path, name) for name in content.logs.validation],
-        vary or ([f"{n}={json.dumps(v)}" for n, v in named.items()] if isinstance(named, dict) else named),
-        [*(f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in content.start.items()), *start],
-        content.columns,
-        content.limits or Limits(),
-        yaml,
-        unused,
-    )
-
-
 def request_of(
     logs: Sequence[FilePath],
     fmu: FilePath | None,
@@ -139,21 +102,36 @@ def request_of(
         InputError: Options do not fit together, or the study has faults.
     """
     most = read_limits(limits)
-    kind = kind_of(Path(logs[0])) if len(logs) == 1 else None
-    if kind in {STUDY, FIT_STUDY}:
-        if fmu is not None or sealed or columns:
-            raise InputError.at(
-                Path(logs[0]),
-                f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed "
-                "and --column",
-            )
-        request = read_fit_study(logs[0], vary=vary, start=start)
-        return replace(request, limits=most) if limits else request
-    if fmu is None:
-        for log in logs:
-            check_given(Path(log), LOG, STUDY, FIT_STUDY)
-        raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
-    return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, columns, most)
+    path = Path(logs[0])
+    kind = kind_of(path) if len(logs) == 1 else None
+    if kind not in {STUDY, FIT_STUDY}:
+        if fmu is None:
+            for log in logs:
+                check_given(Path(log), LOG, STUDY, FIT_STUDY)
+            raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
+        return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, columns, most)
+    if fmu is not None or sealed or columns:
+        message = f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed"
+        raise InputError.at(path, f"{message} and --column")
+    yaml = YamlFile(path)
+    unused = tuple(k for k in yaml.root if kind == STUDY and k not in FitStudyFile.model_fields)
+    content = yaml.validate(FitStudyFile, {k: v for k, v in yaml.root.items() if k not in unused})
+    if not content.model.lower().endswith(".fmu"):
+        message = f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters"
+        refuse([yaml.fault(("model",), f"{message} of a model file")])
+    named = content.vary
+    first = [f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in content.start.items()]
+    return Request(
+        _beside(path, content.model),
+        [_beside(path, name) for name in content.logs.estimation],
+        [_beside(path, name) for name in content.logs.validation],
+        vary or ([f"{n}={json.dumps(v)}" for n, v in named.items()] if isinstance(named, dict) else named),
+        [*first, *start],
+        content.columns,
+        most if limits else content.limits or Limits(),
+        yaml,
+        unused,
+    )
 
 
 def _beside(study: Path, name: str) -> Path:

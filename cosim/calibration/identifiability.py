@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from cosim.calibration.likelihood import Jacobian, Likelihood, Point
+from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry, Form, finite
+from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Array, Flags, Rows
 from cosim.core.linear_algebra import least_squares, orthonormal
 from cosim.core.text import join_names, plain
@@ -23,75 +22,64 @@ SUSPECT = 0.02  # singular value relative to the largest, from which a combinati
 MOVE = 0.1  # of the parameters of a combination that is tried
 INVISIBLE = 0.01  # change of the outputs relative to that of one parameter alone
 TAKES_PART = 0.2  # component of a direction relative to the largest
-POWERS = (1.0, 2.0, 3.0, 0.5, 1.5)
 SIGNS = {"ratio": " / ", "product": " · ", "sum": " + ", "difference": " − "}
 
 
-class Choice(NamedTuple):
-    """A screened parameter: its effect in standard deviations of the noise, and whether it is estimated and why."""
-
-    name: str
-    effect: float
-    estimated: bool
-    reason: str
-
-
-@dataclass(frozen=True)
-class Combination:
-    """Parameters of which the logs determine one combination only.
-
-    Attributes:
-        held: Parameter that is held at its value.
-        form: ratio, product, sum, difference or combination.
-        expression: The combination, such as `mass / gain`.
-    """
-
-    names: tuple[str, ...]
-    held: str
-    form: str
-    expression: str
-
-    @property
-    def sentence(self) -> str:
-        """Return the combination in words."""
-        if self.form == "combination":
-            return f"{join_names(self.names)} are not identifiable one by one from these logs"
-        return f"{join_names(self.names)} are only identifiable as their {self.form} {self.expression}"
-
-
-def screen(likelihood: Likelihood, point: Point) -> tuple[list[Choice], Flags]:
+def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     """Return the choice among the parameters, with its reasons, and which unknowns it keeps.
 
     Each parameter is changed by 1 % and by 10 % of its scale. Those with an effect compete by pivoted QR of their
     sensitivities: the one that the chosen ones imitate least comes next.
     """
-    logs, tables = likelihood.logs, point.tables
+    logs, x, good = likelihood.logs, likelihood.best.x, [np.isfinite(t) for t in likelihood.best.tables]
     spread = np.array([logs.spread[n] for n in logs.channels])
     # the noise of its sensor, or the resolution of models
     sigma = np.array([max(logs.noise[n], RESOLUTION * logs.spread[n]) for n in logs.channels])
 
+    def changed(j: int, change: float) -> list[Array] | None:
+        """Return the change of the residuals by a change of an unknown; None if the FMU fails."""
+        for side in (1.0, -1.0):
+            move = np.zeros(x.size)
+            move[j] = side * change * likelihood.scales[j]
+            if (tables := _changes(likelihood, move)) is not None:
+                return [side * t for t in tables]
+        return None
+
     def flat(changes: Sequence[Array]) -> Array:
-        return np.concatenate([(c / sigma)[np.isfinite(t)] for c, t in zip(changes, tables, strict=True)])
+        return np.concatenate([(c / sigma)[g] for c, g in zip(changes, good, strict=True)])
 
     names, effects, reasons = list[str](), list[float](), list[str]()
     columns, nuisance = list[Array](), list[Array]()
     for j, unknown in enumerate(likelihood.unknowns):
         if unknown.log is not None:
-            if (moved := _moved(likelihood, point, j, CHANGES[0])) is not None:
+            if (moved := changed(j, CHANGES[0])) is not None:
                 nuisance.append(flat(moved))
             continue
-        tried = {c: moved for c in CHANGES if (moved := _moved(likelihood, point, j, c)) is not None}
+        tried = {c: moved for c in CHANGES if (moved := changed(j, c)) is not None}
         slope = next((flat(moved) / change for change, moved in tried.items()), None)
         relative = [float(np.nanmax(np.abs(t) / spread, initial=0.0)) for moved in tried.values() for t in moved]
         names.append(unknown.name)
-        columns.append(np.zeros(sum(int(np.isfinite(t).sum()) for t in tables)) if slope is None else slope)
+        columns.append(np.zeros(sum(int(g.sum()) for g in good)) if slope is None else slope)
         effects.append(float(np.linalg.norm(flat(tried[CHANGES[1]]))) if CHANGES[1] in tried else math.nan)
         reasons.append("" if max(relative, default=0.0) > NO_EFFECT else "no effect on any measured output")
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     chosen = _select(names, _without(matrix, starts), np.linalg.norm(matrix, axis=0), reasons)
-    choices = [Choice(n, e, i in chosen, reasons[i]) for i, (n, e) in enumerate(zip(names, effects, strict=True))]
+    choices = [
+        ChoiceEntry(name=n, effect=finite(e), estimated=i in chosen, reason=reasons[i])
+        for i, (n, e) in enumerate(zip(names, effects, strict=True))
+    ]
     return choices, np.array([u.log is not None or names.index(u.name) in chosen for u in likelihood.unknowns])
+
+
+def _changes(likelihood: Likelihood, move: Array) -> list[Array] | None:
+    """Return the changes of the residuals by a move from the best point; None outside the bounds or after a failure."""
+    best = likelihood.best
+    x = best.x + move
+    if np.any((x < likelihood.low) | (x > likelihood.high)):
+        return None
+    tables = likelihood.tables(x, best)
+    return tables and [table - base for table, base in zip(tables, best.tables, strict=True)]
 
 
 def _without(columns: Array, nuisance: Array) -> Array:
@@ -100,25 +88,6 @@ def _without(columns: Array, nuisance: Array) -> Array:
         return columns
     basis = orthonormal(nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300))
     return np.asarray(columns - basis @ (basis.T @ columns))
-
-
-def _moved(likelihood: Likelihood, point: Point, j: int, change: float) -> list[Array] | None:
-    """Return the change of the residuals by a change of an unknown; None if the FMU fails."""
-    for side in (1.0, -1.0):
-        x = point.x.copy()
-        x[j] += side * change * likelihood.scales[j]
-        if not likelihood.low[j] <= x[j] <= likelihood.high[j]:
-            continue
-        log = likelihood.unknowns[j].log
-        tables = []
-        for k, base in enumerate(point.tables):
-            table = likelihood.table(x, k) if log in (None, k) else base
-            if table is None:
-                break
-            tables.append(side * (table - base))
-        else:
-            return tables
-    return None
 
 
 def _select(names: Sequence[str], matrix: Array, sizes: Array, reasons: list[str]) -> list[int]:
@@ -155,14 +124,17 @@ def _select(names: Sequence[str], matrix: Array, sizes: Array, reasons: list[str
 # -- combinations ---------------------------------------------------------------------------------
 
 
-def find_combination(likelihood: Likelihood, point: Point, slopes: Jacobian) -> tuple[Combination | None, Array]:
+def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, Array]:
     """Return a combination of parameters that leaves the outputs unchanged, tried by simulation, and singular values.
 
     Suspects are the right singular vectors of the scaled sensitivities. A direction is believed if a move along it by
     10 % changes the outputs a hundred times less than the same move of one parameter alone.
     """
+    point = likelihood.best
     good = [np.isfinite(t) for t in point.tables]
-    rows = [s[g] / np.broadcast_to(point.sigma, g.shape)[g][:, None] for s, g in zip(slopes, good, strict=True)]
+    rows = [
+        s[g] / np.broadcast_to(point.sigma, g.shape)[g][:, None] for s, g in zip(likelihood.slopes, good, strict=True)
+    ]
     shared = np.array([u.log is None for u in likelihood.unknowns], bool)
     columns = np.vstack(rows) * np.maximum(likelihood.scales, np.abs(point.x))
     matrix = _without(columns[:, shared], columns[:, ~shared])
@@ -178,55 +150,44 @@ def find_combination(likelihood: Likelihood, point: Point, slopes: Jacobian) -> 
         if len(parts) == 1 or (likelihood.precision[parameters[parts]] > 0.0).any():
             continue  # too weak alone: its interval says so; or the prior decides
         alone = MOVE * float(np.max(lengths[parts]))
-        found = _try_forms(likelihood, point, parameters[parts], direction[parts] / largest, alone)
-        if found is not None:
-            return found, values
+        if (form := _invisible_form(likelihood, parameters[parts], direction[parts] / largest, alone)) is not None:
+            names = [likelihood.unknowns[j].name for j in parameters[parts].tolist()]
+            expression = SIGNS.get(form, ", ").join(names)
+            return CombinationEntry(names=names, held=names[-1], form=form, expression=expression), values
     return None, values
 
 
-def _try_forms(
-    likelihood: Likelihood, point: Point, places: Rows, direction: Array, alone: float
-) -> Combination | None:
+def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alone: float) -> Form | None:
     """Return the form of a combination whose move is invisible, if any."""
-    scales = np.maximum(likelihood.scales, np.abs(point.x))[places]
-    powers, shares = _snapped(direction), _snapped(direction * scales)
-    x, names = point.x[places], tuple(likelihood.unknowns[j].name for j in places.tolist())
+    point = likelihood.best
+    scales, x = np.maximum(likelihood.scales, np.abs(point.x))[places], point.x[places]
 
-    def form(pair: Array, equal: str, opposite: str) -> str:
+    def form(pair: Array, equal: Form, opposite: Form) -> Form:
         if pair.size != 2 or abs(pair[0]) != 1.0 or abs(pair[1]) != 1.0:
             return "combination"
         return equal if pair[0] == pair[1] else opposite
 
+    def visible(part: Array) -> float:
+        """Return the change of the outputs by a move, in standard deviations; infinite if the FMU fails."""
+        move = np.zeros(point.x.size)
+        move[places] = part
+        changes = _changes(likelihood, move)
+        return (
+            math.inf if changes is None else math.sqrt(sum(float(np.nansum((c / point.sigma) ** 2)) for c in changes))
+        )
+
+    powers, shares = _snapped(direction), _snapped(direction * scales)
     moves = [(form(powers, "ratio", "product"), x * np.exp(MOVE * powers) - x)] if np.all(x != 0.0) else []
     size = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales))
     moves.append((form(shares, "difference", "sum"), MOVE * size * shares))
     for name, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # a name is preferred
-        visible = min(_change(likelihood, point, places, side * move) for side in (1.0, -1.0))
-        if visible <= INVISIBLE * alone:
-            return Combination(names, names[-1], name, SIGNS.get(name, ", ").join(names))
+        if min(visible(side * move) for side in (1.0, -1.0)) <= INVISIBLE * alone:
+            return name
     return None
 
 
 def _snapped(direction: Array) -> Array:
-    """Return a direction with components relative to the smallest, rounded to small powers where close."""
+    """Return a direction with components relative to the smallest, rounded where close to whole numbers."""
     relative = direction / np.min(np.abs(direction))
-    snapped = []
-    for value in relative.tolist():
-        power = min(POWERS, key=lambda p: abs(abs(value) - p))
-        snapped.append(math.copysign(power, value) if abs(abs(value) - power) < 0.05 * power else value)
-    return np.array(snapped)
-
-
-def _change(likelihood: Likelihood, point: Point, places: Rows, move: Array) -> float:
-    """Return the change of the outputs by a move, in standard deviations; infinite if the FMU fails."""
-    x = point.x.copy()
-    x[places] += move
-    if np.any(x < likelihood.low) or np.any(x > likelihood.high):
-        return math.inf
-    squares = 0.0
-    for k, base in enumerate(point.tables):
-        table = likelihood.table(x, k)
-        if table is None:
-            return math.inf
-        squares += float(np.nansum(((table - base) / point.sigma) ** 2))
-    return math.sqrt(squares)
+    powers = np.rint(relative)
+    return np.asarray(np.where(np.abs(relative - powers) < 0.05 * np.abs(powers), powers, relative))

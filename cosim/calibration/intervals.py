@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.calibration.likelihood import Jacobian, Likelihood, Point
+from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import pseudo_inverse
 
@@ -52,11 +52,12 @@ class Autoregression(NamedTuple):
     colour: float
 
 
-def covariance(likelihood: Likelihood, point: Point, slopes: Jacobian) -> Covariance:
-    """Return the covariance of the estimates at a point."""
+def covariance(likelihood: Likelihood) -> Covariance:
+    """Return the covariance of the estimates at the best point."""
     from scipy.signal import lfilter
     from scipy.special import stdtrit
 
+    point, slopes = likelihood.best, likelihood.slopes
     sigma, unknowns = point.sigma, point.x.size
     information, _ = likelihood.equations(point, slopes)
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.blocks.compiling import permission
-from cosim.calibration.fit_record import Outcome, ParameterEntry, Record, StartEntry
-from cosim.calibration.replay_proof import Part
+from cosim.calibration.estimate import Estimate
+from cosim.calibration.fit_record import ParameterEntry, Record, StartEntry
+from cosim.calibration.outcome import Part
 from cosim.core.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
 from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
@@ -20,17 +22,15 @@ from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import FREE_RUN
 
 TEMPLATE = Path(__file__).with_name("templates") / "fit.html.j2"
-TONES = {"improved": "good", "worse": "bad"}
 MOST_OUTPUTS = 8  # with a chart
 STRONG = 0.95  # correlation of two estimates that is worth a word
 
 
-def page(outcome: Outcome, record: Record) -> str:
+def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     """Return a self-contained page."""
     charts = Charts()
     headline, details = split_sentence(record.sentence)
-    part, estimate = outcome.decisive, outcome.estimate
-    verdict, tone = str(record.verdict), TONES.get(record.verdict, "plain")
+    verdict, tone = str(record.verdict), {"improved": "good", "worse": "bad"}.get(record.verdict, "plain")
     if verdict == "improved" and not estimate.settled:  # no success yet
         verdict, tone = "improved, not settled", "warn"
     badges = [
@@ -64,13 +64,22 @@ def page(outcome: Outcome, record: Record) -> str:
     ]
     units = {n: u for d in estimate.logs.drives for n, u in d.log.units.items()}
     noise = [
-        {
-            "name": n,
-            "sigma": size(entry.sigma, units[n]),
-            "colour": MISSING if entry.colour is None else plain(entry.colour, 2),
-        }
-        for n, entry in record.noise.items()
+        {"name": n, "sigma": size(e.sigma, units[n]), "colour": MISSING if e.colour is None else plain(e.colour, 2)}
+        for n, e in record.noise.items()
     ]
+    errors = []
+    for part, title in zip(record.errors.values(), ("Logs of the estimate", "Sealed logs"), strict=False):
+        table = [
+            {
+                "name": name,
+                **{k: MISSING if (v := getattr(c, k)) is None else size(v, c.unit) for k in ("before", "after")},
+                "floor": MISSING if c.noise_floor is None else size(c.noise_floor, c.unit),
+                "left": MISSING if c.excess_left is None else percent(max(0.0, c.excess_left)),
+            }
+            for name, c in part.channels.items()
+        ]
+        horizon = horizon_name(FREE_RUN if part.horizon is None else part.horizon)
+        errors.append({"title": f"{title}, {horizon}", "rows": table})
     way = "free runs" if record.windows is None else f"windows of {record.windows:g} s: {record.windows_reason}"
     failed = f", {record.failed_simulations} failed" if record.failed_simulations else ""
     provenance = [
@@ -81,29 +90,30 @@ def page(outcome: Outcome, record: Record) -> str:
         Row("Effort", f"{counted(record.simulations, 'simulation')} of a whole log{failed}, {plain(record.seconds)} s"),
         Row("cosim", __version__),
     ]
+    proof = parts[-1] if parts else None
     return render(
         TEMPLATE,
         {
-            "name": f"Fit of {outcome.fmu.name}",
+            "name": f"Fit of {Path(record.fmu).name}",
             "headline": headline,
             "details": details,
             "tone": tone,
             "badges": badges,
             "warnings": [*record.warnings, *record.notes],
-            "plots": [] if part is None else _plots(part, charts),
-            "log": "" if part is None else part.after[-1].log.path.name,
-            "is_sealed": part is not None and part.sealed,
-            "horizon": "" if part is None else horizon_name(part.horizon),
+            "plots": [] if proof is None else _plots(proof, charts),
+            "log": "" if proof is None else proof.logs[-1].path.name,
+            "is_sealed": proof is not None and proof.sealed,
+            "horizon": "" if proof is None else horizon_name(proof.horizon),
             "parameters": [_parameter(n, p) for n, p in record.parameters.items()],
             "starts": starts,
             "correlation": {"columns": names, "rows": rows} if len(matrix) > 1 else None,
             "strong": join_names(strong),
             "singular": [plain(v) for v in record.singular_values],
             "combinations": [c.sentence for c in estimate.combinations],
-            "errors": _errors(record),
+            "errors": errors,
             "screening": screening,
             "noise": noise,
-            "repeat": shlex.join(_repeat(outcome, record)),
+            "repeat": shlex.join(_repeat(record, estimate)),
             "provenance": provenance,
             "data": charts.data(),  # after all drawings
             "version": __version__,
@@ -113,21 +123,19 @@ def page(outcome: Outcome, record: Record) -> str:
 
 def _plots(part: Part, charts: Charts) -> list[Plot]:
     """Draw measured, before and after on the last log, the most improved output first."""
-    old, new = part.before[-1], part.after[-1]
-    log, errors = new.log, part.errors(part.horizon)
+    log, errors = part.logs[-1], part.errors(part.horizon)
+    before, after = (side[-1][part.horizon].outputs for side in (part.before, part.after))
     ratios = {n: b / a if a > 0.0 and math.isfinite(b / a) else 1.0 for n, (a, b) in errors.items()}
-    names = sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]
-    drawing = charts.over(log.time)
     panels = []
-    for name in names:
+    for name in sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]:
         unit, factor = display(log.units[name])
         curves = (
-            ("measured", log.outputs[name], "estimate"),
-            ("before", old.replays[part.horizon].outputs[name], "s1"),
-            ("after", new.replays[part.horizon].outputs[name], "true"),
+            (log.outputs[name], "measured", "estimate"),
+            (before[name], "before", "s1"),
+            (after[name], "after", "true"),
         )
-        panels.append(Panel(name, unit or "1", [Trace(label, v * factor, style) for label, v, style in curves]))
-    return drawing.plots(panels)
+        panels.append(Panel(name, unit or "1", [Trace(label, v * factor, style) for v, label, style in curves]))
+    return charts.over(log.time).plots(panels)
 
 
 def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:
@@ -171,21 +179,7 @@ def _range(entry: ParameterEntry | StartEntry) -> str:
     return f"{ends} {symbol}".strip()
 
 
-def _errors(record: Record) -> list[dict[str, Any]]:
-    """Return an error table for each set of logs."""
-    titles, tables = {"estimation": "Logs of the estimate", "sealed": "Sealed logs"}, []
-    for part, errors in record.errors.items():
-        horizon = horizon_name(FREE_RUN if errors.horizon is None else errors.horizon)
-        rows = []
-        for name, c in errors.channels.items():
-            sizes = [MISSING if v is None else size(v, c.unit) for v in (c.before, c.after, c.noise_floor)]
-            left = MISSING if c.excess_left is None else percent(max(0.0, c.excess_left))
-            rows.append({"name": name, "before": sizes[0], "after": sizes[1], "floor": sizes[2], "left": left})
-        tables.append({"title": f"{titles[part]}, {horizon}", "rows": rows})
-    return tables
-
-
-def _repeat(outcome: Outcome, record: Record) -> list[str]:
+def _repeat(record: Record, estimate: Estimate) -> list[str]:
     """Return the command that repeats the fit."""
     words = ["cosim", "fit", *record.logs, "--fmu", record.fmu]
     for name, p in record.parameters.items():
@@ -195,10 +189,10 @@ def _repeat(outcome: Outcome, record: Record) -> list[str]:
         elif p.low is not None and p.high is not None:
             value = f"{name}={p.low!r}..{p.high!r}"
         words += ["--vary", value]
-    for name, given in outcome.given.items():
+    for name, given in record.given.items():
         words += ["--start", f"{name}={str(given).lower() if isinstance(given, bool) else given}"]
     for path in record.sealed:
         words += ["--sealed", path]
-    called = {c: n for d in outcome.estimate.logs.drives for c, n in d.log.called.items()}
-    words += [word for c, n in called.items() for word in ("--column", f"{c}={n}")]
+    for column, name in {c: n for d in estimate.logs.drives for c, n in d.log.called.items()}.items():
+        words += ["--column", f"{column}={name}"]
     return [*words, *(["--compile"] if permission.get() else [])]

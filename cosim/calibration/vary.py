@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+from cosim.calibration.fit_record import finite
 from cosim.core.errors import Fault, refuse
 from cosim.core.text import split_assignment
 from cosim.core.units import split_quantity
@@ -43,6 +44,15 @@ class Parameter:
     high: float = math.inf
     tolerance: float | None = None
     per_log: bool = False
+
+    def entry(self) -> dict[str, float | None]:
+        """Return start, bounds and prior for fit.json."""
+        return {
+            "start": self.start,
+            "low": finite(self.low),
+            "high": finite(self.high),
+            "tolerance": self.tolerance,
+        }
 
     @property
     def scale(self) -> float:

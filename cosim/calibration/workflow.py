@@ -13,12 +13,11 @@ import numpy as np
 
 from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate, Report
-from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
-from cosim.calibration.fit_sentences import verdict, warnings
-from cosim.calibration.fit_study import Request, read_fit_study
+from cosim.calibration.fit_record import Record
+from cosim.calibration.fit_study import Request, request_of
 from cosim.calibration.fitted_fmu import why_no_copy
-from cosim.calibration.replay_proof import Part, prove
-from cosim.calibration.simulations import Logs, OutOfTime
+from cosim.calibration.likelihood import Logs, OutOfTime
+from cosim.calibration.outcome import Part, prove, write_record
 from cosim.calibration.vary import Parameter, candidates, read_vary
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
@@ -27,14 +26,12 @@ from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
 from cosim.files.folders import remove_earlier
 from cosim.fmi.description import read_description, unit_definition, unit_of
-from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_column_names
 from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
-from cosim.refinement.proof.sealed import find_rises
 from cosim.residuals.drive import Drive, check_files, log_of_fmu
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.replay_settings import start_values
@@ -56,8 +53,6 @@ def fit(
     """Estimate an FMU's parameters and start values.
 
     Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
-
-    Args:
 
     Returns:
         The content of fit.json, and warnings and notes with their codes.
@@ -85,53 +80,62 @@ def fit(
         drives = [stack.enter_context(load(log)) for log in read]
         _refuse_bad(drives)
         opened, closed = drives[: len(request.estimation)], drives[len(request.estimation) :]
-        estimate = Estimate(Logs(opened, begin + (most.total or np.inf)), progress)
-        stop, parts = _run(estimate, chosen, screening=not request.vary, limits=most), list[Part]()
-        if stop is None:
+        estimate, parts = Estimate(Logs(opened, begin + (most.total or np.inf)), progress), list[Part]()
+        stop: SimulationError | None = None
+        stage = "the fit"
+        try:
+            estimate.run(chosen, screening=not request.vary)
+            stage = "the proof"
             progress("replaying with the values before and after", 0.0)
-            try:
-                parts = _prove(estimate, chosen, opened, closed)
-            except SimulationError as error:
-                stop = error
-            except (KeyboardInterrupt, Terminated) as signal:
-                stop = stop_error(signal, 0.0, "the proof")
+            parts = _prove(estimate, chosen, opened, closed)
+        except OutOfTime:
+            reached = f"the limit of {most.total:g} s (limits: total) is reached"
+            stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without proof")
+        except SimulationError as error:
+            if stage == "the fit":
+                raise
+            stop = error
+        except (KeyboardInterrupt, Terminated) as signal:
+            if estimate.likelihood is None:
+                raise
+            stop = stop_error(signal, 0.0, stage)
+        if estimate.likelihood is None:
+            assert stop is not None
+            raise stop
         hold_stops()
-        risen: tuple[str, ...] = ()
-        if parts and parts[-1].sealed:
-            part = parts[-1]
-            before, after = ([(r.log, r.replays[part.horizon]) for r in side] for side in (part.before, part.after))
-            risen = tuple(find_rises(before, after))
-        entries = parameter_entries(estimate)
-        outcome = Outcome(path, request.estimation, request.sealed, estimate, fixed, parts, risen, entries)
-        remove_earlier(place, read=files)
-        told = [*warnings(outcome)]
+        record = write_record(request, estimate, parts, fixed, time.monotonic() - begin)
         if request.unused:
-            told.insert(0, f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does")
-        values = _write_values(place, outcome)
+            unused = f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"
+            record.warnings.insert(0, unused)
+        remove_earlier(place, read=files)
+        values = {name: entry.value for name, entry in record.parameters.items()}
+        likelihood, point = estimate.likelihood, estimate.likelihood.best
+        if len(opened) == 1:  # named start values of a single log may be start values of the FMU
+            each = zip(likelihood.unknowns, point.x.tolist(), strict=True)
+            values |= {u.name: v for u, v in each if u.log is not None and not u.is_shown}
+        described = read_description(path)
+        units = {v.name: unit_of(v) for v in described.modelVariables}
+        sets = {n: v for n, v in fixed.items() if isinstance(v, float)} | values
+        definitions = {u: d for u in {units[n] for n in sets} if (d := unit_definition(described, u)) is not None}
+        pairs = {n: (v, units[n]) for n, v in sets.items()}
+        write_parameter_set(place / "fitted.ssv", f"{path.stem}-fitted", pairs, definitions)
         if stop is None and values:
-            likelihood, point = estimate.best
             start = {n: v for n, v in likelihood.values(point.x, 0).items() if n not in values}
             reason = why_no_copy(drives[0], values, start, place / "fitted.fmu", lambda file: load(read[0], file))
             if reason is not None:
-                sets = [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
-                words = ["cosim", "simulate", str(path), *sets, *(["--compile"] if permission.get() else [])]
-                told.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{shlex.join(words)}` sets them")
-        notes = []
-        if (horizon := estimate.logs.horizon) is not None:
-            notes.append(Note(f"the estimate uses windows of {horizon:g} s in place of free runs: {estimate.reason}"))
-        written = record(outcome, verdict(outcome), time.monotonic() - begin, told, notes)
-        write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)
+                words = ["cosim", "simulate", str(path)]
+                words += [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
+                command = shlex.join([*words, *(["--compile"] if permission.get() else [])])
+                record.warnings.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command}` sets them")
+        write_json(place / "fit.json", record.model_dump(mode="json"), allow_nan=False)
         if report:
             from cosim.calibration.report import page
 
-            write_text(place / "report.html", page(outcome, written))
+            write_text(place / "report.html", page(record, estimate, parts))
     if stop is not None:
         stop.left = place
         raise stop
-    return written, [*told, *notes]
-
-
-# -- input ------------------------------------------------------------------------------------------
+    return record, [*record.warnings, *map(Note, record.notes)]
 
 
 def check_fit_study(path: Path, checking: Checking) -> list[str]:
@@ -141,7 +145,7 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
         InputError: The study has faults.
         FmuError: Only the FMU has faults.
     """
-    request = read_fit_study(path)
+    request = request_of([path], None)
     logs, chosen, given, fixed = _read(request)
     if checking.worker is not None:
         with ExitStack() as stack:
@@ -242,55 +246,18 @@ def _refuse_bad(drives: Sequence[Drive]) -> None:
     refuse(faults)
 
 
-# -- estimate and proof -------------------------------------------------------------------------------
-
-
-def _run(estimate: Estimate, chosen: Sequence[Parameter], *, screening: bool, limits: Limits) -> SimulationError | None:
-    """Run the estimate; return the error of a stop that left values, if any."""
-    try:
-        estimate.run(chosen, screening=screening)
-    except OutOfTime:
-        reached = f"the limit of {limits.total:g} s (limits: total) is reached"
-        error = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without proof")
-        if estimate.likelihood is None:
-            raise error from None
-        return error
-    except (KeyboardInterrupt, Terminated) as stop:
-        if estimate.likelihood is None:
-            raise
-        return stop_error(stop, 0.0, "the fit")
-    return None
-
-
 def _prove(
     estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
 ) -> list[Part]:
     """Return the errors before and after, on the logs of the estimate and then on sealed logs."""
-    likelihood, point = estimate.best
-    varied = {p.name for p in chosen}
-    horizon = FREE_RUN if estimate.logs.horizon is None else estimate.logs.horizon
+    assert estimate.likelihood is not None
+    varied, x = {p.name for p in chosen}, estimate.likelihood.best.x
+    horizon = estimate.logs.horizon or FREE_RUN
     first = {p.name: p.start for p in chosen if not p.per_log}
-    own = [{n: v for n, v in likelihood.values(point.x, k).items() if n in varied} for k in range(len(opened))]
+    values = [estimate.likelihood.values(x, k) for k in range(len(opened))]
+    own = [{n: v for n, v in each.items() if n in varied} for each in values]
     parts = [prove(opened, [first] * len(opened), own, horizon, sealed=False)]
     if closed:
         mean = {n: float(np.mean([each[n] for each in own])) for n in own[0]}
         parts.append(prove(closed, [first] * len(closed), [mean] * len(closed), horizon, sealed=True))
     return parts
-
-
-def _write_values(place: Path, outcome: Outcome) -> dict[str, float]:
-    """Write estimated and given values as fitted.ssv; return those for start attributes of an FMU.
-
-    These are all parameters, and named start values of a single log.
-    """
-    values = {name: entry.value for name, entry in outcome.parameters.items()}
-    if len(outcome.logs) == 1:
-        likelihood, point = outcome.estimate.best
-        values |= {u.name: v for u, v in zip(likelihood.unknowns, point.x.tolist(), strict=True) if u.hidden}
-    described = read_description(outcome.fmu)
-    units = {v.name: unit_of(v) for v in described.modelVariables}
-    numbers = {n: v for n, v in outcome.given.items() if isinstance(v, float)}
-    sets = {n: (v, units[n]) for n, v in {**numbers, **values}.items()}
-    definitions = {u: d for u in {u for _, u in sets.values()} if (d := unit_definition(described, u)) is not None}
-    write_parameter_set(place / "fitted.ssv", f"{outcome.fmu.stem}-fitted", sets, definitions)
-    return values

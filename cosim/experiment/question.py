@@ -25,14 +25,13 @@ from cosim.files.yaml_file import YamlFile, did_you_mean
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.refined import names_refine
 from cosim.fmi.building.substep import with_substep
-from cosim.logs.log import read_log
+from cosim.logs.log import Log, read_log
 from cosim.model.model import Model
 from cosim.refinement.decision.judgement import SIGNIFICANT
 from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
 
 NOTHING = "nothing"
-FMU_SUFFIX = ".fmu"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
 
 
@@ -168,33 +167,26 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         raise InputError([yaml.fault(("study",), message)])
     yaml = YamlFile(file)
     study = yaml.validate(StudyFile)
-    if study.model.lower().endswith(FMU_SUFFIX):
+    of_fmu, first, logs = None, dict[str, float](), list[Log]()
+    if study.model.lower().endswith(".fmu"):
         of_study = read_study(file)
-        subject, noise = of_study.subject, {**content.sensor_noise, **of_study.content.noise}
-        assert isinstance(subject, FmuSubject)
-        question = _rivals_of_refinement(path, content, subject.loaded, against)
-        logged = logged_ranges(of_study.logs) if inputs_to_limit(subject.model) else {}
-        return replace(question, noise=noise, ranges=logged, of_fmu=subject, first=first_outputs(of_study.logs[0]))
-    loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
-    question = _rivals_of_refinement(path, content, loaded, against)
-    model, logs = loaded.model, []
-    for name in study.logs.estimation if inputs_to_limit(model) else ():
-        with suppress(InputError):  # missing logs are skipped
-            logs.append(read_log(file.parent / name, model.inputs, model.outputs, columns=study.columns))
-    return replace(question, noise={**content.sensor_noise, **study.noise}, ranges=logged_ranges(logs))
-
-
-def _rivals_of_refinement(
-    path: Path, content: RefineResultPart, loaded: LoadedModel, against: Sequence[str]
-) -> Question:
-    """Return the question of a refinement's rivals."""
-    candidates = _candidates(loaded)
+        assert isinstance(of_study.subject, FmuSubject)
+        of_fmu, study, logs = of_study.subject, of_study.content, [*of_study.logs]
+        loaded, first = of_fmu.loaded, first_outputs(logs[0])
+    else:
+        loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
+        for name in study.logs.estimation:
+            with suppress(InputError):  # missing logs are skipped
+                logs.append(
+                    read_log(file.parent / name, loaded.model.inputs, loaded.model.outputs, columns=study.columns)
+                )
+    candidates, values = _candidates(loaded), ModelSubject(loaded).values
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     if any(TOGETHER in name for name in names):
         parts = {name: tuple(name.split(TOGETHER)) for name in names}
         _check_names(path, list(dict.fromkeys(chain.from_iterable(parts.values()))), candidates)
         values_of = {frozenset(h.names): h.parameters for h in reversed(content.candidates)}
-        fitted = tuple(
+        rivals = tuple(
             Rival(
                 name,
                 values_of.get(frozenset(parts[name]), {}),
@@ -205,10 +197,11 @@ def _rivals_of_refinement(
         pairs: Sequence[Pair] = [*combinations(names, 2)]
     else:
         _check_names(path, names, candidates)
-        rivals, pairs = _rivals(loaded, candidates, names)
-        values = ModelSubject(loaded).values
-        fitted = tuple(_fitted_rival(r, names, content, candidates, values) for r in rivals)
-    return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), {}, {})
+        typical, pairs = _rivals(loaded, candidates, names)
+        rivals = tuple(_fitted_rival(r, names, content, candidates, values) for r in typical)
+    ranges = logged_ranges(logs) if inputs_to_limit(loaded.model) else {}
+    noise = {**content.sensor_noise, **study.noise}
+    return Question(loaded, loaded, rivals, tuple(pairs), tuple(content.measured), noise, {}, ranges, of_fmu, first)
 
 
 def _fitted_rival(
@@ -307,7 +300,8 @@ def _check_names(path: Path, names: Sequence[str], candidates: Mapping[str, Cand
 
 def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]:
     """Return the groups of candidates that the model declares hard to separate, by default one group of all."""
-    return [g for group in model.told_apart_by if len(g := set(group) & candidates.keys()) > 1] or [set(candidates)]
+    groups = [{name for name in group if name in candidates} for group in model.told_apart_by]
+    return [group for group in groups if len(group) > 1] or [set(candidates)]
 
 
 def _rivals(

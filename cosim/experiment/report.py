@@ -16,7 +16,7 @@ from cosim.experiment.chosen_input import MIN_SEPARATION, Excitation
 from cosim.experiment.separation import Pair
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
-from cosim.report.panels import Panel, Trace, by_unit
+from cosim.report.panels import Panel, Trace, held_panels
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
@@ -49,7 +49,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
                 Badge(f"measured: {', '.join(names[:MAX_BADGE_NAMES])}{', …' if names[MAX_BADGE_NAMES:] else ''}"),
             ],
             "cautions": excitation.warnings,
-            "inputs": drawing.plots(_input_panels(excitation, units)),
+            "inputs": drawing.plots(held_panels(excitation.trial.inputs, units)),
             "needed": plain(MIN_SEPARATION, None),
             "mark": round(100.0 * MIN_SEPARATION / largest, 2),
             "usual": excitation.rig.usual,
@@ -62,17 +62,6 @@ def page(excitation: Excitation, scenario: Path) -> str:
             "version": __version__,
         },
     )
-
-
-def _input_panels(excitation: Excitation, units: Mapping[str, str]) -> list[Panel]:
-    """Return the inputs, grouped by unit."""
-    inputs = excitation.trial.inputs
-    panels = []
-    for unit, names in by_unit(inputs, units.__getitem__, inputs.__getitem__):
-        unit_text, factor = display(unit)
-        traces = [Trace(n, inputs[n] * factor, f"s{k}", held=True) for k, n in enumerate(names)]
-        panels.append(Panel(", ".join(names), unit_text or "1", traces))
-    return panels
 
 
 def _output_panels(excitation: Excitation, units: Mapping[str, str]) -> list[Panel]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice, pairwise
@@ -111,189 +111,165 @@ def read_log(
     *,
     columns: Mapping[str, str] = MappingProxyType({}),
     alone: bool = False,
+    declare: Callable[[Column, Faults], str | None] | None = None,
 ) -> Log:
     """Return a log of a model with these signals.
 
     Args:
         columns: Name in the file → name in the model, or `time`, if different.
         alone: True if `columns` applies to this file alone, so that a missing column is a fault.
+        declare: For a log without a model, function that returns the unit of a column, None to leave it out.
 
     Raises:
         InputError: Every fault of the file.
     """
-    units = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
+    into, out = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
+    units = {**into, **out}  # units of the values after reading
     signals = [s for s in (*inputs, *outputs) if isinstance(s, Signal)]
     differences = {s.name for s in signals if s.relative}
     definitions = {s.unit: s.definition for s in signals if s.definition is not None}
-    return LogReader(path, *units, columns, alone, differences=differences, definitions=definitions).log()
+    faults, unread, undeclared, cells = Faults(path), dict[str, str](), dict[str, str](), dict[str, int]()
 
-
-class LogReader:
-    """Reader that turns the columns of a CSV file into a log: known names, complete inputs, plausible values."""
-
-    def __init__(
-        self,
-        path: Path,
-        inputs: dict[str, str],
-        outputs: dict[str, str],
-        columns: Mapping[str, str],
-        alone: bool = False,
-        *,
-        differences: Collection[str] = (),
-        definitions: Mapping[str, Sequence[float]] = MappingProxyType({}),
-    ) -> None:
-        self.differences, self.definitions = differences, definitions
-        self.inputs, self.outputs, self.signals = inputs, outputs, inputs | outputs
-        self.renamings, self.alone = columns, alone
-        self.units = dict(self.signals)  # units of the values after reading
-        self.faults = Faults(path)
-        self.unread: dict[str, str] = {}
-        self.undeclared: dict[str, str] = {}
-        self.cells: dict[str, int] = {}  # column → its cell
-        names = frozenset((*self.signals, *columns))
-        times = [column for column, name in columns.items() if name == "time"]
-        table = read_table(self.faults, self._use, "inputs and outputs", names=names, times=times)
-        self.is_read = table is not None
-        self.table = table or Table()
-
-    def log(self) -> Log:
-        """Return the log.
-
-        Raises:
-            InputError: Every fault of the file.
-        """
-        if self.is_read:
-            self._check_header()
-            if not self.table.faults:
-                self._check_values()
-        self.faults.raise_any()
-        columns = {name: self.table[name] for name in self.table.by_name}
-        time = columns.pop("time")
-        units = {n: self.units[n] for n in columns}
-        outputs = {n: values for n, values in columns.items() if n in self.outputs}
-        unwrapped = dict[str, tuple[float, ...]]()
-        for name in outputs:
-            if units[name] == "rad":
-                outputs[name], jumps = _unwrap(outputs[name])
-                unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
-        inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
-        cells = {column.name: column.cell for column in self.table.columns}
-        written = {column.name: column.unit for column in self.table.columns}
-        path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.renamings)
-        names = (header, unread, called, self.undeclared, cells)
-        return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names)
-
-    def _unread(self) -> dict[str, str]:
-        """Return columns unknown to the model → suggested name, or ""."""
-        missing = [name for name in self.signals if name not in self.table]
-        close = (
-            closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
-            for name in islice(self.unread, HINTS)
-        )
-        hints = (f'; did you mean "{name}"?' if name else "" for name in close)
-        return {**self.unread, **dict(zip(self.unread, hints, strict=False))}
-
-    # -- header -------------------------------------------------------------------------------
-
-    def _use(self, column: Column) -> Use | None:
+    def use(column: Column) -> Use | None:
         """Return the conversion of a column to the model's unit, None for unread columns."""
-        self.cells.setdefault(column.name, column.cell)
-        written, name = column.name, self.renamings.get(column.name, column.name)
-        is_time = column.cell == 1
-        if not is_time and name not in self.signals:
-            self.unread[written] = ""
+        is_time, name = column.cell == 1, columns.get(column.name, column.name)
+        written = name if declare else column.name
+        cells.setdefault(written, column.cell)
+        if declare and not is_time:
+            if (declared := declare(replace(column, name=name), faults)) is None:
+                return None
+            out[name] = units[name] = declared
+        if not is_time and name not in into and name not in out:
+            unread[written] = ""
             return None
-        role = "the time" if is_time else "an input" if name in self.inputs else ""
-        wanted = "s" if is_time else self.signals[name]
+        role = "the time" if is_time else "an input" if name in into else ""
+        wanted = "s" if is_time else out[name] if name in out else into[name]
         if column.unit and not wanted:
             assumed = assume_si(column.unit)
-            self.units[name] = assumed.unit
+            units[name] = assumed.unit
             if assumed.sentence:
-                self.undeclared[name] = assumed.sentence
+                undeclared[name] = assumed.sentence
             return Use(name, assumed.factor, assumed.offset, role)
-        by = conversion(column.unit, wanted, difference=name in self.differences, definitions=self.definitions)
+        by = conversion(column.unit, wanted, difference=name in differences, definitions=definitions)
         if by is None:
-            units = ", ".join(alternatives(wanted))
-            message = f'"{column.unit}" is no unit of {name}, which is in {wanted}; known here: {units}'
-            self.faults.note(self.faults.header, column.cell, message)
+            known = ", ".join(alternatives(wanted))
+            message = f'"{column.unit}" is no unit of {name}, which is in {wanted}; known here: {known}'
+            faults.note(faults.header, column.cell, message)
         by = by or Conversion()
         return Use(name, by.factor, by.offset, role)
 
-    def _check_header(self) -> None:
-        """Note faults of missing inputs and outputs."""
-        line, first, columns = self.table.header, self.table.first, self.table.by_name
-        for column, name in self.renamings.items():
-            if name == "time":
-                if column != first:
-                    self.faults.note(line, 1, f'"{column}" is to be the time, which is the first column, "{first}"')
-            elif name not in self.signals:
-                cure, names = did_you_mean(name, self.signals), name_list(self.signals)
-                self.faults.note(
-                    line, 1, f'"{column}" is to be {name}, which the model does not have{cure} (it has {names})'
-                )
-            elif column not in self.cells and (self.alone or name not in self.table):
-                cure = did_you_mean(column, self.cells)
-                self.faults.note(line, 1, f'has no column "{column}"{cure} (it is to be {name})')
-        missing = [name for name in self.inputs if name not in columns]
-        # of the model is a log with some column of it, or with a name similar to one of its signals
-        known = self.renamings or len(self.unread) > HINTS or any(name in self.table for name in self.signals)
-        other = "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
-        if missing and not known and not any(closest(name, self.unread) for name in self.signals):
-            message = (
-                f"holds none of the columns of the model: {name_list(self.signals)}; a log of another model is checked "
-                f"with --model FILE:CLASS and replayed with --plant FMU; {other}"
-            )
-            self.faults.note(line, 1, message)
-            return
-        inputs = name_list(self.inputs)
-        for name in missing:
-            if close := closest(name, self.unread):
-                message = (
-                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? A log holds '
-                    f"every input of the model: {inputs}"
-                )
-                self.faults.note(line, self.cells[close], message)
-            else:
-                message = (
-                    f'input "{name}" is missing; a log holds every input of the model: {inputs}; for a column of '
-                    f"another name say --column COLUMN={name}, or `columns` in a study"
-                )
-                self.faults.note(line, 1, message)
-        if not missing and not any(name in columns for name in self.outputs):
-            cure = "".join(dict.fromkeys(self._unread().values()))
-            outputs = name_list(self.outputs)
-            message = f"holds no output of the model{cure}; at least one of {outputs} is measured; {other}"
-            self.faults.note(line, 1, message)
+    times = [column for column, name in columns.items() if name == "time"]
+    table = read_table(faults, use, "inputs and outputs", names=frozenset((*units, *columns)), times=times)
+    if table is not None:
+        missing = [name for name in units if name not in table]
+        for written in islice(unread, HINTS):
+            close = closest(written, missing, ALIKE) or closest(written.rpartition(".")[2], missing, ALIKE)
+            unread[written] = f'; did you mean "{close}"?' if close else ""
+        if declare is None:
+            _check_header(table, faults, into, out, renamings=columns, alone=alone, unread=unread, cells=cells)
+        elif len(cells) < 2:
+            faults.note(table.header, 1, "holds no column beside the time; a log holds what was measured")
+        if not table.faults:
+            _check_values(table, faults, out)
+    faults.raise_any()
+    assert table is not None
+    read = {name: table[name] for name in table.by_name}
+    time = read.pop("time")
+    measured = {n: values for n, values in read.items() if n in out}
+    unwrapped = dict[str, tuple[float, ...]]()
+    for name in measured:
+        if units[name] == "rad":
+            measured[name], jumps = _unwrap(measured[name])
+            unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
+    return Log(
+        path,
+        time,
+        {name: read[name] for name in into},
+        measured,
+        {n: units[n] for n in read},
+        usual_step(time),
+        {column.name: column.unit for column in table.columns},
+        unwrapped,
+        table.header,
+        unread,
+        dict(columns),
+        undeclared,
+        {column.name: column.cell for column in table.columns},
+    )
 
-    # -- rows ---------------------------------------------------------------------------------
 
-    def _check_values(self) -> None:
-        """Note faults of whole columns: too few rows, no measurement, absurd values."""
-        table, faulty = self.table, self.faults.faulty
-        if table.rows < 2 and not faulty:
-            count = "no row" if table.rows == 0 else "one row"
-            self.faults.note(
-                table.header + 1, 1, f"holds {count}; a log has at least two, and some hundred to be of use"
-            )
-            return
-        if not table.rows:
-            return
-        for name, column in table.by_name.items():
-            if column.cell in faulty:
-                continue
-            values, cure = table[name], "leave the cell empty" if name in self.outputs else "leave the row out"
-            if name in self.outputs and np.isnan(values).all():
-                self.faults.note(
-                    table.header, column.cell, f'column "{name}" holds no value (NaN in every row); delete the column'
-                )
+def _check_header(
+    table: Table,
+    faults: Faults,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    *,
+    renamings: Mapping[str, str],
+    alone: bool,
+    unread: Mapping[str, str],
+    cells: Mapping[str, int],
+) -> None:
+    """Note faults of missing inputs and outputs."""
+    line, signals = table.header, {**inputs, **outputs}
+    for column, name in renamings.items():
+        if name == "time":
+            if column != table.first:
+                message = f'"{column}" is to be the time, which is the first column, "{table.first}"'
+                faults.note(line, 1, message)
+        elif name not in signals:
+            cure, names = did_you_mean(name, signals), name_list(signals)
+            faults.note(line, 1, f'"{column}" is to be {name}, which the model does not have{cure} (it has {names})')
+        elif column not in cells and (alone or name not in table):
+            faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} (it is to be {name})')
+    missing = [name for name in inputs if name not in table]
+    # of the model is a log with some column of it, or with a name similar to one of its signals
+    known = renamings or len(unread) > HINTS or any(name in table for name in signals)
+    other = "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
+    if missing and not known and not any(closest(name, unread) for name in signals):
+        message = (
+            f"holds none of the columns of the model: {name_list(signals)}; a log of another model is checked "
+            f"with --model FILE:CLASS and replayed with --plant FMU; {other}"
+        )
+        faults.note(line, 1, message)
+        return
+    every = f"a log holds every input of the model: {name_list(inputs)}"
+    for name in missing:
+        if close := closest(name, unread):
+            message = f'"{close}" is no column of the model; did you mean "{name}", which is missing? A{every[1:]}'
+            faults.note(line, cells[close], message)
+        else:
+            cure = f"for a column of another name say --column COLUMN={name}, or `columns` in a study"
+            faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
+    if not missing and not any(name in table for name in outputs):
+        cure = "".join(dict.fromkeys(unread.values()))
+        message = f"holds no output of the model{cure}; at least one of {name_list(outputs)} is measured; {other}"
+        faults.note(line, 1, message)
 
-            def absurd(row: int, name: str = name, values: Array = values, cure: str = cure) -> str:
-                return f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
 
-            size = np.abs(values)  # a logger may write 3.4e38 for `invalid`
-            if not np.isnan(size).all():
-                most = min(max(BEYOND * float(np.nanmedian(size)), ORDINARY), NEVER)
-                self.faults.note_cells(np.flatnonzero(size > most), table.lines, column.cell, absurd)
+def _check_values(table: Table, faults: Faults, outputs: Container[str]) -> None:
+    """Note faults of whole columns: too few rows, no measurement, absurd values."""
+    if table.rows < 2 and not faults.faulty:
+        count = "no row" if table.rows == 0 else "one row"
+        message = f"holds {count}; a log has at least two, and some hundred to be of use"
+        faults.note(table.header + 1, 1, message)
+        return
+    for name, column in table.by_name.items() if table.rows else ():
+        if column.cell in faults.faulty:
+            continue
+        size, is_output = np.abs(table[name]), name in outputs
+        if np.isnan(size).all():
+            if is_output:
+                message = f'column "{name}" holds no value (NaN in every row); delete the column'
+                faults.note(table.header, column.cell, message)
+            continue
+        # a logger may write 3.4e38 for `invalid`
+        most = min(max(BEYOND * float(np.nanmedian(size)), ORDINARY), NEVER)
+        cure = "leave the cell empty" if is_output else "leave the row out"
+
+        def absurd(row: int, name: str = name, cure: str = cure) -> str:
+            return f'{name} is {table[name][row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
+
+        faults.note_cells(np.flatnonzero(size > most), table.lines, column.cell, absurd)
 
 
 def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -14,12 +13,12 @@ from cosim.core.registry import BASE, is_model
 from cosim.core.text import counted
 from cosim.core.units import assume_si, parse
 from cosim.files.artefact import Checking
-from cosim.files.table import Column, Use, read_header
+from cosim.files.table import Column, Faults, read_header
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.own_run import predicted_outputs
 from cosim.fmi.building.substep import substep_notes, with_substep
 from cosim.logs.gate import gate, refuse_faults
-from cosim.logs.log import LogReader, first_rows, read_log
+from cosim.logs.log import first_rows, read_log
 from cosim.logs.model_comparison import output_findings
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.logs.unit_mistakes import input_unit_findings
@@ -71,48 +70,28 @@ def _findings_without_model(path: Path, columns: Mapping[str, str]) -> list[str]
     Raises:
         InputError: The log has faults.
     """
-    reader = _AloneReader(path, columns)
-    log = reader.log()
+    unknown, text = dict[str, str](), list[str]()  # column → unit unknown to the framework; columns of text
+
+    def declare(column: Column, faults: Faults) -> str | None:
+        """Return the unit of a numeric column, in SI if its header has a unit; None for text."""
+        if not column.name:
+            faults.note(faults.header, column.cell, "the column has no name; name it or delete it")
+        elif column.holds_words:
+            text.append(column.name)
+        else:
+            if column.unit and parse(column.unit) is None:
+                unknown[column.name] = column.unit
+            return assume_si(column.unit).unit if column.unit else ""
+        return None
+
+    log = read_log(path, (), (), columns=columns, declare=declare)
     findings = gate(log)
     refuse_faults(log, findings)
     lines = [f.line for f in findings]
     lines += [
         f'warning: {name} "{unit}" is no unit known here: its numbers are taken as they are'
-        for name, unit in reader.unknown.items()
-        if name in log.outputs
+        for name, unit in unknown.items()
     ]
-    if reader.text:
-        lines.append(f"note: {counted(len(reader.text), 'column')} of text not read: {', '.join(reader.text)}")
+    if text:
+        lines.append(f"note: {counted(len(text), 'column')} of text not read: {', '.join(text)}")
     return [*lines, "note: checked without a model: --model FILE:CLASS holds names, units and signs against one"]
-
-
-class _AloneReader(LogReader):
-    """Reader of a log without a model.
-
-    Every numeric column is an output, in SI if its header has a unit. Text columns are skipped.
-    """
-
-    def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
-        self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
-        self.text: list[str] = []
-        super().__init__(path, {}, {}, columns)
-
-    def _use(self, column: Column) -> Use | None:
-        if column.cell > 1:
-            column = replace(column, name=self.renamings.get(column.name, column.name))
-            if not column.name:
-                self.faults.note(self.faults.header, column.cell, "the column has no name; name it or delete it")
-                return None
-            if column.holds_words:
-                self.text.append(column.name)
-                return None
-            unit = assume_si(column.unit).unit if column.unit else ""
-            self.outputs[column.name] = self.signals[column.name] = self.units[column.name] = unit
-            if column.unit and parse(column.unit) is None:
-                self.unknown[column.name] = column.unit
-        return super()._use(column)
-
-    def _check_header(self) -> None:
-        """Note a fault if the log has no column besides time."""
-        if not (self.outputs or self.text):
-            self.faults.note(self.table.header, 1, "holds no column beside the time; a log holds what was measured")

@@ -114,3 +114,13 @@ def by_unit(
         else:
             groups.append((shared, [name], low, high, smallest))
     return [(shared, chosen) for shared, chosen, *_ in groups]
+
+
+def held_panels(signals: Mapping[str, Array], units: Mapping[str, str]) -> list[Panel]:
+    """Return panels of signals that hold their values between rows, grouped by unit."""
+    panels = []
+    for unit, names in by_unit(signals, units.__getitem__, signals.__getitem__):
+        shown, factor = display(unit)
+        traces = [Trace(n, signals[n] * factor, f"s{k}", held=True) for k, n in enumerate(names)]
+        panels.append(Panel(", ".join(names), shown or "1", traces))
+    return panels

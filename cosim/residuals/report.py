@@ -15,7 +15,7 @@ from cosim.core.text import MISSING, amount, counted, display, percent, plain, s
 from cosim.core.version import __version__
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
-from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
+from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, held_panels
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.replay_sentences import horizon_name, verdict
 from cosim.residuals.residual_statistics import FREE_RUN, Whiteness
@@ -52,11 +52,23 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         over = "in a free run" if c.measure == FREE_RUN else f"rms over {horizon_name(c.measure)}"
         noise = f", {plain(c.excess, 2)} × what noise explains" if np.isfinite(c.excess) else ""
         tiles.append(Row(c.name, size(c.scores[c.measure].rmse, c.unit), over + noise))
-    units = {v.name: v.unit or "" for v in drive.description.modelVariables}
+    about = drive.description
+    units = {v.name: v.unit or "" for v in about.modelVariables}
     starts = [
         Row(n, amount(v, units.get(n, ""), 4) if isinstance(v, float) else str(v))
         for n, v in replays[FREE_RUN].starts[0].items()
     ]
+    steps = "as logged" if drive.variable_step else f"equal steps of {plain(log.step)} s, as the FMU demands"
+    provenance = [
+        Row("FMU", f"{about.modelName}\nguid {about.guid}", str(drive.fmu)),
+        Row("Log", f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s", str(log.path)),
+        Row("Steps", steps),
+        Row("cosim", __version__),
+    ]
+    if drive.free_inputs:
+        provenance.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
+    measured = [f"{n} ({percent(float(np.isfinite(v).mean()))})" for n, v in log.outputs.items()]
+    provenance.append(Row("Measured", ", ".join(measured), "share of the rows"))
     words = [] if passing else ["--plant", str(drive.fmu)]
     for name, value in drive.given.items():
         words += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
@@ -64,7 +76,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         words += ["--column", f"{column}={name}"]
     return {
         "name": log.path.name,
-        "description": f"Replayed through {drive.description.modelName} ({drive.fmu.name}): the recorded commands "
+        "description": f"Replayed through {about.modelName} ({drive.fmu.name}): the recorded commands "
         "drive the model; its outputs are compared with the measurements.",
         "headline": headline,
         "details": details,
@@ -79,7 +91,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "within": drawing.plots(_pair_panels(comparison, measure)) if measure in replays else [],
         "free": drawing.plots(_pair_panels(comparison, FREE_RUN)),
         "residual": drawing.plots(_residual_panels(comparison)),
-        "commands": drawing.plots(_command_panels(comparison)),
+        "commands": drawing.plots(held_panels(log.inputs, log.units)),
         "autocorrelation": _autocorrelation(comparison, charts),
         "inputs": _input_correlation(comparison, charts),
         "rows": [_row(c, sorted(replays)) for c in channels],
@@ -87,7 +99,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "warnings": [f.whole for f in findings if f.severity != "note"],
         "notes": [Row(f.channel or "log", f.sentence) for f in findings if f.severity == "note"],
         "starts": starts,
-        "provenance": _provenance(comparison),
+        "provenance": provenance,
         "repeat": shlex.join(["cosim", "replay", str(log.path), *words]),
         "data": charts.data(),  # after all drawings
         "version": __version__,
@@ -118,15 +130,6 @@ def _residual_panels(comparison: Comparison) -> list[Panel]:
         width = np.full(error.size, 2.0 * factor * (c.noise if np.isfinite(c.noise) else 0.0))
         traces, band = [Trace("measured − model", error, "error")], Band("±2σ of its noise", -width, width)
         panels.append(Panel(f"Residual of {c.name}", unit or "1", traces, band))
-    return panels
-
-
-def _command_panels(comparison: Comparison) -> list[Panel]:
-    inputs, panels = comparison.log.inputs, []
-    for unit, names in by_unit(inputs, comparison.log.units.__getitem__, inputs.__getitem__):
-        unit_text, factor = display(unit)
-        traces = [Trace(n, inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
-        panels.append(Panel(", ".join(names), unit_text or "1", traces))
     return panels
 
 
@@ -206,19 +209,3 @@ def _row(c: ChannelSummary, horizons: list[float]) -> dict[str, Any]:
         "white": white,
         "follows": follows,
     }
-
-
-def _provenance(comparison: Comparison) -> list[Row]:
-    drive, log = comparison.drive, comparison.log
-    about = drive.description
-    steps = "as logged" if drive.variable_step else f"equal steps of {plain(log.step)} s, as the FMU demands"
-    rows = [
-        Row("FMU", f"{about.modelName}\nguid {about.guid}", str(drive.fmu)),
-        Row("Log", f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s", str(log.path)),
-        Row("Steps", steps),
-        Row("cosim", __version__),
-    ]
-    if drive.free_inputs:
-        rows.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
-    measured = [f"{n} ({percent(float(np.isfinite(v).mean()))})" for n, v in log.outputs.items()]
-    return [*rows, Row("Measured", ", ".join(measured), "share of the rows")]

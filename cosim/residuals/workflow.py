@@ -151,14 +151,17 @@ def write_replay(
     report_step = None if progress is None else lambda done: progress(min(done, total), total)
     remote = None if worker is None else DriveApart(worker, log, fmu, report_step, limits=limits, given=given)
     with remote or Drive(log, fmu, report_step, given=given) as drive:
-        claimed = _claimed_sensor_errors(fmu)
+        beside = folder_of(fmu)  # a refine beside the FMU may claim errors of sensors, which no FMU holds
+        effects = content_of(beside / ANSWER).get("effects") if beside else None
+        entries = effects if isinstance(effects, list) else []
+        claimed = [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
         findings = _findings(drive, claimed)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
         remove_earlier(folder, read=(log.path, fmu))
-        sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
-        chosen = {"start": dict(given)} if given else {}
-        describe_run(folder, {**sources, **chosen})
+        sources: dict[str, Any] = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
+        sources |= {"start": dict(given)} if given else {}
+        describe_run(folder, sources)
         free = _free_run(drive, rows_file)
         try:
             release_stops()
@@ -167,7 +170,8 @@ def write_replay(
             errors = residuals(comparison)
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
-            _record(folder, {**sources, **chosen, "sentence": verdict(comparison), "units": units})
+            content = {"schema_version": SCHEMA_VERSION, **sources, "sentence": verdict(comparison), "units": units}
+            write_json(folder / REPLAY, content, indent=1)
             if proposed and not claimed and not all(c.is_explained for c in comparison.channels):
                 write_text(folder / NEXT_STUDY, proposed)
             if report:
@@ -234,7 +238,8 @@ def _free_run(drive: Drive, file: Path) -> Replay:
 def _write_rows(rows: Results, file: Path) -> None:
     """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
     try:
-        _record(file.parent, {"status": "stopped", "units": dict(rows.units)})  # rewritten at the end
+        content = {"schema_version": SCHEMA_VERSION, "status": "stopped", "units": dict(rows.units)}
+        write_json(file.with_name(REPLAY), content, indent=1)  # rewritten at the end
         rows.write(file)
     except OSError as error:
         if not is_full(error):
@@ -246,19 +251,6 @@ def _write_rows(rows: Results, file: Path) -> None:
             count = 0
         reason = f"the disk is full: {count} of {len(rows.time)} rows are in {file.name}"
         raise DiskFull("the replay", rows.time[max(0, count - 1)].item(), reason) from None
-
-
-def _record(folder: Path, content: Mapping[str, Any]) -> None:
-    """Write replay.json with data beside the rows."""
-    write_json(folder / REPLAY, {"schema_version": SCHEMA_VERSION, **content}, indent=1)
-
-
-def _claimed_sensor_errors(fmu: Path) -> list[str]:
-    """Return the errors of sensors that the refine beside an FMU claims; the FMU holds none of them."""
-    folder = folder_of(fmu)
-    claimed = content_of(folder / ANSWER).get("effects") if folder else None
-    entries = [e for e in claimed if isinstance(e, dict)] if isinstance(claimed, list) else []
-    return [str(e.get("name")) for e in entries if e.get("kind") == "sensor"]
 
 
 def _next_study(folder: Path, fmu: Path, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:
