@@ -31,8 +31,8 @@ from plant.powertrain import (
     servo_error,
     servo_rate,
     thrust_out_of_ground,
+    thrust_vector,
 )
-from plant.rigid_body import thrust_vector
 
 REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT = 5.0, 7.5, 10.0  # [%, %, m], App. D.2: motor off, upright, no ground below
 FASTEST_FILTER = 0.005  # [s] fastest low pass that the integration can follow

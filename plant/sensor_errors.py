@@ -55,6 +55,7 @@ class AccelerometerLeverArm(LeverArm):
     output, others = "ax", ("psi_dot",)
 
     def carried(self, m: Namespace, *others: Number) -> Values:
+        """Return the centripetal part −ψ̇²."""
         (psi_dot,) = others
         return (-psi_dot * psi_dot,)
 
