@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from cosim.model import Delay, Effect, Namespace, Number, Quantity, Values, parameter
 from cosim.model.planar import local_vector
@@ -17,6 +17,11 @@ from plant.powertrain import second_order
 
 Pair = tuple[Number, Number]
 Wrench = tuple[Number, Number, Number, Number]
+
+
+def off_at_zero(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> Any:
+    """Return a parameter that is 0 by default, where its effect is dormant."""
+    return parameter(0.0, unit=unit, bounds=bounds, neutral=0.0, typical=typical, doc=doc)
 
 
 class Motion(NamedTuple):
@@ -85,9 +90,7 @@ class ServoBacklash(HovercraftEffect):
         Quantity("play_left", "rad", "left tilt command after the play"),
     )
 
-    width: float = parameter(
-        0.0, unit="rad", bounds=(0, 0.5), neutral=0.0, typical=0.02, doc="total width w of the play"
-    )
+    width: float = off_at_zero("rad", (0, 0.5), 0.02, "total width w of the play")
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         half = 0.5 * self.width
@@ -102,12 +105,8 @@ class TiltOffset(HovercraftEffect):
     name = "tilt_offset"
     equation = "α_cmd,R + r, α_cmd,L + l"
 
-    right: float = parameter(
-        0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, typical=0.01, doc="offset r of the right tilt"
-    )
-    left: float = parameter(
-        0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, typical=0.01, doc="offset l of the left tilt"
-    )
+    right: float = off_at_zero("rad", (-0.2, 0.2), 0.01, "offset r of the right tilt")
+    left: float = off_at_zero("rad", (-0.2, 0.2), 0.01, "offset l of the left tilt")
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         duty_right, duty_left, tilt_right, tilt_left = command
@@ -121,9 +120,7 @@ class ServoDeadBand(HovercraftEffect):
     name = "servo_dead_band"
     equation = "α_cmd − w·sign(α_cmd), 0 inside ±w"
 
-    width: float = parameter(
-        0.0, unit="rad", bounds=(0, 0.3), neutral=0.0, typical=0.02, doc="half width w of the band"
-    )
+    width: float = off_at_zero("rad", (0, 0.3), 0.02, "half width w of the band")
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         w = self.width
@@ -143,9 +140,7 @@ class ActuatorSecondOrder(HovercraftEffect):
     )
     starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and overdamped resembles slow and underdamped
 
-    natural_frequency: float = parameter(
-        0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
-    )
+    natural_frequency: float = off_at_zero("rad/s", (0, 100), 15.0, "natural frequency ωₙ; 0 = off")
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
@@ -163,9 +158,7 @@ class ServoRateLimit(HovercraftEffect):
     name = "servo_rate_limit"
     equation = "|α̇_i| ≤ r, after the lag"
 
-    rate: float = parameter(
-        0.0, unit="rad/s", bounds=(0, 50), neutral=0.0, typical=1.0, doc="largest tilt rate r; 0 = off"
-    )
+    rate: float = off_at_zero("rad/s", (0, 50), 1.0, "largest tilt rate r; 0 = off")
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         r = self.rate
@@ -183,7 +176,7 @@ class ThrustAsymmetry(HovercraftEffect):
     name = "thrust_asymmetry"
     equation = "T_R·(1 + ε), T_L·(1 − ε)"
 
-    ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.02, doc="asymmetry ε")
+    ratio: float = off_at_zero("1", (-0.5, 0.5), 0.02, "asymmetry ε")
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
         return 1.0 + self.ratio, 1.0 - self.ratio
@@ -196,9 +189,7 @@ class BatterySag(HovercraftEffect):
     name = "battery_sag"
     equation = "both thrusts × (1 − p·(1 − e^(−t/θ)))"
 
-    drop: float = parameter(
-        0.0, unit="1", bounds=(0, 0.9), neutral=0.0, typical=0.1, doc="share p of the thrust lost in the end"
-    )
+    drop: float = off_at_zero("1", (0, 0.9), 0.1, "share p of the thrust lost in the end")
     time: float = parameter(15.0, unit="s", bounds=(0.5, 600), doc="time constant θ")
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
@@ -213,9 +204,7 @@ class InflowThrustLoss(HovercraftEffect):
     name = "inflow_thrust_loss"
     equation = "both thrusts × (1 − κ·vx)"
 
-    coefficient: float = parameter(
-        0.0, unit="s/m", bounds=(0, 2), neutral=0.0, typical=0.2, doc="loss κ per forward speed"
-    )
+    coefficient: float = off_at_zero("s/m", (0, 2), 0.2, "loss κ per forward speed")
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
         factor = 1.0 - self.coefficient * vx
@@ -247,7 +236,7 @@ class CoulombFriction(HovercraftEffect):
     name = "coulomb_friction"
     equation = "force −F·tanh(s/0.01)·(vx, vy)/s"
 
-    force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.05, doc="dry friction force F")
+    force: float = off_at_zero("N", (0, 2), 0.05, "dry friction force F")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         s = speed(m, motion)
@@ -262,8 +251,8 @@ class StribeckFriction(HovercraftEffect):
     equation = "force −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s"
     at_least: ClassVar[Mapping[str, str]] = {"static_force": "force"}
 
-    force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.05, doc="sliding friction force F")
-    static_force: float = parameter(0.0, unit="N", bounds=(0, 2), neutral=0.0, typical=0.08, doc="breakaway force F_s")
+    force: float = off_at_zero("N", (0, 2), 0.05, "sliding friction force F")
+    static_force: float = off_at_zero("N", (0, 2), 0.08, "breakaway force F_s")
     speed: float = parameter(0.05, unit="m/s", bounds=(0.005, 1), doc="Stribeck speed v_s")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
@@ -279,9 +268,7 @@ class QuadraticDrag(HovercraftEffect):
     name = "quadratic_drag"
     equation = "force −k·s·(vx, vy)"
 
-    coefficient: float = parameter(
-        0.0, unit="N.s2/m2", bounds=(0, 10), neutral=0.0, typical=0.3, doc="drag coefficient k"
-    )
+    coefficient: float = off_at_zero("N.s2/m2", (0, 10), 0.3, "drag coefficient k")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return along(motion, -self.coefficient * speed(m, motion))
@@ -294,9 +281,7 @@ class YawDamping(HovercraftEffect):
     name = "yaw_damping"
     equation = "moment −d·ψ̇"
 
-    coefficient: float = parameter(
-        0.0, unit="N.m.s/rad", bounds=(0, 0.5), neutral=0.0, typical=0.004, doc="damping coefficient d"
-    )
+    coefficient: float = off_at_zero("N.m.s/rad", (0, 0.5), 0.004, "damping coefficient d")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return 0.0, 0.0, -self.coefficient * motion.psi_dot, 0.0
@@ -309,7 +294,7 @@ class YawCoulombFriction(HovercraftEffect):
     name = "yaw_coulomb_friction"
     equation = "moment −M·tanh(ψ̇/0.02)"
 
-    moment: float = parameter(0.0, unit="N.m", bounds=(0, 0.1), neutral=0.0, typical=0.004, doc="dry friction moment M")
+    moment: float = off_at_zero("N.m", (0, 0.1), 0.004, "dry friction moment M")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return 0.0, 0.0, -self.moment * m.tanh(motion.psi_dot / STICTION_YAW_RATE), 0.0
@@ -325,9 +310,7 @@ class ComOffset(HovercraftEffect):
     name = "com_offset"
     equation = "yaw moment −e·(F_Rx + F_Lx), roll moment −e·(F_Rz + F_Lz)"
 
-    right: float = parameter(
-        0.0, unit="m", bounds=(-0.1, 0.1), neutral=0.0, typical=0.004, doc="offset e of the CoM to the right"
-    )
+    right: float = off_at_zero("m", (-0.1, 0.1), 0.004, "offset e of the CoM to the right")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         return 0.0, 0.0, -self.right * motion.thrust_x, -self.right * motion.thrust_z
@@ -340,12 +323,8 @@ class TableTilt(HovercraftEffect):
     name = "table_tilt"
     equation = "force m·g·(sin θ_X, sin θ_Y) along world X, Y, not felt by the accelerometer"
 
-    x: float = parameter(
-        0.0, unit="rad", bounds=(-0.1, 0.1), neutral=0.0, typical=0.003, doc="slope θ_X, downhill along world X"
-    )
-    y: float = parameter(
-        0.0, unit="rad", bounds=(-0.1, 0.1), neutral=0.0, typical=0.003, doc="slope θ_Y, downhill along world Y"
-    )
+    x: float = off_at_zero("rad", (-0.1, 0.1), 0.003, "slope θ_X, downhill along world X")
+    y: float = off_at_zero("rad", (-0.1, 0.1), 0.003, "slope θ_Y, downhill along world Y")
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
         return local_vector(m, psi, gravity * m.sin(self.x), gravity * m.sin(self.y))
@@ -358,7 +337,7 @@ class Coriolis(HovercraftEffect):
     name = "coriolis"
     equation = "v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx; κ = 1 is physics"
 
-    gain: float = parameter(0.0, unit="1", bounds=(-5, 5), neutral=0.0, typical=0.5, doc="gain κ; physics says 1")
+    gain: float = off_at_zero("1", (-5, 5), 0.5, "gain κ; physics says 1")
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
         return -self.gain * psi_dot * vy, self.gain * psi_dot * vx
