@@ -112,15 +112,16 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         rail = at_rail(protocol.bench, volts, margin)
         order = np.argsort(volts[~rail])
         f, v = loads[~rail][order], volts[~rail][order]
-        turns = np.flatnonzero((np.diff(v) <= 0) | (np.diff(f) * np.median(np.diff(f)) <= 0)) if f.size > 1 else ()
+        steps = np.diff(f)
+        turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
         if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
             text = f"a point has {volts[beyond][0]:g} V, beyond the converter's 0 to {limit:g} V; write volts, or "
             text += "`converter_range` under `parameters`"
         elif f.size < MIN_POINTS:
             text = f"{f.size} of {loads.size} points are inside the converter's range and beyond their error of its "
             text += f"ends, and {MIN_POINTS} are needed; measure more points inside it"
-        elif len(turns):
-            low, high = v[turns[0]], v[turns[0] + 1]
+        elif turns.any():
+            low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
             text = f"between {low:.4g} V and {high:.4g} V the load turns back; measure those points again"
         if text:
             faults.append(protocol.yaml.fault(("cells", channel), text, key=True))

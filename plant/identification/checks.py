@@ -120,8 +120,8 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> It
         under_thrust["window"] = after = r.rows((test.at, test.window[1]))
         rows_before = int((r.time < test.at - 0.5 * r.step).sum())
         if test.window[0] > test.at + 0.5 * r.step or after.sum() < MIN_WINDOW_ROWS or rows_before < MIN_ROWS_BEFORE:
-            needed = f"with {MIN_WINDOW_ROWS} rows after it, and {MIN_ROWS_BEFORE} before it in the run"
-            yield "window", row, f"`window` does not hold the step `at` {test.at:g} s {needed}"
+            text = f"with {MIN_WINDOW_ROWS} rows after it, and {MIN_ROWS_BEFORE} before it in the run"
+            yield "window", row, f"`window` does not hold the step `at` {test.at:g} s {text}"
             return
     for key, rows in under_thrust.items():
         if (low := rows & (duty <= begins)).any():

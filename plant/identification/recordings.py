@@ -80,7 +80,7 @@ def commands(test: Test, bench: Bench, step: float) -> list[Recording]:
     if isinstance(test, SineTest):
         for w, periods in zip(test.frequencies, test.periods, strict=True):
             end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
-            time: Array = step * np.arange(round(end / step) + 1)
+            time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
             duty: Array = np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty])
             angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
             runs.append(run(f" at {w:g} rad/s", time, duty, angle, test.height))
@@ -127,9 +127,9 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
     """Return for each cell the calibration runs, one per load, with random errors of the loads."""
     file, by_channel = protocol.file, dict[str, list[Recording]]()
-    time: Array = file.step * np.arange(round(LOAD_TIME / file.step) + 1)
-    at_rest = (np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT))
-    unloaded = Recording("", time, *at_rest)
+    time = np.asarray(file.step * np.arange(round(LOAD_TIME / file.step) + 1), dtype=np.float64)
+    duty, servo_duty, height = (np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT))
+    unloaded = Recording("", time, duty, servo_duty, height)
     for place, channel in enumerate(CHANNELS):
         cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
         to_si = protocol.load_in_si(channel)
@@ -215,6 +215,7 @@ def read_recording(path: Path) -> Recording:
         cure = f"resample to rows {step:.3g} s apart, volts by straight lines, duties held"
         raise InputError([Fault(path, log.header + row + 1, 1, f"{text} is uneven: {cure}")])
     before = np.searchsorted(number, whole, side="right") - 1
-    held = (log.inputs[q.name][before] for q in COLUMNS[:3])
+    duty, servo_duty, height = (log.inputs[q.name][before] for q in COLUMNS[:3])
     lines = (log.header + 1 + before).tolist()
-    return Recording(path.name, time, *held, dict(zip(CHANNELS, volts, strict=True)), path=path, lines=lines)
+    by_cell = dict(zip(CHANNELS, volts, strict=True))
+    return Recording(path.name, time, duty, servo_duty, height, by_cell, path=path, lines=lines)

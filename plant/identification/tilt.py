@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -26,7 +27,7 @@ def projection(m: Measurement) -> Result:
     Forces are relative to the thrust held upright.
     """
     recordings, test = m.recordings, m.test
-    functions = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
+    functions: Sequence[tuple[str, str, Any]] = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
 
     def factors(using: Cells) -> Array:
         rows = []
