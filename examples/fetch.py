@@ -1,6 +1,6 @@
 """Recordings of others, which are not part of this project: from a folder, or from their public home into it.
 
-`write_study` and `run_make_logs` are what the scripts that cut them into logs have in common.
+`write_rows`, `write_study` and `run_make_logs` are what the scripts that cut them into logs have in common.
 
 Whatever its origin, a file is used only if its SHA-256 is the one that is written beside its address.
 """
@@ -13,7 +13,7 @@ import os
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -77,29 +77,56 @@ def _check(name: str, sha256: str, content: bytes, origin: str) -> None:
         )
 
 
-def write_study(folder: Path, model: Path, name: str, keys: str = "") -> Path:
-    """Write study.yaml for the logs e1, e2 and v1 of a folder, the last one sealed; return its path.
+def write_rows(path: Path, header: str, rows: Iterable[str]) -> None:
+    """Write a CSV."""
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+
+
+def write_study(
+    folder: Path,
+    model: Path,
+    kind: str = "",
+    keys: str = "",
+    *,
+    estimation: Sequence[str] = ("e1.csv", "e2.csv"),
+    validation: Sequence[str] = ("v1.csv",),
+    name: str = "study.yaml",
+) -> Path:
+    """Write a study of logs in a folder, those for validation sealed; return its path.
 
     Args:
-        model: File of the model.
-        name: Class of the model in this file.
+        model: File of the model, or an FMU.
+        kind: Class of the model in this file.
         keys: Further lines of the study.
     """
-    path = folder / "study.yaml"
+    path = folder / name
     place = Path(os.path.relpath(model, folder.resolve())).as_posix()
-    logs = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
-    path.write_text(f"model: {place}:{name}\n{keys}{logs}", encoding="utf-8")
+    logs = f"logs:\n  estimation: [{', '.join(estimation)}]\n  validation: [{', '.join(validation)}]\n"
+    path.write_text(f"model: {place}{kind and ':'}{kind}\n{keys}{logs}", encoding="utf-8")
     return path
 
 
-def run_make_logs(make_logs: Callable[[Path, Path], Path], description: str | None) -> int:
-    """Write logs and study to the folders of the command line; return the exit code."""
+def run_make_logs(
+    make_logs: Callable[[Path, Path], Path | list[Path]],
+    description: str | None,
+    write_fmu_study: Callable[[Path], Path] | None = None,
+) -> int:
+    """Write logs and study to the folders of the command line; return the exit code.
+
+    Args:
+        write_fmu_study: What `--fmu` writes, too.
+    """
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
+    parser.add_argument("data", type=Path, help="folder of the recordings; missing ones are downloaded into it")
+    parser.add_argument("out", type=Path, help="folder for the logs and the study")
+    if write_fmu_study is not None:
+        parser.add_argument("--fmu", action="store_true", help="write the FMU and its study, too")
     options = parser.parse_args()
     try:
-        print(make_logs(options.data, options.out))
+        studies = make_logs(options.data, options.out)
+        print(*(studies if isinstance(studies, list) else [studies]), sep="\n")
+        if write_fmu_study is not None and options.fmu:
+            print(write_fmu_study(options.out))
     except RecordingError as error:
         print(error, file=sys.stderr)
         return 2

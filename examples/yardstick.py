@@ -81,14 +81,6 @@ class Log:
     begins: Array | None = None
 
 
-@dataclass(frozen=True)
-class Variant:
-    """A model to fit: its name and its free parameters with their starts."""
-
-    name: str
-    free: Mapping[str, float]
-
-
 def read_log(rig: Rig, path: Path) -> Log:
     """Return the columns of a log that the rig has."""
     with path.open(encoding="utf-8", newline="") as stream:
@@ -173,27 +165,25 @@ def _misses(rig: Rig, log: Log, sets: Sequence[Parameters]) -> Array:
     return (measured - predicted)[:, past + 1 :]
 
 
-def errors(rig: Rig, log: Log, p: Parameters) -> list[Array]:
-    """Return measured − predicted of each output, over all rows of all windows."""
-    return [row.ravel() for row in _misses(rig, log, [p])]
+def _rms(misses: Sequence[Array]) -> Array:
+    """Return the root mean square of each output over the arrays of `_misses`."""
+    return np.array(
+        [np.sqrt(np.mean(np.square(np.concatenate([m.ravel() for m in c])))) for c in zip(*misses, strict=True)]
+    )
 
 
 def rms(rig: Rig, logs: Sequence[Log], p: Parameters) -> Array:
     """Return the root mean square error of each output over all windows of all logs."""
-    return np.array([np.sqrt(np.mean(np.square(np.concatenate(parts)))) for parts in _by_channel(rig, logs, p)])
-
-
-def _by_channel(rig: Rig, logs: Sequence[Log], p: Parameters) -> list[list[Array]]:
-    return [list(parts) for parts in zip(*(errors(rig, log, p) for log in logs), strict=True)]
+    return _rms([_misses(rig, log, [p]) for log in logs])
 
 
 def fit(
-    rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant, tolerance: float = 1e-8
+    rig: Rig, logs: Sequence[Log], given: Parameters, free: Parameters, tolerance: float = 1e-8
 ) -> dict[str, float]:
     """Return the parameters of least squares; those that are not free keep their value."""
-    names = list(variant.free)
-    p = {**given, **variant.free}
-    scale = np.array([max(abs(given[name]), abs(variant.free[name]), LEAST_SCALE) for name in names])
+    names = list(free)
+    p = {**given, **free}
+    scale = np.array([max(abs(given[name]), abs(free[name]), LEAST_SCALE) for name in names])
     moves = 1e-4 * scale
     for _ in range(PASSES if len(rig.channels) > 1 else 1):
         weights = 1.0 / rms(rig, logs, p)
@@ -217,7 +207,7 @@ def fit(
 # -- terms chosen by parts left out -------------------------------------------------------------
 
 
-def left_out(rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant) -> Array:
+def left_out(rig: Rig, logs: Sequence[Log], given: Parameters, free: Parameters) -> Array:
     """Return the RMS error of each output over parts of the logs, each left out of the fit in turn."""
     misses = []
     for k, log in enumerate(logs):
@@ -227,40 +217,34 @@ def left_out(rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant)
             within = (begin >= first) & (begin + past + ahead < end)
             apart = (begin + past + ahead < first) | (begin >= end)
             others = [*logs[:k], replace(log, begins=begin[apart]), *logs[k + 1 :]]
-            p = fit(rig, others, given, variant, CHOICE_TOLERANCE)
-            misses.append(errors(rig, replace(log, begins=begin[within]), p))
-    return np.array([np.sqrt(np.mean(np.square(np.concatenate(parts)))) for parts in zip(*misses, strict=True)])
+            p = fit(rig, others, given, free, CHOICE_TOLERANCE)
+            misses.append(_misses(rig, replace(log, begins=begin[within]), [p]))
+    return _rms(misses)
 
 
-def choose(rig: Rig, logs: Sequence[Log], given: Parameters, base: Variant, terms: Mapping[str, float]) -> list[str]:
-    """Print how terms are added to the base, each time the one that predicts parts left out best; return them.
+def choose(rig: Rig, logs: Sequence[Log], given: Parameters, base: Parameters, terms: Parameters) -> None:
+    """Print how terms are added to the base, each time the one that predicts parts left out best.
 
     The choice ends if no term reduces the error of the parts left out; of several outputs, the mean square of the
     errors relative to the base.
     """
-    chosen: list[str] = []
-    free = dict(base.free)
+    free, chosen, best = dict(base), list[str](), 1.0
     unit = left_out(rig, logs, given, base)
-    best = 1.0
-    while len(chosen) < len(terms):
-        fitted = fit(rig, logs, given, Variant("", free))
+    while left := {name: start for name, start in terms.items() if name not in chosen}:
+        fitted = fit(rig, logs, given, free)
         free = {name: fitted[name] for name in free}
-        shares = {
-            name: float(
-                np.sqrt(np.mean(np.square(left_out(rig, logs, given, Variant("", {**free, name: start})) / unit)))
-            )
-            for name, start in terms.items()
-            if name not in chosen
-        }
-        print(", ".join(f"{name} {share:.1%}" for name, share in sorted(shares.items(), key=lambda item: item[1])))
-        name = min(shares, key=lambda name: shares[name])
-        if not shares[name] < best:
+        shares = {}
+        for name, start in left.items():
+            ratio = left_out(rig, logs, given, {**free, name: start}) / unit
+            shares[name] = float(np.sqrt(np.mean(np.square(ratio))))
+        ranked = sorted(shares, key=lambda name: shares[name])
+        print(", ".join(f"{name} {shares[name]:.1%}" for name in ranked))
+        if shares[ranked[0]] >= best:
             break
-        best = shares[name]
-        chosen.append(name)
-        free[name] = terms[name]
+        best = shares[ranked[0]]
+        chosen.append(ranked[0])
+        free[ranked[0]] = terms[ranked[0]]
     print(f"chosen: {', '.join(chosen) or 'none'}")
-    return chosen
 
 
 # -- models that refine delivers ----------------------------------------------------------------
@@ -287,7 +271,7 @@ def delivered(given: Parameters, folder: Path) -> dict[str, dict[str, float]]:
 # -- the table ----------------------------------------------------------------------------------
 
 
-def compare(rig: Rig, given: Parameters, variants: Sequence[Variant], folder: Path, refined: Path | None) -> str:
+def compare(rig: Rig, given: Parameters, variants: Mapping[str, Parameters], folder: Path, refined: Path | None) -> str:
     """Return a table of root mean square errors: as given, each fit, the delivered models relative to the last fit."""
     estimation = [read_log(rig, folder / name) for name in ("e1.csv", "e2.csv")]
     sealed = [read_log(rig, folder / "v1.csv")]
@@ -303,20 +287,20 @@ def compare(rig: Rig, given: Parameters, variants: Sequence[Variant], folder: Pa
         return error
 
     row("as given", given, ())
-    for variant in variants:
-        best = row(f"{variant.name}, least squares", fit(rig, estimation, given, variant), list(variant.free))
+    for name, free in variants.items():
+        best = row(f"{name}, least squares", fit(rig, estimation, given, free), list(free))
     for name, p in delivered(given, refined).items() if refined else ():
         row(f"refine, {name}", p, [key for key in p if p[key] != given[key]], best)
     return "\n".join(lines)
 
 
-def compare_logs(rig: Rig, given: Parameters, variant: Variant, folder: Path) -> str:
+def compare_logs(rig: Rig, given: Parameters, free: Parameters, folder: Path) -> str:
     """Return a table of fits to each log alone: parameters, and the errors on each log, also the sealed one."""
     logs = {name: read_log(rig, folder / name) for name in ("e1.csv", "e2.csv", "v1.csv")}
     lines = []
     for name, log in logs.items():
-        p = fit(rig, [log], given, variant)
-        values = ", ".join(f"{key} {p[key]:.4g}" for key in variant.free)
+        p = fit(rig, [log], given, free)
+        values = ", ".join(f"{key} {p[key]:.4g}" for key in free)
         for other, sealed in logs.items():
             error = rms(rig, [sealed], p)
             sizes = "".join(f"{e / c.size:16.3g}" for e, c in zip(error, rig.channels, strict=True))
@@ -325,11 +309,13 @@ def compare_logs(rig: Rig, given: Parameters, variant: Variant, folder: Path) ->
 
 
 def main(
-    description: str, rig: Rig, given: Parameters, variants: Sequence[Variant], terms: Mapping[str, float] | None = None
+    description: str, rig: Rig, given: Parameters, variants: Mapping[str, Parameters], terms: Parameters | None = None
 ) -> int:
     """Print the table for the folder of logs in the arguments; return the exit code.
 
-    terms: parameters and their starts from which `--choose` chooses.
+    Args:
+        variants: Models to fit: name → free parameters with their starts.
+        terms: Parameters and their starts from which `--choose` chooses.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("logs", type=Path, help="folder that make_logs.py wrote")
@@ -340,13 +326,12 @@ def main(
     options = parser.parse_args()
     try:
         if terms and options.choose:
-            choose(
-                rig, [read_log(rig, options.logs / name) for name in ("e1.csv", "e2.csv")], given, variants[0], terms
-            )
+            logs = [read_log(rig, options.logs / name) for name in ("e1.csv", "e2.csv")]
+            choose(rig, logs, given, next(iter(variants.values())), terms)
             return 0
         print(compare(rig, given, variants, options.logs, options.refined))
         if options.each:
-            print(compare_logs(rig, given, variants[-1], options.logs))
+            print(compare_logs(rig, given, [*variants.values()][-1], options.logs))
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2

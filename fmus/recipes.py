@@ -136,7 +136,7 @@ def jacobians() -> str:
     from cosim.model.symbolic.linearize import printed_jacobians
     from plant.hovercraft import Hovercraft
 
-    code = fingerprint(("cosim.model", "cosim.model.symbolic", "plant", "plant.effects"))
+    code = fingerprint(("cosim.model", "cosim.model.symbolic", "plant"))
     outputs, effects = ("ax",), ("yaw_damping",)
     key = f"jacobians of the hovercraft, {(outputs, effects)} {code}"
     return str(load_or_make(key, lambda: printed_jacobians(Hovercraft(), outputs, effects)))

@@ -19,7 +19,6 @@ from cosim.model import (
     Number,
     Quantity,
     Values,
-    overrides,
     parameter,
 )
 from plant.powertrain import (
@@ -31,8 +30,8 @@ from plant.powertrain import (
     servo_error,
     servo_rate,
     thrust_out_of_ground,
+    thrust_vector,
 )
-from plant.rigid_body import thrust_vector
 
 REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT = 5.0, 7.5, 10.0  # [%, %, m], App. D.2: motor off, upright, no ground below
 FASTEST_FILTER = 0.005  # [s] fastest low pass that the integration can follow
@@ -60,19 +59,11 @@ OUTPUTS = (
     Quantity("tilt_actual", "rad", "tilt angle"),
     Quantity("thrust_actual", "N", "thrust, with ground effect"),
 )
-OWN = len(STATES)  # index of the effects' first state
-
-
-class BenchEffect(Effect):
-    """A term of the bench."""
-
-    def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """Return the tilt rate [rad/s] that replaces `rate`, and the derivatives of the effect's states."""
-        return rate, ()
+OWN = len(STATES)  # index of the state of an effect
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchDelay(Delay, BenchEffect):
+class BenchDelay(Delay):
     """Delay of all commands of the bench by T, like the craft's effect `actuator_delay`."""
 
     name = "actuator_delay"
@@ -80,7 +71,7 @@ class BenchDelay(Delay, BenchEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchSecondOrder(BenchEffect):
+class BenchSecondOrder(Effect):
     """Overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
 
     name = "actuator_second_order"
@@ -92,11 +83,6 @@ class BenchSecondOrder(BenchEffect):
         0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
     )
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
-
-    def tilt_rate(self, m: Namespace, rate: Number, error: Number, states: Values) -> tuple[Number, Values]:
-        """Return tilt rate and acceleration of the second-order lag."""
-        w, (own,) = self.natural_frequency, states
-        return m.where(w > 0.0, own, rate), (second_order(error, 0.0, own, w, self.damping_ratio),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,19 +157,17 @@ class Bench(Model):
             moment = assembly_moment(m, tilt, self.assembly_mass, self.gravity, self.assembly_arm)
             return z + load_z, x + load_x, moment + load_m
 
-        terms = overrides(self.awake, "tilt_rate", BenchEffect)  # only these effects have states
+        overshoot = next((e for e in self.awake if isinstance(e, BenchSecondOrder)), None)
 
         def tilting(state: Values, target: Number) -> tuple[Number, Values]:
-            """Return the tilt rate and the effects' state derivatives."""
+            """Return the tilt rate, and the tilt's acceleration for an actuator of second order."""
             rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
+            if overshoot is None:
+                return rate, ()
+            w, own = overshoot.natural_frequency, state[OWN]
             error = servo_error(m, target, state[1], self.servo_dead_band)
-            added: Values = ()
-            for term in terms:
-                first = OWN + len(added)
-                rate, more = term.tilt_rate(m, rate, error, state[first : first + len(term.states)])
-                rate = m.clip(rate, -self.servo_speed, self.servo_speed)
-                added += more
-            return rate, added
+            rate = m.clip(m.where(w > 0.0, own, rate), -self.servo_speed, self.servo_speed)
+            return rate, (second_order(error, 0.0, own, w, overshoot.damping_ratio),)
 
         def converted(state: Values, command: Values) -> Values:
             step = self.converter_range / self.converter_levels

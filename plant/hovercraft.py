@@ -2,6 +2,9 @@
 
 Equation numbers refer to J. Jorquera Grau, "Testing Bench Design and Tilting Propeller System Identification for the
 Development and Control of a Thrust-vectoring Hovercraft", SDSM&T, 2012.
+
+Local axes: x forward, y to the right, ψ positive to the left seen from above, φ positive with the right side up. World
+axes: X forward and Y left at ψ = 0, z up. Only this convention satisfies eqs 5.6-5.8.
 """
 
 from __future__ import annotations
@@ -23,11 +26,9 @@ from cosim.model import (
     parameter,
     world_velocity,
 )
-from plant.effects import CATALOGUE
-from plant.effects.hooks import HovercraftEffect, Motion
-from plant.effects.sensor_errors import SENSORS
-from plant.powertrain import ground_effect, lag, thrust_out_of_ground
-from plant.rigid_body import thrust_vector
+from plant.effects import CATALOGUE, HovercraftEffect, Motion
+from plant.powertrain import ground_effect, lag, thrust_out_of_ground, thrust_vector
+from plant.sensor_errors import SENSORS
 
 QUARTER_TURN = (-0.5 * math.pi, 0.5 * math.pi)  # [rad] range of a propeller's tilt
 DUTY_FITTED = Validity("duty", ("duty_right", "duty_left"), 6.0, 7.0, "extrapolates a thrust line fitted on 6-7 %")

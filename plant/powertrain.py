@@ -62,3 +62,11 @@ def servo_error(m: Namespace, target: Number, angle: Number, dead_band: Number) 
 def assembly_moment(m: Namespace, tilt: Number, mass: Number, gravity: Number, arm: Number) -> Number:
     """Return the moment about the tilting axis [N m], eq 4.10: M(α) = m_PA·g·l·sin α."""
     return mass * gravity * arm * m.sin(tilt)
+
+
+def thrust_vector(m: Namespace, thrust: Number, alpha: Number) -> tuple[Number, Number]:
+    """Return forward and upward force of a propeller tilted by α [rad], eq 5.1.
+
+    F_x = T·sin α, F_z = T·cos α.
+    """
+    return thrust * m.sin(alpha), thrust * m.cos(alpha)

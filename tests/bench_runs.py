@@ -14,28 +14,29 @@ from plant.bench import Bench
 from plant.identification.cells import calibrate
 from plant.identification.checks import planned_faults
 from plant.identification.estimates import Result
-from plant.identification.protocol import Protocol, read_partly
-from plant.identification.recordings import Recording, SimulatedRecording, load_runs, runs_of, to_recording
+from plant.identification.protocol import Protocol
+from plant.identification.protocol import read_protocol as read_file
+from plant.identification.recordings import Recording, load_runs, runs_of
 from plant.identification.workflow import analyse
 
 LANES = 1000  # simultaneous runs
-Play = Callable[[Sequence[SimulatedRecording]], list[Recording]]
+Play = Callable[[Sequence[Recording]], list[Recording]]
 
 
 def read_protocol(path: Path) -> Protocol:
     """Read a protocol and check its phases."""
-    protocol, faults = read_partly(path)
-    refuse(faults or planned_faults(protocol))
+    protocol = read_file(path)
+    refuse(planned_faults(protocol))
     return protocol
 
 
 def play_plain(bench: Bench) -> Play:
     """Return a simulator of runs by plain equations, with equal commands in parallel."""
 
-    def play(runs: Sequence[SimulatedRecording]) -> list[Recording]:
+    def play(runs: Sequence[Recording]) -> list[Recording]:
         groups: dict[tuple[object, ...], list[int]] = {}
         for k, run in enumerate(runs):
-            key = (run.duty.tobytes(), run.servo_duty.tobytes(), run.height, run.low_pass)
+            key = (run.duty.tobytes(), run.servo_duty.tobytes(), run.height.tobytes(), run.low_pass)
             groups.setdefault(key, []).append(k)
         recordings: dict[int, Recording] = {}
         for group in groups.values():
@@ -48,7 +49,7 @@ def play_plain(bench: Bench) -> Play:
     return play
 
 
-def _play_lanes(bench: Bench, runs: Sequence[SimulatedRecording]) -> list[Recording]:
+def _play_lanes(bench: Bench, runs: Sequence[Recording]) -> list[Recording]:
     m, first = arrays(), runs[0]
     values = {"thrust_factor": np.array([r.thrust for r in runs]), "filter_time": first.low_pass}
     stepper = Stepper(bench.with_values(values), m)
@@ -58,11 +59,17 @@ def _play_lanes(bench: Bench, runs: Sequence[SimulatedRecording]) -> list[Record
     step = float(np.median(np.diff(first.time)))
     for k in range(first.time.size):
         before = max(k - 1, 0)
-        command = (float(first.duty[before]), float(first.servo_duty[before]), first.height, *loads, *noise[:, k])
+        command = (
+            float(first.duty[before]),
+            float(first.servo_duty[before]),
+            float(first.height[k]),
+            *loads,
+            *noise[:, k],
+        )
         if k:
             moment = stepper.step(moment, command, step)
         volts[k] = stepper.output(moment.t, moment.state, command)[:3]
-    return [to_recording(run, volts[:, :, j]) for j, run in enumerate(runs)]
+    return [run.with_volts(volts[:, :, j]) for j, run in enumerate(runs)]
 
 
 def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[list[Result]]:
@@ -73,11 +80,11 @@ def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list
     outcomes = []
     for hung, recordings in zip(loads, tests, strict=True):
         cells = calibrate(protocol, hung)
-        outcomes.append(analyse(protocol, cells, recordings, draw=False))
+        outcomes.append(analyse(protocol, cells, recordings))
     return outcomes
 
 
-def _play_groups(play: Play, groups: Sequence[dict[str, list[SimulatedRecording]]]) -> list[dict[str, list[Recording]]]:
+def _play_groups(play: Play, groups: Sequence[dict[str, list[Recording]]]) -> list[dict[str, list[Recording]]]:
     """Return the recordings of each group by name; equal names of all groups are simulated together."""
     recordings: list[dict[str, list[Recording]]] = [{} for _ in groups]
     for name in groups[0]:

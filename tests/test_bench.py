@@ -13,7 +13,7 @@ from cosim.fmi.building.build import build
 from cosim.model import Stepper
 from cosim.model.namespaces import SCALAR
 from plant.bench import Bench
-from plant.identification.recordings import SimulatedRecording, play_on_fmu
+from plant.identification.recordings import Recording, play_on_fmu
 from plant.powertrain import ground_effect, servo_angle, thrust_out_of_ground
 from tests.bench_runs import play_plain
 
@@ -46,7 +46,8 @@ def test_the_fmu_of_the_bench_is_valid(fmu: Path) -> None:
 def test_the_fmu_reads_what_the_equations_read_as_arrays(fmu: Path) -> None:
     time, rng = 0.02 * np.arange(150), np.random.default_rng(3)
     duty, servo = 5.0 + 0.01 * np.arange(150), 7.5 + np.sin(time)
-    run = SimulatedRecording("a run", time, duty, servo, 0.095, 0.1, 0.01 * rng.standard_normal((3, 150)), thrust=1.02)
+    noise, height = 0.01 * rng.standard_normal((3, 150)), np.full(150, 0.095)
+    run = Recording("a run", time, duty, servo, height, low_pass=0.1, noise=noise, thrust=1.02)
     (by_fmu,), (plain,) = play_on_fmu(fmu, {"lag": 0.07}, [run]), play_plain(Bench(lag=0.07))([run])
     for cell in "zxm":
         np.testing.assert_allclose(by_fmu.volts[cell], plain.volts[cell], atol=1e-9)

@@ -123,8 +123,8 @@ def test_the_effect_of_contributing_works_as_shown() -> None:
     block = re.search(r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.DOTALL)
     assert block is not None
     imports = (
-        "from dataclasses import dataclass\nfrom plant.effects.friction import REST\n"
-        "from plant.effects.hooks import HovercraftEffect, Motion, Wrench\n"
+        "from dataclasses import dataclass\nfrom plant.effects import REST\n"
+        "from plant.effects import HovercraftEffect, Motion, Wrench\n"
         "from cosim.model.namespaces import SCALAR, Namespace\nfrom cosim.model.quantities import parameter\n"
     )
     scope: dict[str, object] = {}

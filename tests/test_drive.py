@@ -80,7 +80,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drive")
     for seed, name in enumerate(("e1.csv", "e2.csv", "v1.csv")):
         simulated(folder / name, seed)
-    return Path(logs.write_study(folder, ["e1.csv", "e2.csv"], ["v1.csv"]))
+    return Path(logs.write_study(folder, logs.MODEL, "Drive"))
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from cosim.model import Stepper, parameters_of
-from plant.effects import CATALOGUE
-from plant.effects.actuator import (
+from plant.effects import (
+    CATALOGUE,
     ActuatorDelay,
     ActuatorSecondOrder,
+    CoulombFriction,
+    TableTilt,
+    YawCoulombFriction,
 )
-from plant.effects.body import TableTilt
-from plant.effects.friction import CoulombFriction, YawCoulombFriction
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import COLUMNS, HOLD, Array, Effects, excitation, flown, simulate, to_and_fro
 

@@ -99,8 +99,8 @@ def test_the_place_of_the_sources_does_not_matter(tree: Path, plant_fmu: Path, t
     ("which", "source"),
     some(
         [
-            ("plant_fmu", "plant/effects/thrust.py"),
-            ("plant_fmu", "plant/rigid_body.py"),
+            ("plant_fmu", "plant/effects.py"),
+            ("plant_fmu", "plant/powertrain.py"),
             ("plant_fmu", "cosim/fmi/slave.py"),
             ("controller_fmu", "controller/loop.py"),
             ("controller_fmu", "fmus/controller_fmu.py"),
@@ -161,7 +161,7 @@ def test_a_build_that_fails_leaves_the_old_fmu_in_place(
     target = tmp_path / "out" / "plant.fmu"
     target.parent.mkdir()
     target.write_bytes(b"old")
-    (tree / "plant" / "rigid_body.py").write_text("this is no Python\n")
+    (tree / "plant" / "powertrain.py").write_text("this is no Python\n")
     with pytest.raises(SyntaxError):
         build(plant_recipe(), target)
     assert [(p.name, p.read_bytes()) for p in target.parent.iterdir()] == [("plant.fmu", b"old")]

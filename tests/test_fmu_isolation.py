@@ -53,7 +53,7 @@ def in_a_process_of_its_own(code: str, *arguments: object) -> Any:
 def test_two_builds_of_other_sources_keep_their_own(
     plant_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = copied_sources(tmp_path, monkeypatch) / "plant" / "rigid_body.py"
+    source = copied_sources(tmp_path, monkeypatch) / "plant" / "powertrain.py"
     text = source.read_text(encoding="utf-8")
     changed = text.replace("return thrust * m.sin(alpha)", "return 2.0 * thrust * m.sin(alpha)")
     assert changed != text

@@ -12,10 +12,20 @@ from controller.design_model import design_model, measurement_matrix
 from controller.settings import Settings
 from cosim.model import SCALAR
 from cosim.model.symbolic.linearize import LinearModel, linearize
-from plant.effects.actuator import ActuatorSecondOrder
-from plant.effects.body import ComOffset, Coriolis, TableTilt
-from plant.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, YawCoulombFriction, YawDamping
-from plant.effects.thrust import BatterySag, InflowThrustLoss, ThrustAsymmetry
+from plant.effects import (
+    ActuatorSecondOrder,
+    BatterySag,
+    ComOffset,
+    Coriolis,
+    CoulombFriction,
+    InflowThrustLoss,
+    QuadraticDrag,
+    StribeckFriction,
+    TableTilt,
+    ThrustAsymmetry,
+    YawCoulombFriction,
+    YawDamping,
+)
 from plant.hovercraft import Hovercraft
 
 Matrix = NDArray[np.float64]

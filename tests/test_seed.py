@@ -118,7 +118,7 @@ def test_tares_are_estimated_and_not_copied(tmp_path: Path) -> None:
     runs = {name: play(runs_of(protocol, name, 1)) for name, _ in protocol.file.tests.named_tests()}
     for off in (0.0, 0.1):
         moved = {n: [replace(r, volts={c: v + off for c, v in r.volts.items()}) for r in rs] for n, rs in runs.items()}
-        found.append([e for r in analyse(protocol, cells, moved, draw=False) for e in r.estimates])
+        found.append([e for r in analyse(protocol, cells, moved) for e in r.estimates])
     unbiased = [[e.value for e in group] for group in found]
     assert unbiased[1] == pytest.approx(unbiased[0], rel=1e-9)
     thesis = np.array([[e.thesis for e in group] for group in found])

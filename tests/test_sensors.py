@@ -27,7 +27,8 @@ from cosim.refinement.report.effect_plots import compare_effects
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import windows
-from plant.effects.sensor_errors import (
+from plant.hovercraft import Hovercraft
+from plant.sensor_errors import (
     SENSORS,
     AccelerometerDrift,
     AccelerometerLeverArm,
@@ -35,7 +36,6 @@ from plant.effects.sensor_errors import (
     GyroDrift,
     MagnetometerDisturbance,
 )
-from plant.hovercraft import Hovercraft
 from tests.logs import write_log
 from tests.rover import ROVER, STEP, commands, rover_log, rover_study
 from tests.studies import holds, named, proven, replayed, study_of

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from yardstick import Array, Channel, Parameters, Rig, Variant, main
+from yardstick import Array, Channel, Parameters, Rig, main
 
 BASE = {"gain": -15.0, "stiffness": 6.0, "damping": 0.6}
 # candidates of physics, chosen before any fit, and the starts of their fits
@@ -29,10 +29,10 @@ CANDIDATES = {
 BOUNDED = [name for name in CANDIDATES if name not in {"valve_offset.value", "asymmetry.ratio", "load.pressure"}]
 GIVEN = {**BASE, **dict.fromkeys(CANDIDATES, 0.0)}
 CHOSEN = ("asymmetry.ratio", "valve_delay.time", "pressure_drop.inverse_supply", "leakage.rate")  # as --choose prints
-VARIANTS = (
-    Variant("base", BASE),
-    *(Variant(f"{n} chosen terms", {**BASE, **{name: CANDIDATES[name] for name in CHOSEN[:n]}}) for n in (2, 4)),
-)
+VARIANTS = {
+    "base": BASE,
+    **{f"{n} chosen terms": {**BASE, **{name: CANDIDATES[name] for name in CHOSEN[:n]}} for n in (2, 4)},
+}
 
 
 def derivative(p: Parameters, state: tuple[Array, ...], valve: tuple[Array, ...]) -> tuple[Array, ...]:

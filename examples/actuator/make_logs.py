@@ -10,7 +10,7 @@ from pathlib import Path
 import scipy.io
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, recorded, run_make_logs, write_study
+from fetch import Recording, recorded, run_make_logs, write_rows, write_study
 
 RECORDING = Recording(
     "actuator.mat",
@@ -28,8 +28,8 @@ def make_logs(data: Path, folder: Path) -> Path:
     recording = scipy.io.loadmat(recorded(RECORDING, data))
     for name, part in PARTS.items():
         pairs = zip(recording["u"].ravel()[part], recording["p"].ravel()[part], strict=True)
-        lines = [f"{k * RATE:.1f},{u:.9g},{p:.9g}" for k, (u, p) in enumerate(pairs)]
-        (folder / name).write_text("\n".join(["time,valve,pressure", *lines]) + "\n", encoding="utf-8")
+        rows = (f"{k * RATE:.1f},{u:.9g},{p:.9g}" for k, (u, p) in enumerate(pairs))
+        write_rows(folder / name, "time,valve,pressure", rows)
     return write_study(folder, MODEL, "Actuator", "inputs: interpolated\n")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from yardstick import Array, Channel, Parameters, Rig, Variant, main
+from yardstick import Array, Channel, Parameters, Rig, main
 
 GIVEN = {
     "incline": 7.0,
@@ -23,12 +23,12 @@ GIVEN = {
 DELAY = {"incline": 7.0, "angle_delay.time": 0.1}
 EFFECTS = {**DELAY, "rolling_friction.level": 0.01, "level_offset.value": 0.005, "beam_curvature.coefficient": 0.1}
 HELD_OUT = {**DELAY, "viscous_friction.damping": 0.1, "beam_curvature.coefficient": 0.1}
-VARIANTS = (
-    Variant("base", {"incline": 7.0}),
-    Variant("with delay", DELAY),
-    Variant("terms chosen by parts left out", HELD_OUT),
-    Variant("with four effects", EFFECTS),
-)
+VARIANTS = {
+    "base": {"incline": 7.0},
+    "with delay": DELAY,
+    "terms chosen by parts left out": HELD_OUT,
+    "with four effects": EFFECTS,
+}
 
 
 def derivative(p: Parameters, state: tuple[Array, ...], angle: tuple[Array, ...]) -> tuple[Array, ...]:

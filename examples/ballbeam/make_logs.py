@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, recorded, run_make_logs, write_study
+from fetch import Recording, recorded, run_make_logs, write_rows, write_study
 
 RECORDING = Recording(
     "ballbeam.dat",
@@ -26,8 +26,8 @@ def make_logs(data: Path, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     recording = np.loadtxt(recorded(RECORDING, data))
     for name, (first, last) in PARTS.items():
-        lines = [f"{k * RATE:.1f},{angle:.7g},{x:.7g}" for k, (angle, x) in enumerate(recording[first:last])]
-        (folder / name).write_text("\n".join(["time,angle,position", *lines]) + "\n", encoding="utf-8")
+        rows = (f"{k * RATE:.1f},{angle:.7g},{x:.7g}" for k, (angle, x) in enumerate(recording[first:last]))
+        write_rows(folder / name, "time,angle,position", rows)
     return write_study(folder, MODEL, "BallBeam", "inputs: interpolated\n")
 
 

@@ -3,7 +3,6 @@
 One record of 500 rows, 20 ms apart: the first 340 are the estimation log, the others are sealed.
 """
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import scipy.io
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from compiled_fmu import compiled_fmu
-from fetch import Recording, RecordingError, recorded
+from fetch import Recording, recorded, run_make_logs, write_rows, write_study
 
 RECORDING = Recording(
     "drive.mat",
@@ -28,23 +27,11 @@ def make_logs(data: Path, folder: Path) -> Path:
     record = scipy.io.loadmat(recorded(RECORDING, data))
     for name, part in PARTS.items():
         pairs = zip(record["u1"].ravel()[part], record["z1"].ravel()[part], strict=True)
-        lines = [f"{k * STEP:.2f},{u:g},{z:.9g}" for k, (u, z) in enumerate(pairs)]
-        (folder / name).write_text("\n".join(["time,voltage [V],speed", *lines]) + "\n", encoding="utf-8")
-    path = folder / "study.yaml"
-    path.write_text(
-        "model: coupled_drives.fmu\nnoise: {speed: 0.01}\ntolerance: 2%\nhorizon: free run\n"
-        "logs:\n  estimation: [e1.csv]\n  validation: [v1.csv]\n",
-        encoding="utf-8",
-    )
-    return path
+        rows = (f"{k * STEP:.2f},{u:g},{z:.9g}" for k, (u, z) in enumerate(pairs))
+        write_rows(folder / name, "time,voltage [V],speed", rows)
+    keys = "noise: {speed: 0.01}\ntolerance: 2%\nhorizon: free run\n"
+    return write_study(folder, folder.resolve() / "coupled_drives.fmu", keys=keys, estimation=["e1.csv"])
 
 
 if __name__ == "__main__":
-    arguments = argparse.ArgumentParser(description="Logs, FMU and study of coupled electric drives")
-    arguments.add_argument("data", type=Path, help=f"folder of {RECORDING.name}; downloaded into it if it is not there")
-    arguments.add_argument("out", type=Path, help="folder for the logs, the FMU and study.yaml")
-    given = arguments.parse_args()
-    try:
-        print(make_logs(given.data, given.out))
-    except RecordingError as error:
-        sys.exit(str(error))
+    sys.exit(run_make_logs(make_logs, __doc__))

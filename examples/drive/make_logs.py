@@ -5,8 +5,6 @@ commands that acted from t_k to t_k+1: the impulse over the step is exactly that
 position loses by it is at most h²/8 times a jump of the acceleration (9 µm at the largest pulse, 3 m/s²).
 """
 
-import argparse
-import os
 import sys
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import scipy.io
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from compiled_fmu import compiled_fmu
+from fetch import run_make_logs, write_rows, write_study
 
 RECORDINGS = {"e1.csv": "DATA_EMPS.mat", "v1.csv": "DATA_EMPS_PULSES.mat"}
 EVERY = 5  # recorded samples a row
@@ -31,33 +30,16 @@ def rows(recording: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def write_log(path: Path, time: np.ndarray, force: np.ndarray, position: np.ndarray) -> None:
-    """One CSV."""
+    """Write a log."""
     lines = (f"{t:.3f},{u:.6g},{x:.9f}" for t, u, x in zip(time, force, position, strict=True))
-    path.write_text("\n".join(["time,force [N],position [m]", *lines]) + "\n", encoding="utf-8")
-
-
-def write_study(folder: Path, estimation: list[str], validation: list[str]) -> Path:
-    """study.yaml beside the logs; it names the model by its file."""
-    path = folder / "study.yaml"
-    model = Path(os.path.relpath(MODEL, folder.resolve())).as_posix()
-    path.write_text(
-        f"model: {model}:Drive\nlogs:\n"
-        f"  estimation: [{', '.join(estimation)}]\n  validation: [{', '.join(validation)}]\n",
-        encoding="utf-8",
-    )
-    return path
+    write_rows(path, "time,force [N],position [m]", lines)
 
 
 def write_fmu_study(folder: Path) -> Path:
-    """drive.fmu, which is compiled here, and fmu.yaml, its study."""
-    path = folder / "fmu.yaml"
-    compiled_fmu(Path(__file__).with_name("fmu"), folder / "drive.fmu")
-    path.write_text(
-        "model: drive.fmu\nhorizon: free run\nnoise: {position: 0.1 mm}\nstart_noise: {velocity: 0.1 mm/s}\n"
-        "logs:\n  estimation: [e1.csv]\n  validation: [v1.csv]\n",
-        encoding="utf-8",
-    )
-    return path
+    """Write drive.fmu, which is compiled here, and fmu.yaml, its study."""
+    fmu = compiled_fmu(Path(__file__).with_name("fmu"), folder.resolve() / "drive.fmu")
+    keys = "horizon: free run\nnoise: {position: 0.1 mm}\nstart_noise: {velocity: 0.1 mm/s}\n"
+    return write_study(folder, fmu, keys=keys, estimation=["e1.csv"], name="fmu.yaml")
 
 
 def make_logs(data: Path, folder: Path) -> Path:
@@ -65,15 +47,8 @@ def make_logs(data: Path, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for name, recording in RECORDINGS.items():
         write_log(folder / name, *rows(data / recording))
-    return write_study(folder, ["e1.csv"], ["v1.csv"])
+    return write_study(folder, MODEL, "Drive", estimation=["e1.csv"])
 
 
 if __name__ == "__main__":
-    arguments = argparse.ArgumentParser(description="Logs and a study from the EMPS recordings")
-    arguments.add_argument("data", type=Path, help="folder of DATA_EMPS.mat and DATA_EMPS_PULSES.mat")
-    arguments.add_argument("out", type=Path, help="folder for e1.csv, v1.csv and study.yaml")
-    arguments.add_argument("--fmu", action="store_true", help="write the FMU of the drive and its study, too")
-    given = arguments.parse_args()
-    print(make_logs(given.data, given.out))
-    if given.fmu:
-        print(write_fmu_study(given.out))
+    sys.exit(run_make_logs(make_logs, __doc__, write_fmu_study))

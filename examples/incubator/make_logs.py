@@ -6,7 +6,6 @@ Two builds of the box, each with a study: `2020` (logs of December 2020, sealed:
 is opened) and `2023` (one log, its last part sealed). Rows are as recorded, some 3 s apart.
 """
 
-import argparse
 import csv
 import sys
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from compiled_fmu import compiled_fmu
-from fetch import Recording, RecordingError, recorded
+from fetch import Recording, recorded, run_make_logs, write_rows, write_study
 
 HOME = (
     "https://raw.githubusercontent.com/INTO-CPS-Association/example_digital-twin_incubator"
@@ -95,25 +94,12 @@ def make_logs(data: Path, folder: Path) -> list[Path]:
         for name, part in parts.items():
             power = POWER[build]
             lines = (f"{t:.3f},{power * on:.6g},{room:.3f},{inside:.4f}" for t, on, room, inside in rows(part, data))
-            text = "\n".join(["time,power [W],T_room [degC],T [degC]", *lines]) + "\n"
-            (out / name).write_text(text, encoding="utf-8")
-        lists = [", ".join(name for name in parts if name.startswith(kind)) for kind in "ev"]
-        study = out / "study.yaml"
-        study.write_text(
-            "model: incubator.fmu\ntolerance: {C_air: 50%, G_box: 50%}\nhorizon: free run\n"
-            f"logs:\n  estimation: [{lists[0]}]\n  validation: [{lists[1]}]\n",
-            encoding="utf-8",
-        )
-        studies.append(study)
+            write_rows(out / name, "time,power [W],T_room [degC],T [degC]", lines)
+        learnt, sealed = ([name for name in parts if name.startswith(kind)] for kind in "ev")
+        keys, fmu = "tolerance: {C_air: 50%, G_box: 50%}\nhorizon: free run\n", out.resolve() / "incubator.fmu"
+        studies.append(write_study(out, fmu, keys=keys, estimation=learnt, validation=sealed))
     return studies
 
 
 if __name__ == "__main__":
-    arguments = argparse.ArgumentParser(description="Logs, FMU and studies of a heated box")
-    arguments.add_argument("data", type=Path, help="folder of the recordings; missing ones are downloaded into it")
-    arguments.add_argument("out", type=Path, help="folder for the studies")
-    given = arguments.parse_args()
-    try:
-        print(*make_logs(given.data, given.out), sep="\n")
-    except RecordingError as error:
-        sys.exit(str(error))
+    sys.exit(run_make_logs(make_logs, __doc__))

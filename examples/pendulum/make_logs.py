@@ -5,9 +5,7 @@ learn from, the last sealed. And a small swing until it comes to rest, 6 s at 10
 10 ms. Each log starts at a turning point, where the rate, which is not logged, is 0.
 """
 
-import argparse
 import math
-import os
 import sys
 from pathlib import Path
 
@@ -15,7 +13,7 @@ import numpy as np
 import scipy.io
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, RecordingError, recorded
+from fetch import Recording, recorded, run_make_logs, write_rows, write_study
 
 HOME = "https://raw.githubusercontent.com/dynamicslab/MultiArm-Pendulum/e99a7e13fe2adc8fc647321a156b6cb59a48a698"
 LARGE = Recording(
@@ -55,41 +53,17 @@ def from_turn(angle: np.ndarray, step: float) -> np.ndarray:
     return angle[turn :: round(STEP / step)]
 
 
-def write_log(path: Path, angle: np.ndarray) -> None:
-    """One CSV; the cart was fixed."""
-    lines = (f"{k * STEP:.2f},0,{a:.7f}" for k, a in enumerate(angle))
-    path.write_text("\n".join(["time,cart [m/s2],angle [rad]", *lines]) + "\n", encoding="utf-8")
-
-
-def write_study(folder: Path) -> Path:
-    """study.yaml beside the logs; it names the model by its file."""
-    path = folder / "study.yaml"
-    model = Path(os.path.relpath(MODEL, folder.resolve())).as_posix()
-    path.write_text(
-        f"model: {model}:Pendulum\nlogs:\n"
-        f"  estimation: [{', '.join(LEARNT)}]\n  validation: [{', '.join(SEALED)}]\n"
-        f"noise: {{angle: {NOISE}}}\n",
-        encoding="utf-8",
-    )
-    return path
-
-
 def make_logs(data: Path, folder: Path) -> Path:
-    """Write logs and study.yaml to `folder`; return the study."""
+    """Write logs and study.yaml to `folder`; return the study. The cart was fixed."""
     folder.mkdir(parents=True, exist_ok=True)
     pieces = large(recorded(LARGE, data))
     swings = [*pieces[3:], small(recorded(SMALL, data))]
     for name, angle in zip((*LEARNT, *SEALED), swings, strict=True):
-        write_log(folder / name, angle)
-    return write_study(folder)
+        rows = (f"{k * STEP:.2f},0,{a:.7f}" for k, a in enumerate(angle))
+        write_rows(folder / name, "time,cart [m/s2],angle [rad]", rows)
+    keys = f"noise: {{angle: {NOISE}}}\n"
+    return write_study(folder, MODEL, "Pendulum", keys, estimation=LEARNT, validation=SEALED)
 
 
 if __name__ == "__main__":
-    arguments = argparse.ArgumentParser(description="Logs and a study of a pendulum")
-    arguments.add_argument("data", type=Path, help="folder of the recordings; what is not there is downloaded into it")
-    arguments.add_argument("out", type=Path, help="folder for the logs and study.yaml")
-    given = arguments.parse_args()
-    try:
-        print(make_logs(given.data, given.out))
-    except RecordingError as error:
-        sys.exit(str(error))
+    sys.exit(run_make_logs(make_logs, __doc__))

@@ -5,15 +5,13 @@ seconds, sealed. A command holds from its row to the next, so that two rows with
 Each sensor counts from its own first readings, of the cold board: two sensors on it do not show the same.
 """
 
-import argparse
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, RecordingError, recorded
+from fetch import Recording, recorded, run_make_logs, write_rows, write_study
 
 HOME = "https://raw.githubusercontent.com/APMonitor/arduino/f36e65a70dd7122d1829883899e40e56bf6c4279/2_Regression"
 LEARNT = Recording(
@@ -38,37 +36,20 @@ def rows(recording: Path) -> np.ndarray:
     return data
 
 
-def write_log(path: Path, table: np.ndarray, each: int) -> None:
-    """One CSV; `each` rows for one of the table, a second apart, of which the first has the readings."""
-    lines = []
-    for t, a, b, x, y in table:
-        lines.append(f"{t:.3f},{a:.5g},{b:.5g},{x:.3f},{y:.3f}")
-        lines += [f"{t + k:.3f},{a:.5g},{b:.5g},," for k in range(1, each)]
-    path.write_text("\n".join(["time,heater_1,heater_2,temperature_1,temperature_2", *lines]) + "\n", encoding="utf-8")
-
-
-def write_study(folder: Path) -> Path:
-    """study.yaml beside the logs; it names the model by its file."""
-    path = folder / "study.yaml"
-    model = Path(os.path.relpath(MODEL, folder.resolve())).as_posix()
-    path.write_text(f"model: {model}:Board\nlogs:\n  estimation: [e1.csv]\n  validation: [v1.csv]\n", encoding="utf-8")
-    return path
-
-
 def make_logs(data: Path, folder: Path) -> Path:
-    """Write logs and study.yaml to `folder`; return the study."""
+    """Write logs and study.yaml to `folder`; return the study.
+
+    A row of a recording becomes rows a second apart, of which the first has the readings.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for name, (recording, each) in LOGS.items():
-        write_log(folder / name, rows(recorded(recording, data)), each)
-    return write_study(folder)
+        lines = []
+        for t, a, b, x, y in rows(recorded(recording, data)):
+            lines.append(f"{t:.3f},{a:.5g},{b:.5g},{x:.3f},{y:.3f}")
+            lines += [f"{t + k:.3f},{a:.5g},{b:.5g},," for k in range(1, each)]
+        write_rows(folder / name, "time,heater_1,heater_2,temperature_1,temperature_2", lines)
+    return write_study(folder, MODEL, "Board", estimation=["e1.csv"])
 
 
 if __name__ == "__main__":
-    arguments = argparse.ArgumentParser(description="Logs and a study of the Temperature Control Lab")
-    arguments.add_argument("data", type=Path, help="folder of the recordings; what is not there is downloaded into it")
-    arguments.add_argument("out", type=Path, help="folder for e1.csv, v1.csv and study.yaml")
-    given = arguments.parse_args()
-    try:
-        print(make_logs(given.data, given.out))
-    except RecordingError as error:
-        sys.exit(str(error))
+    sys.exit(run_make_logs(make_logs, __doc__))

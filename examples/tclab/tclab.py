@@ -20,6 +20,7 @@ from cosim.model import (
     parameter,
 )
 
+Pair = tuple[Number, Number]
 ROOM = 294.0  # [K] what the laws of radiation need; a degree more or less makes 1 % of it
 BLACK = 5.67e-8 * 1.2e-3  # [W/K4] radiation of a black body of a heater's surface, 12 cm²
 SENSOR = 3.0  # [s] time constant of the sensor by itself, in close contact
@@ -38,7 +39,7 @@ class BoardEffect(Effect):
         """By how much the time constant [s] of the sensors is longer."""
         return 0.0
 
-    def heat(self, m: Namespace, board: tuple[Number, Number], power: tuple[Number, Number]) -> tuple[Number, Number]:
+    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
         """Heat [W] into either heater, from their temperatures [K] above the room and their powers [W]."""
         return 0.0, 0.0
 
@@ -80,7 +81,7 @@ class HeatExchange(BoardEffect):
 
     conductance: float = parameter(0.0, unit="W/K", bounds=(0, 0.1), neutral=0.0, typical=2e-3, doc="conductance k")
 
-    def heat(self, m: Namespace, board: tuple[Number, Number], power: tuple[Number, Number]) -> tuple[Number, Number]:
+    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
         """k·(θ₂ − θ₁), and back."""
         flow = self.conductance * (board[1] - board[0])
         return flow, -flow
@@ -95,7 +96,7 @@ class SharedHeat(BoardEffect):
 
     share: float = parameter(0.0, unit="1", bounds=(0, 0.5), neutral=0.0, typical=0.1, doc="share s")
 
-    def heat(self, m: Namespace, board: tuple[Number, Number], power: tuple[Number, Number]) -> tuple[Number, Number]:
+    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
         """s·(P₂ − P₁), and back."""
         flow = self.share * (power[1] - power[0])
         return flow, -flow
@@ -110,7 +111,7 @@ class Radiation(BoardEffect):
 
     emissivity: float = parameter(0.0, unit="1", bounds=(0, 1), neutral=0.0, typical=0.8, doc="emissivity ε")
 
-    def heat(self, m: Namespace, board: tuple[Number, Number], power: tuple[Number, Number]) -> tuple[Number, Number]:
+    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
         """−ε·σ·A·((T₀ + θ)⁴ − T₀⁴)."""
         first, second = (self.emissivity * BLACK * (ROOM**4 - (ROOM + x) ** 4) for x in board)
         return first, second
@@ -125,7 +126,7 @@ class NaturalConvection(BoardEffect):
 
     coefficient: float = parameter(0.0, unit="W/K2", bounds=(0, 0.01), neutral=0.0, typical=3e-4, doc="coefficient k")
 
-    def heat(self, m: Namespace, board: tuple[Number, Number], power: tuple[Number, Number]) -> tuple[Number, Number]:
+    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
         """−k·|θ|·θ."""
         first, second = (-self.coefficient * m.where(x >= 0.0, x, -x) * x for x in board)
         return first, second

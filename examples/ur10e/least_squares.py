@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from yardstick import Array, Channel, Parameters, Rig, Variant, main
+from yardstick import Array, Channel, Parameters, Rig, main
 
 GIVEN = {
     "inertia": 1.0,
@@ -23,10 +23,7 @@ GIVEN = {
     "rate_bias.value": 0.0,
 }
 BASE = {name: GIVEN[name] for name in ("inertia", "viscous", "weight_cosine", "weight_sine")}
-VARIANTS = (
-    Variant("base", BASE),
-    Variant("with dry friction", {**BASE, "coulomb.level": 0.5}),
-)
+VARIANTS = {"base": BASE, "with dry friction": {**BASE, "coulomb.level": 0.5}}
 
 
 def derivative(p: Parameters, state: tuple[Array, ...], current: tuple[Array, ...]) -> tuple[Array, ...]:

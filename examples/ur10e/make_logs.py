@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, recorded, run_make_logs, write_study
+from fetch import Recording, recorded, run_make_logs, write_rows, write_study
 
 RECORDING = Recording(
     "ur-20_01_22-joint_3.csv",
@@ -34,8 +34,8 @@ def make_logs(data: Path, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     recording = rows(recorded(RECORDING, data))
     for name, (first, last) in PARTS.items():
-        lines = [f"{t - first:.4f},{i},{q},{w}" for t, i, q, w in recording if first <= t < last]
-        (folder / name).write_text("\n".join(["time,current,angle,rate", *lines]) + "\n", encoding="utf-8")
+        lines = (f"{t - first:.4f},{i},{q},{w}" for t, i, q, w in recording if first <= t < last)
+        write_rows(folder / name, "time,current,angle,rate", lines)
     return write_study(folder, MODEL, "Elbow")
 
 

@@ -12,9 +12,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from cosim.core.arrays import Array, Flags
-from cosim.core.errors import InputError
+from cosim.core.errors import Fault, refuse
 from plant.bench import Bench
 from plant.identification.protocol import CHANNELS, Protocol
 from plant.identification.recordings import Recording
@@ -42,8 +43,6 @@ class Cell:
     @cached_property
     def curve(self) -> Any:
         """Return load as a function of voltage."""
-        from scipy.interpolate import PchipInterpolator
-
         if self.smooth:
             middle = float(self.volts.mean())
             cubic = np.polyfit(self.volts - middle, self.loads, min(3, self.volts.size - 2))
@@ -55,8 +54,7 @@ class Cell:
     @cached_property
     def zero(self) -> float:
         """Return the voltage of zero load on the curve."""
-        grid = np.linspace(self.volts[0], self.volts[-1], 4001)
-        return float(self.volts_of(np.zeros(1), grid)[0])
+        return float(self.volts_of(np.zeros(1), np.linspace(self.volts[0], self.volts[-1], 4001))[0])
 
     def volts_of(self, forces: Array, grid: Array) -> Array:
         """Return the voltages of forces, by interpolation between the voltages of a grid."""
@@ -98,44 +96,35 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         hung: Channel → recording of each load; not used for a cell with measured points.
 
     Raises:
-        InputError: The points of a cell give no curve.
+        InputError: The unsaturated points of a cell are too few, or the voltage is not monotonic in the load.
     """
-    cells = {}
+    cells, faults, limit = {}, list[Fault](), protocol.bench.converter_range
     for channel in CHANNELS:
-        cell, unit = protocol.file.cells[channel], protocol.load_in_si(channel)
+        cell, unit, text = protocol.file.cells[channel], protocol.load_in_si(channel), ""
         points = cell.points
         if not points:
             hanging = zip(cell.loads, hung[channel], strict=True)
             points = [(load, float(r.volts[channel].mean())) for load, r in hanging]
         loads, volts = np.array([(load * unit, v) for load, v in points]).T
-        try:
-            cells[channel] = _cell_inside(loads, volts, cell.error * cell.full_scale * unit, protocol.bench)
-        except ValueError as error:
-            raise InputError([protocol.yaml.fault(("cells", channel), error.args[0], key=True)]) from None
+        error = cell.error * cell.full_scale * unit
+        per_load = abs(float(np.ptp(volts))) / (float(np.ptp(loads)) or 1.0)
+        margin = np.where(loads == 0, 0.0, RAIL_ERRORS * error * per_load)  # zero load is exact
+        rail = at_rail(protocol.bench, volts, margin)
+        order = np.argsort(volts[~rail])
+        f, v = loads[~rail][order], volts[~rail][order]
+        steps = np.diff(f)
+        turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
+        if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
+            text = f"a point has {volts[beyond][0]:g} V, beyond the converter's 0 to {limit:g} V; write volts, or "
+            text += "`converter_range` under `parameters`"
+        elif f.size < MIN_POINTS:
+            text = f"{f.size} of {loads.size} points are inside the converter's range and beyond their error of its "
+            text += f"ends, and {MIN_POINTS} are needed; measure more points inside it"
+        elif turns.any():
+            low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
+            text = f"between {low:.4g} V and {high:.4g} V the load turns back; measure those points again"
+        if text:
+            faults.append(protocol.yaml.fault(("cells", channel), text, key=True))
+        cells[channel] = Cell(f, v, error, tuple(loads[rail].tolist()))
+    refuse(faults)
     return cells
-
-
-def _cell_inside(loads: Array, volts: Array, error: float, bench: Bench) -> Cell:
-    """Return a cell from its unsaturated points.
-
-    Raises:
-        ValueError: Too few points are unsaturated, or the voltage is not monotonic in the load.
-    """
-    limit = bench.converter_range
-    beyond = (volts / limit < -RAIL_SLACK) | (volts / limit > 1.0 + RAIL_SLACK)
-    if beyond.any():
-        cure = "write volts, or `converter_range` under `parameters`"
-        raise ValueError(f"a point has {volts[beyond][0]:g} V, beyond the converter's 0 to {limit:g} V; {cure}")
-    per_load = abs(float(np.ptp(volts))) / (float(np.ptp(loads)) or 1.0)
-    rail = at_rail(bench, volts, np.where(loads == 0, 0.0, RAIL_ERRORS * error * per_load))  # zero load is exact
-    if (count := int((~rail).sum())) < MIN_POINTS:
-        text = f"{count} of {loads.size} points are inside the converter's range and beyond their error of its ends"
-        raise ValueError(f"{text}, and {MIN_POINTS} are needed; measure more points inside it")
-    order = np.argsort(volts[~rail])
-    f, v = loads[~rail][order], volts[~rail][order]
-    steps = np.diff(f)
-    if not (np.all(np.diff(v) > 0) and (np.all(steps > 0) or np.all(steps < 0))):
-        bad = next((k for k in range(steps.size) if v[k + 1] <= v[k] or steps[k] * np.median(steps) <= 0), 0)
-        text = f"between {v[bad]:.4g} V and {v[bad + 1]:.4g} V the load turns back"
-        raise ValueError(f"{text}; measure those points again")
-    return Cell(f, v, error, tuple(loads[rail].tolist()))

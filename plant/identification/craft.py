@@ -22,9 +22,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy import optimize, stats
 
 from cosim.core.arrays import Array
-from cosim.core.errors import Fault, InputError, NotExecuted, refuse
+from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import BASE
 from cosim.core.units import square_unit
 from cosim.files.kinds import check_given
@@ -39,12 +40,9 @@ MIN_RUNS = 3  # runs over the distance: the interval comes from the scatter betw
 MIN_REST_ROWS = 50  # below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
 DRIFT_RATIO = 1.1  # ratio to the variance about a line from which a mean hides a drift
 MOVING_RATIO = 5.0  # standard deviations between the halves of a log beyond which it was not at rest
-TRIES = 6  # values on either side of the model's own, to bracket the distance
-FIRST_SHARE = 0.01  # first of them as a share of the way to a bound
+SHARES = np.geomspace(0.01, 1.0, 6).tolist()  # of the way to a bound, tried to bracket the distance
 WIDE_RANGE = 1e3  # range of an unbounded parameter as a multiple of the model's own value
 IMU = ("psi", "psi_dot", "ax")
-NAN = float("nan")
-Window = tuple[float, float] | None
 
 
 class RestFile(Part):
@@ -57,10 +55,15 @@ class RestFile(Part):
 class DistanceFile(Part):
     """Runs over a measured distance `covered`, common or separate, in the unit of `output`."""
 
-    files: Annotated[list[str], Field(min_length=1)]
+    files: Annotated[list[str], Field(min_length=MIN_RUNS)]
     parameter: str
     output: str
     covered: Number | list[Number]
+
+    @property
+    def lengths(self) -> list[float]:
+        """Return the distance of each run."""
+        return self.covered if isinstance(self.covered, list) else [self.covered] * len(self.files)
 
 
 class CraftFile(Part):
@@ -73,13 +76,6 @@ class CraftFile(Part):
     distance: DistanceFile | None = None
 
 
-def craft_file(path: Path) -> YamlFile | None:
-    """Return the content of a file about craft logs, None for a protocol of a bench."""
-    check_given(path, PROTOCOL)
-    yaml = YamlFile(path)
-    return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
-
-
 @dataclass(frozen=True)
 class CraftUnderTest:
     """A file of craft identification, the model and the logs that it names."""
@@ -87,8 +83,8 @@ class CraftUnderTest:
     yaml: YamlFile
     file: CraftFile
     loaded: LoadedModel
-    rest: Sequence[Log] = ()
-    runs: Sequence[Log] = ()
+    rest: Sequence[Log]
+    runs: Sequence[Log]
 
     def results(self) -> list[Result]:
         """Return the variance of every output measured at rest, and the parameter from the distance."""
@@ -96,63 +92,53 @@ class CraftUnderTest:
         return noise if self.file.distance is None else [*noise, _distance(self.runs, self.loaded, self.file.distance)]
 
 
-def read_craft(yaml: YamlFile) -> CraftUnderTest:
-    """Read the file and its logs.
+def read_craft(path: Path) -> CraftUnderTest | None:
+    """Read a file about craft logs, and the logs; return None for a protocol of a bench.
 
     Raises:
         InputError: Every fault of the file and its logs.
     """
-    content, faults = yaml.partly(CraftFile, "rest")
-    if content.rest is None and content.distance is None:
-        faults.append(yaml.fault((), "holds neither rest nor distance; add one", key=True))
-    try:
-        loaded = load_model(content.model, yaml.path.parent, yaml)
-    except InputError as error:
-        raise InputError([*faults, *error.faults]) from None
-    except NotExecuted:
-        refuse(faults)
-        raise
-    model, distance = loaded.model, content.distance
+    check_given(path, PROTOCOL)
+    yaml = YamlFile(path)
+    if not {"rest", "distance"} & set(yaml.root) or {"cells", "tests"} & set(yaml.root):
+        return None
+    content = yaml.validate(CraftFile)
+    loaded = load_model(content.model, path.parent, yaml)
+    model, distance, faults = loaded.model, content.distance, list[Fault]()
     if distance is not None:
-        faults += _distance_faults(yaml, distance, loaded.model)
-    rest = _logs(yaml, "rest", content.rest, lambda path: read_log(path, (), model.outputs), faults)
-    runs = _logs(yaml, "distance", distance, lambda path: read_log(path, model.inputs, model.outputs), faults)
-    if not faults and content.rest is not None:
-        faults += _rest_faults(yaml, rest, content.rest.window)
-    if not faults:
-        text = "no command changes in it: nothing moves, and nothing can be matched; leave it out"
-        still = [run for run in runs if all(np.ptp(v) == 0.0 for v in run.inputs.values())]
-        faults += [Fault(run.path, 0, 0, text) for run in still]
-    refuse(faults)
-    return CraftUnderTest(yaml, content, loaded, rest, runs)
-
-
-def _logs(
-    yaml: YamlFile,
-    part: str,
-    content: RestFile | DistanceFile | None,
-    read: Callable[[Path], Log],
-    faults: list[Fault],
-) -> list[Log]:
-    """Return the logs that a part of the file names; append faults to `faults`."""
-    logs, names = list[Log](), dict[bytes, str]()
-    for k, name in enumerate(content.files if content else ()):
-        path, place = yaml.path.parent / name, (part, "files", k)
-        if not path.is_file():
-            faults.append(yaml.fault(place, f"no such file: {name}; correct the path"))
-        elif (bytes_ := path.read_bytes()) in names:
-            cure = "each is a recording of its own, so leave one out"
-            faults.append(yaml.fault(place, f"{name} holds what {names[bytes_]} does; {cure}"))
-        else:
-            names[bytes_] = f"file {k + 1}, {name}"
+        names = [n for n, p in model.declared.items() if not isinstance(p.default, bool)]
+        outputs = [q.name for q in model.outputs]
+        for kind, name, known in (("parameter", distance.parameter, names), ("output", distance.output, outputs)):
+            if name not in known:
+                text = f'{model.title} has no {kind} "{name}"{did_you_mean(name, known)}'
+                faults.append(yaml.fault(("distance", kind), text))
+        if len(distance.lengths) != (count := len(distance.files)):
+            text = f"{len(distance.lengths)} distances for {count} files; give one each, or one for all"
+            faults.append(yaml.fault(("distance", "covered"), text))
+    logs: dict[str, list[Log]] = {"rest": [], "distance": []}
+    for part, inputs in (("rest", ()), ("distance", model.inputs)):
+        asked: RestFile | DistanceFile | None = getattr(content, part)
+        files = asked.files if asked else []
+        for k, name in enumerate(files):
+            if name in files[:k]:
+                text = f"{name} stands twice; each is a recording of its own, so leave one out"
+                faults.append(yaml.fault((part, "files", k), text))
+                continue
             try:
-                logs.append(read(path))
+                logs[part].append(read_log(path.parent / name, inputs, model.outputs))
             except InputError as error:
                 faults += error.faults
-    return logs
+    if not faults and content.rest is not None:
+        faults += _rest_faults(yaml, logs["rest"], content.rest.window)
+    text = "no command changes in it: nothing moves, and nothing can be matched; leave it out"
+    still = [run for run in logs["distance"] if all(np.ptp(v) == 0.0 for v in run.inputs.values())]
+    refuse(faults + [Fault(run.path, 0, 0, text) for run in still])
+    return CraftUnderTest(yaml, content, loaded, logs["rest"], logs["distance"])
 
 
 # -- noise at rest --------------------------------------------------------------------------
+
+Window = tuple[float, float] | None
 
 
 def _rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
@@ -189,8 +175,6 @@ def _readings(logs: Sequence[Log], name: str, window: Window) -> Iterator[tuple[
 
 def _noise(logs: Sequence[Log], model: Model, window: Window) -> Result:
     """Return the pooled S² of eq 5.44 of each output, and the variance about a line with its 95 % χ² interval."""
-    from scipy import stats
-
     result = Result("rest", [])
     for q in model.outputs:
         if not (parts := list(_readings(logs, q.name, window))):
@@ -198,9 +182,8 @@ def _noise(logs: Sequence[Log], model: Model, window: Window) -> Result:
         rows = sum(v.size for _, v in parts)
         about_mean = sum(float(np.sum((v - v.mean()) ** 2)) for _, v in parts) / (rows - len(parts))
         rests = [v - np.polyval(np.polyfit(t - t.mean(), v, 1), t - t.mean()) for t, v in parts]
-        squares = sum(float(r @ r) for r in rests)
-        freedom = rows - 2 * len(parts)
-        about_line = sum(float(np.sum(r**2)) for r in rests) / freedom
+        squares, freedom = sum(float(r @ r) for r in rests), rows - 2 * len(parts)
+        about_line = squares / freedom
         # correlated rows count as fewer: for squares, 1 + 2·Σρ² (Bartlett)
         correlations = (sum(float(r[lag:] @ r[:-lag]) for r in rests) / max(squares, 1e-300) for lag in range(1, 6))
         free = max(2.0, freedom / (1.0 + 2.0 * sum(rho**2 for rho in correlations)))
@@ -218,22 +201,6 @@ def _noise(logs: Sequence[Log], model: Model, window: Window) -> Result:
 # -- distance covered -----------------------------------------------------------------------
 
 
-def _distance_faults(yaml: YamlFile, distance: DistanceFile, model: Model) -> Iterator[Fault]:
-    numbers = [n for n, p in model.declared.items() if not isinstance(p.default, bool)]
-    outputs = [q.name for q in model.outputs]
-    count, covered = len(distance.files), distance.covered
-    for kind, name, names in (("parameter", distance.parameter, numbers), ("output", distance.output, outputs)):
-        if name not in names:
-            text = f'{model.title} has no {kind} "{name}"{did_you_mean(name, names)}'
-            yield yaml.fault(("distance", kind), text)
-    if count < MIN_RUNS:
-        text = f"{count} are too few: the interval comes from scatter between {MIN_RUNS} or more runs; add runs"
-        yield yaml.fault(("distance", "files"), text)
-    if isinstance(covered, list) and len(covered) != count:
-        text = f"{len(covered)} distances for {count} files; give one each, or one for all"
-        yield yaml.fault(("distance", "covered"), text)
-
-
 def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> Result:
     """Return the parameter value with which the model covers the measured distances of the runs.
 
@@ -241,10 +208,9 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
     """
     model, parameter, output = loaded.model, asked.parameter, asked.output
     declared = model.declared[parameter]
-    lengths = asked.covered if isinstance(asked.covered, list) else [asked.covered] * len(runs)
     near = float(loaded.parameters.get(parameter, declared.default))
     faults, values, observed = [], list[float](), list[float]()
-    for run, length in zip(runs, lengths, strict=True):
+    for run, length in zip(runs, asked.lengths, strict=True):
 
         def by_model(value: float, run: Log = run) -> float:
             return float(_path(run, model.with_values({parameter: value}), output)[-1])
@@ -258,15 +224,15 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
             try:
                 observed.append(_match(observer, length, declared.bounds, near))
             except ValueError:
-                observed.append(NAN)
+                observed.append(np.nan)
     refuse(faults)
-    thesis = float(np.mean(observed)) if observed else NAN
-    numbers = [(parameter, declared.unit, thesis, NAN)]
+    thesis = float(np.mean(observed)) if observed else np.nan
+    numbers = [(parameter, declared.unit, thesis, np.nan)]
     result = Result("distance", make_estimates(numbers, np.array(values)[:, None], "distance covered (§5.5)"))
     value = result.estimates[0].value
     fitted = model.with_values({**loaded.parameters, parameter: float(np.clip(value, *declared.bounds))})
     unit = next(q.unit for q in model.outputs if q.name == output)
-    for run, length in zip(runs, lengths, strict=True):
+    for run, length in zip(runs, asked.lengths, strict=True):
         path = (f"model, {parameter} = {value:.3g}", run.time, _path(run, fitted, output), "true")
         end = ("covered", run.time[-1:], np.array([length]), "dots")
         result.figures.append(Figure(f"{run.path.name}: {output}", "time [s]", unit, [path, end]))
@@ -282,25 +248,21 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
     Raises:
         ValueError: No value within the bounds gives the distance.
     """
-    from scipy.optimize import brentq
-
-    gaps: dict[float, float] = {}
 
     def gap(value: float) -> float:
-        if value not in gaps:
-            gaps[value] = distance_of(value) - length
-        return gaps[value]
+        return distance_of(value) - length
 
     wide = WIDE_RANGE * (abs(near) or 1.0)
-    low, high = (b if np.isfinite(b) else near + s * wide for b, s in zip(bounds, (-1, 1), strict=True))
-    above = below = near
-    for share in np.geomspace(FIRST_SHARE, 1.0, TRIES).tolist():
-        up, down = near + share * (high - near), near - share * (near - low)
-        for inner, outer in ((above, up), (below, down)):
-            ends = gap(inner), gap(outer)
-            if np.isfinite(ends).all() and ends[0] * ends[1] <= 0.0:
-                return float(brentq(gap, min(inner, outer), max(inner, outer), xtol=1e-9, rtol=1e-9))
-        above, below = up, down
+    low, high = (b if np.isfinite(b) else near + sign * wide for b, sign in zip(bounds, (-1, 1), strict=True))
+    gaps, inner = {near: gap(near)}, {low: near, high: near}
+    for share in SHARES:
+        for end in (high, low):
+            outer = near + share * (end - near)
+            gaps[outer] = gap(outer)
+            pair = gaps[inner[end]], gaps[outer]
+            if np.isfinite(pair).all() and pair[0] * pair[1] <= 0.0:
+                return float(optimize.brentq(gap, *sorted((inner[end], outer)), xtol=1e-9, rtol=1e-9))
+            inner[end] = outer
     reached = [g + length for g in gaps.values() if np.isfinite(g)]
     span = f"from {min(reached):.4g} to {max(reached):.4g} are" if reached else "nothing is"
     raise ValueError(f"{span} within its bounds {low:g} … {high:g}; is the distance or the sign of a command wrong?")

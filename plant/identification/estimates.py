@@ -5,11 +5,12 @@ The estimators of all tests share this harness, and the responses of tilt and th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy import signal, stats
 
 from cosim.core.arrays import Array
 from cosim.model.integrate import rk4, substeps
@@ -19,7 +20,6 @@ from plant.identification.cells import Cells
 from plant.identification.recordings import Recording
 from plant.powertrain import servo_angle, servo_rate
 
-CONFIDENCE = 0.95
 LAGS = np.geomspace(0.01, 0.6, 83)  # [s] lags to try, 5 % apart
 
 
@@ -66,7 +66,12 @@ class Figure:
 
 @dataclass
 class Result:
-    """Result of a test: estimates, notes, warnings, figures, and additions to identify.json."""
+    """Result of a test: estimates, notes, warnings, figures, and additions to identify.json.
+
+    Attributes:
+        each: Values of each repetition, shape (N, p).
+        shifts: Change of their means by one standard deviation of each calibration point, shape (points, p).
+    """
 
     test: str
     estimates: list[Estimate]
@@ -74,6 +79,8 @@ class Result:
     figures: list[Figure] = field(default_factory=list)
     details: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    each: Array = field(default_factory=lambda: np.empty((0, 0)))
+    shifts: Array = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -103,9 +110,14 @@ class Measurement:
             self.tilts[key] = tilt_response(self.bench, r.time, r.servo_duty, np.array([self.bench.lag]))[:, 0]
         return self.tilts[key]
 
-    def true(self, name: str) -> float:
-        """Return the true value, NaN if unknown."""
-        return getattr(self.truth, name) if self.truth else float("nan")
+    def gram_force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
+        """Return the force of a cell without its tare [gf]."""
+        return 1000.0 / self.bench.gravity * self.force(r, channel, using)
+
+    def commanded_tilt(self, r: Recording) -> Array:
+        """Return the commanded tilt [rad]."""
+        angle: Array = servo_angle(r.servo_duty, self.bench.servo_neutral, self.bench.servo_slope)
+        return angle
 
 
 def tilt_response(bench: Bench, time: Array, servo_duty: Array, lags: Array) -> Array:
@@ -134,9 +146,7 @@ def held_lag(values: Array, step: float, lag: float) -> Array:
         return values
     share, out = 1.0 - np.exp(-step / lag), np.empty_like(values)
     out[0] = values[0]
-    from scipy.signal import lfilter
-
-    out[1:] = lfilter([share], [1.0, share - 1.0], values[:-1], zi=[(1.0 - share) * values[0]])[0]
+    out[1:] = signal.lfilter([share], [1.0, share - 1.0], values[:-1], zi=[(1.0 - share) * values[0]])[0]
     return out
 
 
@@ -144,12 +154,10 @@ def low_pass(values: Array, step: float, lag: float) -> Array:
     """Return the first-order low pass of interpolated values along the first axis (trapezoidal rule)."""
     if lag <= 0:
         return values
-    from scipy.signal import lfilter
-
     ratio = 2.0 * lag / step
     b, a = np.array([1.0, 1.0]) / (ratio + 1.0), np.array([1.0, (1.0 - ratio) / (1.0 + ratio)])
     start = ((ratio - 1.0) / (ratio + 1.0) + 1.0 / (ratio + 1.0)) * values[:1]
-    return np.asarray(lfilter(b, a, values, axis=0, zi=start)[0])
+    return np.asarray(signal.lfilter(b, a, values, axis=0, zi=start)[0])
 
 
 def interval(each: Array, shifts: Array | None = None) -> tuple[Array, Array, Array, Array]:
@@ -161,14 +169,12 @@ def interval(each: Array, shifts: Array | None = None) -> tuple[Array, Array, Ar
         each: Values, shape (N, p).
         shifts: Change of the means by each calibration point's error, shape (points, p).
     """
-    from scipy import stats
-
     n = each.shape[0]
     scatter = each.std(axis=0, ddof=1) / np.sqrt(n)
     calibration = np.zeros_like(scatter) if shifts is None else np.sqrt((shifts**2).sum(axis=0))
     variance = scatter**2 + calibration**2
     freedom = (n - 1) * variance**2 / np.maximum(scatter**4, 1e-300)
-    half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, np.minimum(freedom, 1e6)) * np.sqrt(variance)
+    half = stats.t.ppf(0.975, np.minimum(freedom, 1e6)) * np.sqrt(variance)
     return each.mean(axis=0), half, scatter, calibration
 
 
@@ -180,12 +186,10 @@ def make_estimates(
     Args:
         numbers: Name, unit, thesis' estimate and true value of each number.
     """
-    value, half, scatter, calibration = interval(each, shifts)
+    columns = np.stack(interval(each, shifts), axis=1).tolist()
     return [
-        Estimate(
-            name, unit, thesis, float(v), float(v - h), float(v + h), float(s), float(c), each.shape[0], origin, truth
-        )
-        for (name, unit, thesis, truth), v, h, s, c in zip(numbers, value, half, scatter, calibration, strict=True)
+        Estimate(name, unit, thesis, value, value - half, value + half, scatter, calibration, len(each), origin, truth)
+        for (name, unit, thesis, truth), (value, half, scatter, calibration) in zip(numbers, columns, strict=True)
     ]
 
 
@@ -194,17 +198,15 @@ def estimated(
     test: str,
     values: Callable[[Cells], Array],
     channels: str,
-    numbers: Sequence[tuple[str, str, float, float]],
+    thesis: Mapping[str, float],
     origin: str,
-) -> tuple[Result, Array, Array]:
-    """Return the result of a test with its estimates, the values of each repetition, and their shifts.
-
-    A shift is the change of the means by one standard deviation of a calibration point.
+) -> Result:
+    """Return the result of a test with its estimates.
 
     Args:
         values: Function from the cells to the values of each repetition, shape (N, p).
         channels: Cells whose points change.
-        numbers: Name, unit, thesis' estimate and true value of each number.
+        thesis: Estimate of the thesis of each number.
     """
     each = values(m.cells)
     rows = []
@@ -215,7 +217,13 @@ def estimated(
             loads[k] += cell.error
             rows.append(values({**m.cells, c: replace(cell, loads=loads)}).mean(axis=0) - each.mean(axis=0))
     shifts = np.array(rows) if rows else np.zeros((0, each.shape[1]))
-    return Result(test, make_estimates(numbers, each, origin, shifts)), each, shifts
+    numbers = []
+    for name, by_thesis in thesis.items():
+        parameter = name.removesuffix("_of_thrust")
+        declared = m.bench.declared.get(parameter)  # the factor of a projection is no parameter, and ideally 1
+        truth = getattr(m.truth, parameter, 1.0) if m.truth else float("nan")
+        numbers.append((name, declared.unit if declared else "1", by_thesis, truth))
+    return Result(test, make_estimates(numbers, each, origin, shifts), each=each, shifts=shifts)
 
 
 def least(grid: Array, cost: Array) -> Array:

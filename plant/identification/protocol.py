@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from cosim.core.errors import Fault
+from cosim.core.errors import refuse
 from cosim.core.units import factor
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import (
@@ -36,14 +35,35 @@ CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
 BENCH = "bench"  # the bench of this package
 MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
 MAX_RUN_TIME = 3600.0  # [s] of a simulated run
-MIN_HEIGHT = 0.5  # [radii] least height in eq 4.28
+MIN_LOADS = 4  # different loads of a calibration
+
+
+def _forward(times: tuple[float, float]) -> tuple[float, float]:
+    if times[0] >= times[1]:
+        raise ValueError(f"{times[0]:g} … {times[1]:g} s is empty; write its start, then its end")
+    return times
+
+
+def _distinct(values: list[Any]) -> list[Any]:
+    if len(set(values)) < len(values):
+        raise ValueError("an entry stands twice; a repetition is a run of its own, and each height is given once")
+    return values
+
+
+Phase = tuple[NotNegativeSeconds, Annotated[NotNegative, InUnit("%")], Annotated[Number, InUnit("deg")]]
+
+
+def _in_order(phases: list[Phase]) -> list[Phase]:
+    times = [time for time, *_ in phases]
+    if times != sorted(times) or max(times, default=0.0) > MAX_RUN_TIME:
+        raise ValueError(f"times of phases must increase, up to {MAX_RUN_TIME:g} s; correct them")
+    return phases
+
 
 Metres = Annotated[Positive, InUnit("m")]
 Volts = Annotated[NotNegative, InUnit("V", difference=True)]
-Percent = InUnit("%")
-Window = tuple[NotNegativeSeconds, NotNegativeSeconds]
-# time [s], duty [%], tilt [deg]
-Phase = tuple[NotNegativeSeconds, Annotated[NotNegative, Percent], Annotated[Number, InUnit("deg")]]
+Percent = Annotated[Positive, InUnit("%")]
+Window = Annotated[tuple[NotNegativeSeconds, NotNegativeSeconds], AfterValidator(_forward)]
 
 
 class CellFile(Part):
@@ -71,6 +91,19 @@ class CellFile(Part):
             return [[unit.number(p[0]), *p[1:]] if isinstance(p, list) and p else p for p in value]
         return [unit.number(v) for v in value] if isinstance(value, list) else unit.number(value)
 
+    @model_validator(mode="after")
+    def _has_a_curve(self) -> Self:
+        """Refuse loads that give no curve."""
+        loads = self.loads or [load for load, _ in self.points]
+        if bool(self.loads) == bool(self.points):
+            raise ValueError("give either `loads` to hang on the bench that is played, or measured `points`")
+        if len(set(loads)) < MIN_LOADS:
+            raise ValueError("a curve needs four different loads at least; give more")
+        if (most := max(map(abs, loads))) > MAX_OVERLOAD * self.full_scale:
+            text = f"{most:g} {self.unit} is beyond full_scale, {self.full_scale:g} {self.unit}"
+            raise ValueError(f"{text}; correct the unit, the load or full_scale")
+        return self
+
 
 class Draws(Part):
     """Variation between runs of a simulated bench, as standard deviations.
@@ -88,28 +121,48 @@ class Draws(Part):
 class Test(Part):
     """A test: simulated `phases`, or measured `files`."""
 
-    repetitions: Annotated[int, Field(strict=True, ge=1, le=10_000, description="runs that are played")] = 1
-    files: list[str] = Field(default=[], description="runs that were measured, a CSV each, in place of phases")
+    repetitions: Annotated[
+        int, Field(strict=True, ge=MIN_REPETITIONS, le=10_000, description="runs that are played")
+    ] = MIN_REPETITIONS
+    files: Annotated[list[str], AfterValidator(_distinct)] = Field(
+        default=[], min_length=MIN_REPETITIONS, description="runs that were measured, a CSV each, in place of phases"
+    )
     low_pass: NotNegativeSeconds = Field(
         default=0.0, description="time constant of the filter of readings [s]; 0: none"
     )
     height: Metres = Field(default=FREE_HEIGHT, description="of the propeller above the ground [m]")
-    phases: list[Phase] = Field(default=[], description="time [s], duty [%], tilt [deg] each, straight in between")
+    phases: Annotated[list[Phase], AfterValidator(_in_order)] = Field(
+        default=[], description="time [s], duty [%], tilt [deg] each, straight in between"
+    )
     rest: Window = Field(description="from and to [s], without thrust: the tare")
     window: Window = Field(description="from and to [s], what is looked at")
+
+    @property
+    def analysed(self) -> tuple[float, float]:
+        """Return the times [s] of the analysed rows."""
+        return self.window
+
+    @model_validator(mode="after")
+    def _can_be_played(self) -> Self:
+        """Refuse a test without runs."""
+        if not (self.files or self.phases or isinstance(self, SineTest)):
+            raise ValueError("has neither phases to play nor files; give either")
+        return self
 
 
 class HeightTest(Test):
     """Thrust at several heights relative to the thrust far from the ground.
 
-    heights:         Heights in propeller radii.
+    heights:         Heights in propeller radii, at least half a radius, below which eq 4.28 is not valid.
     free_height:     Height without ground effect [m].
     validation_duty: Duty of the validation set [%].
     """
 
-    heights: list[Positive] = Field(default=[])
+    heights: Annotated[list[Annotated[Positive, Field(ge=0.5)]], AfterValidator(_distinct)] = Field(
+        default=[], min_length=2
+    )
     free_height: Metres = FREE_HEIGHT
-    validation_duty: Annotated[Positive, Percent] | None = None
+    validation_duty: Percent | None = None
 
 
 class HoldTest(Test):
@@ -145,10 +198,23 @@ class SineTest(Test):
     frequencies: list[Annotated[Positive, InUnit("rad/s")]]
     periods: list[Positive]
     amplitude: Annotated[Positive, InUnit("deg")] = 10.0
-    duty: Annotated[Positive, Percent]
+    duty: Percent
     lead: PositiveSeconds = 3.0
     skip: PositiveSeconds = 1.0
     thesis_skip: list[NotNegative] = Field(default=[])  # periods
+
+    @property
+    def analysed(self) -> tuple[float, float]:
+        """Return the times [s] of the analysed rows."""
+        return self.lead + self.skip, float("inf")
+
+    @field_validator("periods")
+    @classmethod
+    def _one_each(cls, periods: list[float], info: ValidationInfo) -> list[float]:
+        """Refuse periods that are not one number a frequency."""
+        if len(periods) != len(info.data.get("frequencies", periods)):
+            raise ValueError("give one number for each frequency")
+        return periods
 
 
 class Tests(Part):
@@ -225,111 +291,47 @@ class Protocol:
         return (factor(unit, CHANNELS[channel]) or 1.0) * gravity
 
 
-def read_partly(path: Path) -> tuple[Protocol, list[Fault]]:
-    """Return a protocol and its faults.
+def read_protocol(path: Path) -> Protocol:
+    """Read a protocol.
 
     Raises:
-        InputError: The file is not readable.
+        InputError: Every fault of the file.
     """
     check_given(path, PROTOCOL)
-    yaml = YamlFile(path)
-    content, faults = yaml.partly(ProtocolFile, "tests")
-    bench = Bench()
-    units = {n: p.unit for n, p in bench.declared.items()}
-    parameters, of_units = yaml.in_units(("parameters",), content.parameters, units)
-    content = content.model_copy(update={"parameters": parameters})
-    faults += of_units
-    for name, value in parameters.items():
-        if name not in bench.declared:
-            message = f'a bench has no "{name}"{did_you_mean(name, bench.declared)}'
-            faults.append(yaml.fault(("parameters", name), message, key=True))
-        elif reason := bench.declared[name].fault(value):
+    yaml, bench = YamlFile(path), Bench()
+    content = yaml.validate(ProtocolFile)
+    declared = bench.declared
+    values, faults = yaml.in_units(("parameters",), content.parameters, {n: p.unit for n, p in declared.items()})
+    for name, value in values.items():
+        if name not in declared:
+            text = f'a bench has no "{name}"{did_you_mean(name, declared)}'
+            faults.append(yaml.fault(("parameters", name), text, key=True))
+        elif reason := declared[name].fault(value):
             faults.append(yaml.fault(("parameters", name), reason))
-    faults += _cell_faults(yaml, content)
-    if not list(content.tests.named_tests()):
-        message = f"holds no test; add one of {', '.join(Tests.model_fields)}"
-        faults.append(yaml.fault(("tests",), message, key=True))
+    if content.cells.keys() != CHANNELS.keys():
+        faults.append(yaml.fault(("cells",), f"a bench has the cells {', '.join(CHANNELS)}; give these", key=True))
+    for name, cell in content.cells.items():
+        if name in CHANNELS and factor(cell.unit, CHANNELS[name]) is None:
+            hint = f"; a mass that is hung is a force: write {cell.unit}f" if cell.unit in ("g", "kg") else ""
+            faults.append(yaml.fault(("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}{hint}"))
+        if cell.loads and content.bench is None:
+            text = "no bench is played; give `points` [load, voltage] as measured"
+            faults.append(yaml.fault(("cells", name, "loads"), text))
+    if not (tests := dict(content.tests.named_tests())):
+        faults.append(yaml.fault(("tests",), f"holds no test; add one of {', '.join(Tests.model_fields)}", key=True))
+    for name, test in tests.items():
+        if content.bench is None and not test.files:
+            cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
+            faults.append(yaml.fault(("tests", name), f"has no files, and no bench is played; {cure}", key=True))
     if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
         cure = f"write {BENCH} for the one that is built here, or the path of yours"
         faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; {cure}"))
-    if not faults:
-        bench = bench.with_values(parameters)
-    for name, test in content.tests.named_tests():
-        faults += _test_faults(yaml, content, bench, ("tests", name), test)
-    return Protocol(yaml, content, bench), faults
-
-
-def _cell_faults(yaml: YamlFile, content: ProtocolFile) -> Iterator[Fault]:
-    names = ", ".join(CHANNELS)
-    for name in CHANNELS.keys() - content.cells.keys():
-        yield yaml.fault(("cells",), f'cell "{name}" is missing; a bench has {names}', key=True)
-    for name, cell in content.cells.items():
-        at = ("cells", name)
-        if name not in CHANNELS:
-            yield yaml.fault(at, f"no such cell; a bench has {names}", key=True)
-            continue
-        if factor(cell.unit, CHANNELS[name]) is None:
-            is_mass = cell.unit in ("g", "kg")
-            hint = f"; a mass that is hung is a force: write {cell.unit}f" if is_mass else ""
-            yield yaml.fault((*at, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}{hint}")
-        source = yaml.root["cells"][name]
-        if bool(cell.loads) == bool(cell.points):
-            if cell.loads or not (source.get("loads") or source.get("points")):  # unreadable values are reported
-                cure = (
-                    "give either `loads` to hang on the bench that is played, or `points` [load, voltage] as measured"
-                )
-                yield yaml.fault(at, f"has {'both' if cell.loads else 'neither'} loads and points; {cure}")
-            continue
-        loads = np.array(cell.loads or [load for load, _ in cell.points], float)
-        beyond = np.flatnonzero(np.abs(loads) > MAX_OVERLOAD * cell.full_scale).tolist()
-        key = "loads" if cell.loads else "points"
-        if cell.loads and content.bench is None:
-            yield yaml.fault((*at, key), "no bench is played; give `points` [load, voltage] as measured")
-        elif len(set(loads.tolist())) < 4:
-            yield yaml.fault((*at, key), "a curve needs four different loads at least; give more")
-        elif beyond:
-            text = f"{loads[beyond[0]]:g} is beyond the cell's full_scale of {cell.full_scale:g} {cell.unit}"
-            yield yaml.fault((*at, key, beyond[0]), f"{text}; correct the unit, the load or full_scale")
-
-
-def _test_faults(
-    yaml: YamlFile, content: ProtocolFile, bench: Bench, at: tuple[str, ...], test: Test
-) -> Iterator[Fault]:
-    least = f"too few: intervals come from scatter between {MIN_REPETITIONS} or more"
-    if test.files:
-        if (count := len(test.files)) < MIN_REPETITIONS:
-            yield yaml.fault((*at, "files"), f"{count} recordings are {least}; add recordings")
-        for k, file in enumerate(test.files):
-            if file in test.files[:k]:
-                yield yaml.fault((*at, "files", k), f"{file} is named twice; a repetition is a run of its own")
-    elif content.bench is None:
-        cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
-        yield yaml.fault(at, f"has no files, and no bench is played; {cure}", key=True)
-    else:
-        if test.repetitions < MIN_REPETITIONS:
-            yield yaml.fault((*at, "repetitions"), f"{test.repetitions} are {least}; raise the number")
-        times = [p[0] for p in test.phases]
-        if not times and not isinstance(test, SineTest):
-            yield yaml.fault(at, "has neither phases to play nor files; give either", key=True)
-        elif times != sorted(times) or (times and times[-1] > MAX_RUN_TIME):
-            text = f"times of phases must increase, up to {MAX_RUN_TIME:g} s; correct them"
-            yield yaml.fault((*at, "phases"), text)
-    for key in ("rest", "window", "hold"):
-        start, end = getattr(test, key, (0.0, 1.0))
-        if start >= end:
-            yield yaml.fault((*at, key), f"{start:g} … {end:g} s is empty; write its start, then its end")
-    if isinstance(test, SineTest) and len(test.periods) != len(test.frequencies):
-        text = f"{len(test.periods)} for {len(test.frequencies)} frequencies; give one each"
-        yield yaml.fault((*at, "periods"), text)
-    if isinstance(test, HeightTest) and not test.files:
-        heights, highest = test.heights, max(test.heights, default=0.0) * bench.propeller_radius
-        for k, height in enumerate(heights):
-            if height in heights[:k] or height < MIN_HEIGHT:
-                text = f"{height:g} radii are listed twice, or below {MIN_HEIGHT:g}, where eq 4.28 is not valid"
-                yield yaml.fault((*at, "heights", k), f"{text}; give another height")
-        if len(heights) == 1 or not yaml.root["tests"]["ground_effect"].get("heights"):
-            yield yaml.fault((*at, "heights"), "two heights are needed at least; add one")
-        elif test.free_height <= highest:
-            text = f"{test.free_height:g} m is not above the heights near the ground, which reach {highest:.3g} m"
-            cure = "give 10 radii or more, where the ground has no effect"
-            yield yaml.fault((*at, "free_height"), f"{text}; {cure}")
+    refuse(faults)
+    bench = bench.with_values(values)
+    if (ground := content.tests.ground_effect) is not None and not ground.files:
+        near, free = [h * bench.propeller_radius for h in ground.heights], ground.free_height
+        if not near or max(near) >= free:
+            text = f"{free:g} m is not above two or more heights near the ground; give 10 radii or more"
+            faults.append(yaml.fault(("tests", "ground_effect", "free_height" if near else "heights"), text))
+    refuse(faults)
+    return Protocol(yaml, content.model_copy(update={"parameters": values}), bench)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,50 +12,40 @@ import numpy as np
 from cosim.blocks.fmu import RestartableFmu
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.text import counted
-from cosim.core.units import factor
-from cosim.files.table import DECIMAL_COMMA, Column, Faults, Use, read_table
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.description import read_description
+from cosim.logs.log import read_log
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 
 LOAD_TIME = 1.0  # [s] duration of a calibration load
-SAME_STEP = 0.1  # share of a step by which an even clock varies
 MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
-COLUMNS = {  # column of a recording → unit
-    **{"duty": "%", "servo_duty": "%", "height": "m"},
-    **dict.fromkeys(("volts_z", "volts_x", "volts_m"), "V"),
-}
-
-
-@dataclass(frozen=True)
-class SimulatedRecording:
-    """A run to simulate; `noise` has a row per cell and a value per reading, `thrust` is a factor on the thrust."""
-
-    label: str
-    time: Array
-    duty: Array
-    servo_duty: Array
-    height: float
-    low_pass: float
-    noise: Array
-    loads: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    thrust: float = 1.0
+LATE_ROW = 1.5  # steps between two rows from which a row is missing
+COLUMNS = (*Bench.inputs[:3], *Bench.outputs[:3])  # of a recording, beside the time
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded run: held commands and voltages by cell; `path` and `lines` (of the rows) for a measured run."""
+    """A run on the bench: held commands, and the voltages of the cells once it is simulated or measured.
+
+    Attributes:
+        volts: Cell → voltage of each row.
+        low_pass, loads, thrust: Of a simulated run: filter time, loads at the hub, factor on the thrust.
+        noise: Of a simulated run: voltage added to each reading, shape (cells, rows).
+        path, lines: Of a measured run: its file, and the line of each row.
+    """
 
     label: str
     time: Array
     duty: Array
     servo_duty: Array
     height: Array
-    volts: Mapping[str, Array]
+    volts: Mapping[str, Array] = field(default_factory=dict)
+    low_pass: float = 0.0
+    loads: tuple[float, ...] = (0.0, 0.0, 0.0)
+    thrust: float = 1.0
+    noise: Array = field(default_factory=lambda: np.empty(0))
     path: Path | None = None
-    lines: Array = field(default_factory=lambda: np.empty(0))
+    lines: Sequence[int] = ()
 
     @property
     def step(self) -> float:
@@ -68,23 +58,32 @@ class Recording:
         rows: Flags = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
         return rows
 
+    def with_volts(self, volts: Array) -> Recording:
+        """Return the run with its voltages, shape (rows, cells)."""
+        return replace(self, volts=dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True)))
 
-# -- commands of a protocol ---------------------------------------------------------------
+
+# -- simulated runs -----------------------------------------------------------------------
 
 
-def commands(test: Test, bench: Bench, step: float) -> list[tuple[str, Array, Array, Array, float]]:
-    """Return label, time, duty, servo duty and height of each different run of a test.
+def commands(test: Test, bench: Bench, step: float) -> list[Recording]:
+    """Return each different run of a test, without readings.
 
     Commands are straight lines between phases; two phases at one time make a step.
     """
-    runs = list[tuple[str, Array, Array, Array, float]]()
+
+    def run(label: str, time: Array, duty: Array, angle: Array, height: float) -> Recording:
+        servo_duty = bench.servo_neutral + angle * (np.pi / 180.0) / bench.servo_slope
+        return Recording(label, time, duty, servo_duty, np.full(time.size, height), low_pass=test.low_pass)
+
+    runs = []
     if isinstance(test, SineTest):
         for w, periods in zip(test.frequencies, test.periods, strict=True):
             end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
             time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
             duty: Array = np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty])
             angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
-            runs.append((f" at {w:g} rad/s", time, duty, _servo_duty(bench, angle), test.height))
+            runs.append(run(f" at {w:g} rad/s", time, duty, angle, test.height))
         return runs
     sets = [("", test.height, test.phases)]
     if isinstance(test, HeightTest):
@@ -101,29 +100,20 @@ def commands(test: Test, bench: Bench, step: float) -> list[tuple[str, Array, Ar
         gap = times[k + 1] - times[k]
         share = np.clip(np.divide(time - times[k], gap, out=np.ones_like(time), where=gap > 0), 0.0, 1.0)
         duty, angle = (v[k] + share * (v[k + 1] - v[k]) for v in (duties, angles))
-        runs.append((label, time, duty, _servo_duty(bench, angle), height))
+        runs.append(run(label, time, duty, angle, height))
     return runs
 
 
-def _servo_duty(bench: Bench, angle: Array) -> Array:
-    """Return the duty of the servo for a tilt [°]."""
-    return bench.servo_neutral + angle * (np.pi / 180.0) / bench.servo_slope
-
-
-def runs_of(protocol: Protocol, name: str, seed: int) -> list[SimulatedRecording]:
+def runs_of(protocol: Protocol, name: str, seed: int) -> list[Recording]:
     """Return the runs of a test with random variation, reproducible by the seed."""
-    file, runs = protocol.file, []
+    file, test, runs = protocol.file, getattr(protocol.file.tests, name), []
     number = list(type(file.tests).model_fields).index(name)
-    test = getattr(file.tests, name)
-    for k, (label, time, duty, servo_duty, height) in enumerate(commands(test, protocol.bench, file.step)):
+    for k, run in enumerate(commands(test, protocol.bench, file.step)):
         for repetition in range(test.repetitions):
             rng = np.random.default_rng([seed, number, k, repetition])
             thrust = max(0.1, 1.0 + file.draws.thrust * rng.standard_normal())
-            noise = _noise(protocol, rng, time.size)
-            name_of_run = f"{name}{label}, repetition {repetition + 1}"
-            runs.append(
-                SimulatedRecording(name_of_run, time, duty, servo_duty, height, test.low_pass, noise, thrust=thrust)
-            )
+            label = f"{name}{run.label}, repetition {repetition + 1}"
+            runs.append(replace(run, label=label, thrust=thrust, noise=_noise(protocol, rng, run.time.size)))
     return runs
 
 
@@ -134,11 +124,12 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
     return np.asarray(drift[:, None] + spread[:, None] * rng.standard_normal((3, rows)))
 
 
-def load_runs(protocol: Protocol, seed: int) -> dict[str, list[SimulatedRecording]]:
+def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
     """Return for each cell the calibration runs, one per load, with random errors of the loads."""
-    file, by_channel = protocol.file, dict[str, list[SimulatedRecording]]()
+    file, by_channel = protocol.file, dict[str, list[Recording]]()
     time = np.asarray(file.step * np.arange(round(LOAD_TIME / file.step) + 1), dtype=np.float64)
-    at_rest = np.full_like(time, REST_DUTY), np.full_like(time, NEUTRAL_DUTY)
+    duty, servo_duty, height = (np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT))
+    unloaded = Recording("", time, duty, servo_duty, height)
     for place, channel in enumerate(CHANNELS):
         cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
         to_si = protocol.load_in_si(channel)
@@ -147,25 +138,15 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[SimulatedRecordin
         for load, e in zip(cell.loads, off, strict=True):
             noise = _noise(protocol, rng, time.size, tare=False)
             loads = tuple((load + e) * to_si * (c == channel) for c in CHANNELS)
-            by_channel[channel].append(
-                SimulatedRecording(f"load {load:g} {cell.unit}", time, *at_rest, FREE_HEIGHT, 0.0, noise, loads)
-            )
+            run = replace(unloaded, label=f"load {load:g} {cell.unit}", noise=noise, loads=loads)
+            by_channel[channel].append(run)
     return by_channel
-
-
-# -- simulation ---------------------------------------------------------------------------
-
-
-def to_recording(run: SimulatedRecording, volts: Array) -> Recording:
-    """Return a run with its voltages, shape (rows, cells)."""
-    by_cell = dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True))
-    return Recording(run.label, run.time, run.duty, run.servo_duty, np.full(run.time.size, run.height), by_cell)
 
 
 def play_on_fmu(
     fmu: Path,
     parameters: Mapping[str, float],
-    runs: Sequence[SimulatedRecording],
+    runs: Sequence[Recording],
     progress: Callable[[int], None] | None = None,
 ) -> list[Recording]:
     """Simulate runs one after another on an FMU with the bench's variables.
@@ -179,37 +160,32 @@ def play_on_fmu(
     block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(own))
     try:
         inputs, outputs = [s.name for s in block.inputs], [s.name for s in block.outputs]
+        cells = [f"volts_{c}" for c in CHANNELS]
         names = ", ".join(inputs + outputs)
-        needed = (*own, *(f"volts_{c}" for c in CHANNELS))
-        missing = [n for n in needed if n not in (*inputs, *outputs)]
+        missing = [n for n in (*own, *cells) if n not in (*inputs, *outputs)]
         refuse(Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; it has {names}') for n in missing)
         order, count = [own.index(n) for n in inputs], len(inputs)
-        read = [count + outputs.index(f"volts_{c}") for c in CHANNELS]
+        read = [count + outputs.index(n) for n in cells]
         row = (ctypes.c_double * (count + len(outputs)))()
         block.bind(row, 0)
         recordings, rows = [], 0
         for run in runs:
-            time = run.time
-            step, begin, end = float(np.median(np.diff(time))), float(time[0]), float(time[-1])
-            block.begin({**parameters, "thrust_factor": run.thrust, "filter_time": run.low_pass}, begin, end)
+            time, step, values = run.time, run.step, {"thrust_factor": run.thrust, "filter_time": run.low_pass}
+            block.begin({**parameters, **values}, float(time[0]), float(time[-1]))
             # row k holds the inputs, with reading noise, of the step that ends at t_k
-            before, same = np.maximum(np.arange(time.size) - 1, 0), np.ones(time.size)
-            loads = (load * same for load in run.loads)
-            commanded = (run.duty[before], run.servo_duty[before], run.height * same, *loads, *run.noise)
-            table = np.column_stack(commanded)[:, order]
-            volts = np.empty((time.size, 3))
-            row[:count] = table[0].tolist()
-            block.put()
-            block.get()
-            block.start()
-            volts[0] = [row[k] for k in read]
-            for k, command in enumerate(table[1:].tolist()):
+            before, loads = np.maximum(np.arange(time.size) - 1, 0), (np.full(time.size, load) for load in run.loads)
+            commanded = (run.duty[before], run.servo_duty[before], run.height, *loads, *run.noise)
+            volts = np.empty((time.size, len(cells)))
+            for k, command in enumerate(np.column_stack(commanded)[:, order].tolist()):
                 row[:count] = command
                 block.put()
-                block.advance(float(time[k]), step)
+                if k:
+                    block.advance(float(time[k]), step)
                 block.get()
-                volts[k + 1] = [row[j] for j in read]
-            recordings.append(to_recording(run, volts))
+                if not k:
+                    block.start()
+                volts[k] = [row[j] for j in read]
+            recordings.append(run.with_volts(volts))
             rows += time.size
             if progress is not None:
                 progress(rows)
@@ -222,56 +198,24 @@ def play_on_fmu(
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a measured run with all bench columns.
+    """Read a measured run with all bench columns; single missing rows of an even clock are filled in.
 
     Raises:
         InputError: Every fault of the file.
     """
-    faults = Faults(path)
-
-    def choose(column: Column) -> Use | None:
-        name, unit = column.name, column.unit
-        if name != "time" and name not in COLUMNS:
-            return None
-        if not column.numeric and any(DECIMAL_COMMA.fullmatch(str(cell).strip()) for cell in column.values):
-            # The cause of all other faults.
-            text = "numbers have decimal commas; write decimals with a point, and separate cells with commas"
-            raise InputError([Fault(path, faults.header + 1, 1, text)])
-        wanted = COLUMNS.get(name, "s")
-        if (scale := factor(unit, wanted)) is None:
-            example = ", such as 7.5 for a pulse of 1500 µs in a frame of 20 ms" if wanted == "%" else ""
-            faults.note(
-                faults.header, column.cell, f"{unit} is no unit of {name} [{wanted}]; give it in {wanted}{example}"
-            )
-        return Use(name, scale or 1.0, role="the time" if name == "time" else "a column of the bench")
-
-    table = read_table(faults, choose, ", ".join(COLUMNS))
-    if table is not None and not table.faults:
-        for name in (n for n in COLUMNS if n not in table):
-            text = f'column "{name}" [{COLUMNS[name]}] is missing{did_you_mean(name, table.by_name)}; add it'
-            faults.note(table.header, 1, text)
-        if table.rows < 10:
-            faults.note(0, 0, f"holds {counted(table.rows, 'row')}; a run has ten at least; record it anew")
-    faults.raise_any()
-    assert table is not None
-    time, lines = table["time"], np.array(table.lines)
-    values = np.column_stack([table[name] for name in COLUMNS])
-    gaps = np.diff(time)
-    step = float(np.median(gaps))
-    missing = np.flatnonzero(np.abs(gaps - 2.0 * step) < SAME_STEP * step)
-    even = np.abs(np.delete(gaps, missing) - step) < SAME_STEP * step
-    if missing.size and even.all() and missing.size <= MAX_MISSING * time.size:  # fill single missing rows
-        middle, after = values[missing].copy(), missing + 1
-        cells = [name.startswith("volts_") for name in COLUMNS]
-        middle[:, cells] = 0.5 * (values[missing] + values[after])[:, cells]
-        time = np.insert(time, after, 0.5 * (time[missing] + time[after]))
-        values, lines = np.insert(values, after, middle, axis=0), np.insert(lines, after, lines[after])
-        gaps = np.diff(time)
-    if gaps.max() > 1.5 * np.median(gaps):
-        row, step = int(np.argmax(gaps)) + 1, float(np.median(gaps))
-        text = f"{gaps.max():.3g} s pass before this row, {step:.3g} s before others; rows are missing, or the clock is"
+    log = read_log(path, COLUMNS, COLUMNS[3:])  # readings are as complete as commands
+    number = log.grid
+    whole = np.arange(number[-1] + 1)
+    time, *volts = (np.interp(whole, number, v) for v in (log.time, *(log.inputs[q.name] for q in COLUMNS[3:])))
+    has_gap = np.diff(number).max() > 2 or whole.size - number.size > MAX_MISSING * whole.size
+    if has_gap or np.diff(time).max() > LATE_ROW * np.median(np.diff(time)):
+        spacing = np.diff(log.time)
+        row, step = int(np.argmax(spacing)) + 1, float(np.median(spacing))
+        text = f"{spacing.max():.3g} s pass before this row, {step:.3g} s before others; rows are missing, or the clock"
         cure = f"resample to rows {step:.3g} s apart, volts by straight lines, duties held"
-        raise InputError([Fault(path, int(lines[row]), 1, f"{text} uneven: {cure}")])
-    duty, servo_duty, height, *volts = np.ascontiguousarray(values.T)
+        raise InputError([Fault(path, log.header + row + 1, 1, f"{text} is uneven: {cure}")])
+    before = np.searchsorted(number, whole, side="right") - 1
+    duty, servo_duty, height = (log.inputs[q.name][before] for q in COLUMNS[:3])
+    lines = (log.header + 1 + before).tolist()
     by_cell = dict(zip(CHANNELS, volts, strict=True))
-    return Recording(path.name, time, duty, servo_duty, height, by_cell, path, lines)
+    return Recording(path.name, time, duty, servo_duty, height, by_cell, path=path, lines=lines)

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import optimize, stats
 
 from cosim.core.arrays import Array, Flags
 from cosim.model.namespaces import arrays
@@ -36,14 +37,13 @@ class LineReadings(NamedTuple):
         begins: Highest duty of zero thrust [%].
         chosen: Rows of each repetition.
         delayed: Duty in these rows after lag and low pass [%].
-        idle: Number of rows within the range but without thrust, of `whole` rows within the range.
+        whole: Number of rows within the range, with or without thrust.
     """
 
     end: float
     begins: float
     chosen: Sequence[Flags]
     delayed: Sequence[Array]
-    idle: int
     whole: int
 
 
@@ -53,13 +53,12 @@ def rows_with_thrust(m: Measurement) -> LineReadings:
     Selection is by command only, equal for all: selection by value would bias the line. Zero thrust ends at the kink of
     the equation fitted to all readings.
     """
-    cell, highest, recent, tops, end = m.cells["z"], dict[bytes, Array](), list[Array](), list[float](), np.inf
+    cell, recent, tops, end = m.cells["z"], list[Array](), list[float](), np.inf
     for r in m.recordings:
-        if (key := r.duty.tobytes()) not in highest:  # for each row the highest duty that still influences its reading
-            count = math.ceil(MEMORY * (m.bench.lag + m.test.low_pass) / r.step)
-            before = np.pad(r.duty, (count, 0), mode="edge")
-            highest[key] = np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1)
-        recent.append(highest[key])
+        # for each row the highest duty that still influences its reading
+        count = math.ceil(MEMORY * (m.bench.lag + m.test.low_pass) / r.step)
+        before = np.pad(r.duty, (count, 0), mode="edge")
+        recent.append(np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1))
         v, window = r.volts["z"], r.rows(m.test.window)
         beyond = at_rail(m.bench, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
         end = min(end, float(recent[-1][window & beyond].min(initial=np.inf)) - MARGIN)
@@ -69,111 +68,120 @@ def rows_with_thrust(m: Measurement) -> LineReadings:
     delayed = [_delayed_duty(m, r, -np.inf)[k] for r, k in zip(m.recordings, inside, strict=True)]
     whole = sum(d.size for d in delayed)
     if min(d.size for d in delayed) < MIN_LINE_ROWS:
-        return LineReadings(end, -np.inf, inside, delayed, 0, whole)
-    thrust = [_thrust(m, r, k) for r, k in zip(m.recordings, inside, strict=True)]
-    begins = dead_end(np.concatenate(delayed), np.concatenate(thrust))
+        return LineReadings(end, -np.inf, inside, delayed, whole)
+    thrust = [_thrust(m, r)[k] for r, k in zip(m.recordings, inside, strict=True)]
+    begins = zero_thrust(np.concatenate(delayed), np.concatenate(thrust))
     following = [_delayed_duty(m, r, begins) for r in m.recordings]
     above = [k & (d > begins + MARGIN) for k, d in zip(inside, following, strict=True)]
-    idle = whole - sum(int(k.sum()) for k in above)
-    return LineReadings(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], idle, whole)
+    return LineReadings(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], whole)
 
 
-def dead_end(duty: Array, thrust: Array) -> float:
-    """Return δ₀ [%] of T = b·max(0, δ − δ₀).
+def zero_thrust(duty: Array, thrust: Array) -> float:
+    """Return δ₀ [%] of T = b·max(0, δ − δ₀); it is below all duties if a plain line fits best."""
 
-    The result is below all duties if a plain line fits best.
-    """
+    def explained(start: float) -> float:
+        """Return the sum of squares that a line from zero thrust explains."""
+        ramp = np.maximum(duty - start, 0.0)
+        product = max(0.0, float(ramp @ thrust))
+        return product * product / max(float(ramp @ ramp), 1e-12)
+
+    edges = np.linspace(duty.min(), duty.max(), 401)[:-1]
+    best = max(edges.tolist(), key=explained)
     middle = float(duty.mean())
-    order = np.argsort(duty)
-    x, y = duty[order] - middle, thrust[order]
-    slope, offset = np.polyfit(x, y, 1)
-    edges = np.linspace(x[0], x[-1], 401)[:-1]
-    above = np.searchsorted(x, edges, side="right")
-    # sums over the values above each edge
-    columns = (np.ones_like(x), x, x * x, y, x * y)
-    n, sx, sxx, sy, sxy = (np.append(np.cumsum(v[::-1])[::-1], 0.0)[above] for v in columns)
-    square, product = sxx - 2.0 * edges * sx + edges**2 * n, sxy - edges * sy
-    gained = np.divide(product * np.maximum(product, 0.0), square, out=np.zeros_like(square), where=square > 1e-12)
-    best = int(np.argmax(gained))
-    crossing = -offset / slope if slope > 0 else -np.inf
-    if crossing <= x[0] and float(y @ y) - float(((y - offset - slope * x) ** 2).sum()) >= gained[best]:
-        return float(middle + crossing)
-    here = float(edges[best])
-    for _ in range(20):  # zero of the line through the values above, iterated to the last digit
-        rows = x > here
-        if rows.sum() < 3:
-            break
-        slope, offset = np.polyfit(x[rows], y[rows], 1)
-        there = -offset / slope if slope > 0 else here
-        if not abs(there - here) > 1e-9 or not x[0] <= there < x[-1]:
-            break
-        here = float(there)
-    return middle + here
+    slope, offset = np.polyfit(duty - middle, thrust, 1)
+    crossing = middle - offset / slope if slope > 0 else -np.inf
+    missed = float(((thrust - offset - slope * (duty - middle)) ** 2).sum())
+    if crossing <= edges[0] and float(thrust @ thrust) - missed >= explained(best):
+        return float(crossing)
+    around = best - (edges[1] - edges[0]), best + (edges[1] - edges[0])
+    return float(optimize.minimize_scalar(lambda start: -explained(start), bounds=around, options={"xatol": 1e-9}).x)
 
 
-def thrust_line(m: Measurement, *, draw: bool = True) -> Result:
+def thrust_line(m: Measurement) -> Result:
     """Return the line a + b·δ [gf, gf/%], and the lowest sufficient degree of one to three."""
-    rows, gram = rows_with_thrust(m), 1000.0 / m.bench.gravity
-    own, delayed = list(zip(m.recordings, rows.chosen, strict=True)), rows.delayed
+    end, begins, chosen, delayed, whole = rows_with_thrust(m)
+    own, idle = list(zip(m.recordings, chosen, strict=True)), whole - sum(d.size for d in delayed)
     bows = [np.zeros_like(d) for d in delayed]  # [gf] error of a reading on a ramp
 
     def thrusts(using: Cells) -> list[Array]:
-        return [_thrust(m, r, k, using) - bow for (r, k), bow in zip(own, bows, strict=True)]
+        return [_thrust(m, r, using)[k] - bow for (r, k), bow in zip(own, bows, strict=True)]
 
     def lines(using: Cells) -> Array:
         return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
 
     # thesis: all samples with equal weight over the commanded duty, cell as calibrated
     duty = np.concatenate([r.duty[k] for r, k in own])
-    raw = np.concatenate([gram * m.printed_force(r, "z")[k] for r, k in own])
-    slope, offset = np.polyfit(duty, raw, 1)
+    raw = np.concatenate([1000.0 / m.bench.gravity * m.printed_force(r, "z")[k] for r, k in own])
+    slope, offset = np.polyfit(duty, raw, 1).tolist()
     line = lines(m.cells).mean(axis=0)
-    bows = [_bow(m, r, line, rows.begins)[k] for r, k in own]
-    if rows.idle and line[1] > 0:  # the first estimate of zero thrust came from uncorrected ramps
+    bows = [_bow(m, r, line, begins)[k] for r, k in own]
+    if idle and line[1] > 0:  # the first estimate of zero thrust came from uncorrected ramps
         line = lines(m.cells).mean(axis=0)
-        begins = -line[0] / line[1]
-        delayed = [_delayed_duty(m, r, begins)[k] for r, k in own]
-        bows = [_bow(m, r, line, begins)[k] for r, k in own]
-    numbers = [
-        ("thrust_offset", "gf", float(offset), m.true("thrust_offset")),
-        ("thrust_slope", "gf/%", float(slope), m.true("thrust_slope")),
-    ]
-    result, each, shifts = estimated(m, "thrust_line", lines, "z", numbers, "Test 1, line by repetition")
-    thrust = thrusts(m.cells)
+        delayed = [_delayed_duty(m, r, -line[0] / line[1])[k] for r, k in own]
+        bows = [_bow(m, r, line, -line[0] / line[1])[k] for r, k in own]
+    thesis = {"thrust_offset": offset, "thrust_slope": slope}
+    result = estimated(m, "thrust_line", lines, "z", thesis, "Test 1, line by repetition")
+    thrust, r2 = thrusts(m.cells), float(np.corrcoef(duty, raw)[0, 1] ** 2)
     degree, errors = least_degree(delayed, thrust)
-    r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
     result.details = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
-    result.details |= {"highest_duty": rows.end, "readings_without_thrust": rows.idle}
+    result.details |= {"highest_duty": end, "readings_without_thrust": idle}
     sufficient = f"lowest degree within one standard error of the best: {degree}"
     result.notes.append(f"r² = {r2:.4f} (eq 4.22); {sufficient}")
-    if rows.idle:
+    if idle:
         result.warnings.append(
-            f"{rows.idle} of {rows.whole} readings are without thrust, which begins at {rows.begins:.2f} %: "
+            f"{idle} of {whole} readings are without thrust, which begins at {begins:.2f} %: "
             "T = max(0, a + b·δ) is no line there, and they are left out"
         )
     top = max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings)
-    if rows.end < top - 1e-9:
+    if end < top - 1e-9:
         result.notes.append(
-            f"The vertical cell leaves its range above {rows.end + MARGIN:.2f} %; samples below {rows.end:.2f} % are "
+            f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are "
             f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
         )
     if degree > 1:
         _extend_to_tangents(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
-    if draw:
-        result.figures = _line_figures(result, duty, raw, each, shifts)
+    # figures
+    grid = np.linspace(duty.min(), duty.max(), 60)
+    basis = np.stack((np.ones_like(grid), grid))
+    a, b = (e.value for e in result.estimates)
+    covariance = np.cov(result.each.T) / len(result.each) + result.shifts.T @ result.shifts
+    half = stats.t.ppf(0.975, len(result.each) - 1) * np.sqrt(np.einsum("ik,ij,jk->k", basis, covariance, basis))
+    fitted, some = a + b * grid, slice(None, None, max(1, duty.size // 1500))
+    bins = np.linspace(duty.min(), duty.max(), 9)
+    place = np.clip(np.digitize(duty, bins) - 1, 0, 7)
+    filled = [k for k in range(8) if (place == k).sum() > 1]
+    spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
+    middle = 0.5 * (bins[1:] + bins[:-1])[filled]
+    axes, unbiased = ("duty [%]", "gf"), ("unbiased", grid, fitted, "true")
+    readings, estimator = (
+        ("readings", duty[some], raw[some], "dots"),
+        ("thesis' estimator", grid, offset + slope * grid, "s1"),
+    )
+    banded = [unbiased, ("printed, eq 4.20", grid, -2076.0 + 359.9 * grid, "reference")]
+    band = ("95 % of the line", grid, fitted - half, fitted + half)
+    bars = [(middle, a + b * middle - spread, a + b * middle + spread)]
+    result.figures = [
+        Figure(
+            "Thrust over duty: readings and fitted lines",
+            *axes,
+            [readings, unbiased, estimator],
+            counterpart="Fig 4.10",
+        ),
+        Figure("Thrust over duty: line with its 95 % band", *axes, banded, band, bars, counterpart="Fig 4.11"),
+    ]
     return result
 
 
-def _extend_to_tangents(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:
+def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float], duty: Array, thrust: Array) -> None:
     """Extend the intervals to all tangents of a curve of `degree`, and warn that the thrust is nonlinear."""
     curve = np.poly1d(np.polyfit(duty - MIDDLE_DUTY, thrust, degree))
     grid = np.linspace(duty.min(), duty.max(), 101)
     slopes = curve.deriv()(grid - MIDDLE_DUTY)
-    spans = {"thrust_slope": slopes, "thrust_offset": curve(grid - MIDDLE_DUTY) - slopes * grid}
+    offsets = curve(grid - MIDDLE_DUTY) - slopes * grid
     reason = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
     reason += f"{errors[1]:.3g} gf"
-    for k, e in enumerate(result.estimates):
-        low, high = min(e.low, float(spans[e.name].min())), max(e.high, float(spans[e.name].max()))
+    for k, (e, span) in enumerate(zip(result.estimates, (offsets, slopes), strict=True)):
+        low, high = min(e.low, float(span.min())), max(e.high, float(span.max()))
         origin = f"{e.origin}; {reason}, so the interval reaches over the tangents"
         result.estimates[k] = replace(e, low=low, high=high, origin=origin)
     result.warnings.append(
@@ -182,9 +190,9 @@ def _extend_to_tangents(result: Result, degree: int, errors: dict[int, float], d
     )
 
 
-def _thrust(m: Measurement, r: Recording, rows: Flags, using: Cells | None = None) -> Array:
+def _thrust(m: Measurement, r: Recording, using: Cells | None = None) -> Array:
     """Return the thrust [gf] without the ground effect."""
-    return 1000.0 / m.bench.gravity * m.force(r, "z", using)[rows] / _gain_at(m, r)[rows]
+    return m.gram_force(r, "z", using) / _gain_at(m, r)
 
 
 def _gain_at(m: Measurement, r: Recording) -> Array:
@@ -208,7 +216,7 @@ def _bow(m: Measurement, r: Recording, line: Array, begins: float) -> Array:
 
 
 def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
-    """Return the lowest degree about as good as the best."""
+    """Return the lowest degree about as good as the best, and the mean error of repetitions left out by degree."""
     means, spreads = {}, {}
     for degree in DEGREES:
         x = [np.vander(d - MIDDLE_DUTY, degree + 1) for d in duty]
@@ -218,43 +226,15 @@ def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, d
         for k, (a, y) in enumerate(zip(x, thrust, strict=True)):
             theta = np.linalg.solve(sum(gram) - gram[k], sum(side) - side[k])
             rmse.append(float(np.sqrt(np.mean((a @ theta - y) ** 2))))
-        means[degree], spreads[degree] = float(np.mean(rmse)), float(np.std(rmse, ddof=1) / np.sqrt(len(rmse)))
+        means[degree], spreads[degree] = float(np.mean(rmse)), float(stats.sem(rmse))
     best = min(means, key=lambda d: means[d])
     return next(d for d in DEGREES if means[d] <= means[best] + spreads[best]), means
-
-
-def _line_figures(result: Result, duty: Array, raw: Array, each: Array, shifts: Array) -> list[Figure]:
-    from scipy import stats
-
-    grid = np.linspace(duty.min(), duty.max(), 60)
-    basis = np.stack((np.ones_like(grid), grid))
-    a, b = (e.value for e in result.estimates)
-    covariance = np.cov(each.T) / each.shape[0] + shifts.T @ shifts
-    half = stats.t.ppf(0.975, each.shape[0] - 1) * np.sqrt(np.einsum("ik,ij,jk->k", basis, covariance, basis))
-    line, some = a + b * grid, slice(None, None, max(1, duty.size // 1500))
-    thesis = result.estimates[0].thesis + result.estimates[1].thesis * grid
-    printed = -2076.0 + 359.9 * grid
-    bins = np.linspace(duty.min(), duty.max(), 9)
-    place = np.clip(np.digitize(duty, bins) - 1, 0, 7)
-    filled = [k for k in range(8) if (place == k).sum() > 1]
-    spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
-    middle = 0.5 * (bins[1:] + bins[:-1])[filled]
-    axes, unbiased = ("duty [%]", "gf"), ("unbiased", grid, line, "true")
-    readings, estimator = ("readings", duty[some], raw[some], "dots"), ("thesis' estimator", grid, thesis, "s1")
-    banded = [unbiased, ("printed, eq 4.20", grid, printed, "reference")]
-    band = ("95 % of the line", grid, line - half, line + half)
-    bars = [(middle, a + b * middle - spread, a + b * middle + spread)]
-    lines = [readings, unbiased, estimator]
-    return [
-        Figure("Thrust over duty: readings and fitted lines", *axes, lines, counterpart="Fig 4.10"),
-        Figure("Thrust over duty: line with its 95 % band", *axes, banded, band, bars, counterpart="Fig 4.11"),
-    ]
 
 
 # -- ground effect --------------------------------------------------------------------------
 
 
-def ground_effect_exponent(m: Measurement, *, draw: bool = True) -> Result:
+def ground_effect_exponent(m: Measurement) -> Result:
     """Return the exponent k by least squares on Γ.
 
     The thesis uses ln((Γ−1)/Γ) (4.24), which is undefined for Γ ≤ 1.
@@ -300,29 +280,47 @@ def ground_effect_exponent(m: Measurement, *, draw: bool = True) -> Result:
     good = ratios > 1.0
     z, g = np.repeat((heights / radius)[:, None], ratios.shape[1], axis=1)[good], ratios[good]
     x, y, w = np.log(1.0 / (4.0 * z)), np.log((g - 1.0) / g), 1.0 / z
-    thesis = float((w * x * y).sum() / (w * x * x).sum()) if good.any() else float("nan")
-    dropped = int((~good).sum())
-    name = "ground_effect_exponent"
-    numbers = [(name, "1", thesis, m.true(name))]
+    thesis = {"ground_effect_exponent": float((w * x * y).sum() / (w * x * x).sum()) if good.any() else np.nan}
     origin = "Test 2, fit on Γ, 1/Z̄"
-    result, _, _ = estimated(m, "ground_effect", lambda using: gains(using, fitted), "z", numbers, origin)
+    result = estimated(m, "ground_effect", lambda using: gains(using, fitted), "z", thesis, origin)
+    estimate, dropped = result.estimates[0], int((~good).sum())
     if dropped:
         result.notes.append(
-            f"{dropped} of {count * heights.size} single ratios are Γ ≤ 1, where ln((Γ−1)/Γ) has no value: the thesis' "
+            f"{dropped} of {good.size} single ratios are Γ ≤ 1, where ln((Γ−1)/Γ) has no value: the thesis' "
             "estimator leaves them out and is biased by it."
         )
-    model = relative(result.estimates[0].value)
     result.details = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
-        f = forces(lambda r: m.force(r, "z"), chosen)
-        run = chosen[free][0]
+        run = next(iter(chosen.values()))[0]
         duty = float(np.median(run.duty[run.rows(m.test.window)]))
-        rms = float(np.sqrt(np.mean((f[:-1].mean(axis=1) / f[-1].mean() - model) ** 2)))
-        result.details["validation_rmse"] = rms
+        if main.keys() - chosen.keys():
+            result.warnings.append(f"the runs at {duty:.4g} % are not used: not every height has one; correct the duty")
+            continue
+        f = forces(lambda r: m.force(r, "z"), chosen)
+        off = f[:-1].mean(axis=1) / f[-1].mean() - relative(estimate.value)
+        result.details["validation_rmse"] = rms = float(np.sqrt(np.mean(off**2)))
         result.notes.append(f"Validation at {duty:g} % of duty, not used in the fit: Γ is missed by {rms:.4f} (rms).")
-    if draw:
-        measured = forces(lambda r: m.force(r, "z"))
-        result.figures = _height_figures(result, heights / radius, measured[:-1] / measured[-1], gains(m.cells))
+    # figures, over the height in propeller radii
+    grid = np.linspace(0.5, 3.3, 90)
+
+    def curve(k: float) -> Array:
+        return np.asarray(ground_effect(arrays(), grid, 1.0, k))
+
+    measured, (mean, half, *_) = forces(lambda r: m.force(r, "z")), interval(gains(m.cells))
+    single, over = measured[:-1] / measured[-1], heights / radius
+    several = [(f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))]
+    readings = ("single ratios", np.repeat(over, single.shape[1]), single.ravel(), "dots")
+    models = [
+        (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
+        ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
+    ]
+    band, bars = ("95 % of k", grid, curve(estimate.high), curve(estimate.low)), [(over, mean - half, mean + half)]
+    axes, title = ("height / radius", "Γ"), "Ground effect over height: means with 95 % intervals"
+    result.figures = [
+        Figure("Ground effect Γ over height, for several exponents k", *axes, several, counterpart="Fig 4.6"),
+        Figure("Ground effect over height: readings and models", *axes, [readings, *models], counterpart="Fig 4.12"),
+        Figure(title, *axes, models, band=band, bars=bars, counterpart="Fig 4.13"),
+    ]
     return result
 
 
@@ -340,27 +338,3 @@ def sets_by_duty(recordings: Sequence[Recording], test: HeightTest) -> list[dict
     validation = None if test.validation_duty is None else round(test.validation_duty, 3)
     order = sorted(sets, key=lambda d: (d == validation, -sum(map(len, sets[d].values()))))
     return [sets[d] for d in order]
-
-
-def _height_figures(result: Result, heights: Array, single: Array, gains: Array) -> list[Figure]:
-    """Return the figures over the height in propeller radii, of ratios of single runs and of pseudo-values."""
-    estimate, grid = result.estimates[0], np.linspace(0.5, 3.3, 90)
-
-    def curve(k: float) -> Array:
-        return np.asarray(ground_effect(arrays(), grid, 1.0, k))
-
-    mean, half, _, _ = interval(gains)
-    band = ("95 % of k", grid, curve(estimate.high), curve(estimate.low))
-    several = [(f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))]
-    readings = ("single ratios", np.repeat(heights, single.shape[1]), single.ravel(), "dots")
-    models = [
-        (f"k = {estimate.value:.3f}", grid, curve(estimate.value), "true"),
-        ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
-    ]
-    axes, title = ("height / radius", "Γ"), "Ground effect over height: means with 95 % intervals"
-    bars = [(heights, mean - half, mean + half)]
-    return [
-        Figure("Ground effect Γ over height, for several exponents k", *axes, several, counterpart="Fig 4.6"),
-        Figure("Ground effect over height: readings and models", *axes, [readings, *models], counterpart="Fig 4.12"),
-        Figure(title, *axes, models, band=band, bars=bars, counterpart="Fig 4.13"),
-    ]

@@ -6,26 +6,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from cosim.core.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.identification.cells import Cells
 from plant.identification.estimates import Figure, Measurement, Result, estimated, low_pass
 from plant.identification.recordings import Recording
-from plant.powertrain import assembly_moment, servo_angle
+from plant.powertrain import assembly_moment
 
 BIN = np.radians(2.5)
 
 
-def projection(m: Measurement, *, draw: bool = True) -> Result:
+def projection(m: Measurement) -> Result:
     """Return factors on cos α and sin α in F_z and F_x, ideally 1.
 
     Forces are relative to the thrust held upright.
     """
     recordings, test = m.recordings, m.test
-    functions = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
+    functions: Sequence[tuple[str, str, Any]] = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
 
     def factors(using: Cells) -> Array:
         rows = []
@@ -40,16 +42,15 @@ def projection(m: Measurement, *, draw: bool = True) -> Result:
     # thesis: thrust of five rows of the fifth test, commanded angle, no tare
     fifth = recordings[min(4, len(recordings) - 1)]
     total = float(m.printed_force(fifth, "z")[fifth.rows(test.window)][:5].mean())
-    top, bottom = np.zeros(2), np.zeros(2)
-    for r in recordings:
-        w, alpha = r.rows(test.window), _commanded(m, r)
-        for k, (c, _, f) in enumerate(functions):
-            top[k] += m.printed_force(r, c)[w] @ f(alpha)
-            bottom[k] += f(alpha) @ f(alpha)
-    one = 1.0 if m.truth else np.nan
-    thesis = (top / bottom / total).tolist()
-    numbers = [(f"{name}_projection", "1", thesis[k], one) for k, (_, name, _) in enumerate(functions)]
-    result, _, _ = estimated(m, "projection", factors, "zx", numbers, "Test 3, over cos α and sin α")
+    thesis = {}
+    for c, name, f in functions:
+        top = bottom = 0.0
+        for r in recordings:
+            basis = f(m.commanded_tilt(r)[r.rows(test.window)])
+            top += float(m.printed_force(r, c)[r.rows(test.window)] @ basis)
+            bottom += float(basis @ basis)
+        thesis[f"{name}_projection"] = top / bottom / total
+    result = estimated(m, "projection", factors, "zx", thesis, "Test 3, over cos α and sin α")
     # deviation of the functions themselves, in bins of the angle
     edges, largest = BIN * np.arange(-36, 37), {}
     for letter, (c, _, f) in zip("VH", functions, strict=True):
@@ -58,27 +59,23 @@ def projection(m: Measurement, *, draw: bool = True) -> Result:
             w, alpha = r.rows(test.window), m.tilt(r)
             force = m.force(r, c)[w] / m.force(r, "z")[r.rows(test.hold)].mean()
             off = force - low_pass(f(alpha), r.step, test.low_pass)[w]
-            place = np.digitize(alpha[w], edges)
-            measured.append([off[place == j].mean() if (place == j).any() else np.nan for j in range(1, edges.size)])
-        filled = np.isfinite(np.array(measured)).all(axis=0)
-        largest[letter] = float(np.abs(np.array(measured)[:, filled].mean(axis=0)).max())
+            measured.append(stats.binned_statistic(alpha[w], off, "mean", edges).statistic)  # NaN for an empty bin
+        largest[letter] = float(np.nanmax(np.abs(np.mean(measured, axis=0))))
     result.details = {"largest_deviation": largest}
     result.notes.append(
         f"V(α) is off cos α by {largest['V']:.4f} at most, H(α) off sin α by {largest['H']:.4f}, in bins of 2.5°: sine "
         "and cosine project it."
     )
-    if draw:
-        alpha, same, gram = m.tilt(recordings[0])[recordings[0].rows(test.window)], _alike(m), 1000.0 / m.bench.gravity
-        total = gram * np.mean([m.force(r, "z")[r.rows(test.hold)].mean() for r in same])
-        for c, name, f in functions:
-            data = gram * np.array([m.force(r, c)[r.rows(test.window)] for r in same])
-            angle = np.degrees(alpha)
-            line = (f"T·{f.__name__} α", angle, total * f(np.radians(angle)))
-            result.figures += _over_tilt(f"{name.capitalize()} force", "gf", data, line, (120, 10), ("4.14", "4.15"))
+    alpha, same = m.tilt(recordings[0])[recordings[0].rows(test.window)], _equally_long(m)
+    total = np.mean([m.gram_force(r, "z")[r.rows(test.hold)].mean() for r in same])
+    for c, name, f in functions:
+        data = np.array([m.gram_force(r, c)[r.rows(test.window)] for r in same])
+        line = (f"T·{f.__name__} α", np.degrees(alpha), total * f(alpha))
+        result.figures += _over_tilt(f"{name.capitalize()} force", "gf", data, line, (120, 10), ("4.14", "4.15"))
     return result
 
 
-def moment(m: Measurement, *, draw: bool = True) -> Result:
+def moment(m: Measurement) -> Result:
     """Return the arm l [m] of M = m_PA·g·l·sin α, with an offset for each test."""
     bench, window = m.bench, m.test.window
 
@@ -96,14 +93,14 @@ def moment(m: Measurement, *, draw: bool = True) -> Result:
 
     top = bottom = 0.0
     for r in m.recordings:
-        basis = per_arm(_commanded(m, r))
+        basis = per_arm(m.commanded_tilt(r)[r.rows(window)])
         top += float(basis @ m.printed_force(r, "m")[r.rows(window)])
         bottom += float(basis @ basis)
-    numbers = [("assembly_arm", "m", top / bottom, m.true("assembly_arm"))]
-    result, _, _ = estimated(m, "moment", arms, "m", numbers, "Test 5, with an offset a test")
+    thesis = {"assembly_arm": top / bottom}
+    result = estimated(m, "moment", arms, "m", thesis, "Test 5, with an offset a test")
     first = m.recordings[0]
     volts = first.volts["m"][first.rows(window)]
-    twentieths = [volts[k * volts.size // 20 : (k + 1) * volts.size // 20] for k in range(20)]
+    twentieths = np.split(volts, [k * volts.size // 20 for k in range(1, 20)])
     change = float(np.ptp([np.median(part) for part in twentieths]))
     steps = change / (bench.converter_range / bench.converter_levels)
     result.details = {"steps_of_converter": steps}
@@ -111,22 +108,14 @@ def moment(m: Measurement, *, draw: bool = True) -> Result:
         f"Over the whole tilt the cell moves by {steps:.1f} steps of the converter ({1000 * change:.1f} mV): noise and "
         "the low pass, not its resolution, let it be read."
     )
-    if draw:
-        alpha, arm = _commanded(m, first), result.estimates[0].value
-        model = 1000.0 * assembly_moment(arrays(), alpha, bench.assembly_mass, bench.gravity, arm)
-        data = 1000.0 * np.array([m.force(r, "m")[r.rows(window)] for r in _alike(m)])
-        line = (f"m·g·l·sin α, l = {1000 * arm:.4f} mm", np.degrees(alpha), np.asarray(model))
-        result.figures = _over_tilt("Moment", "mN·m", data, line, (90, 12), ("4.19", "4.20"))
+    alpha, arm = m.commanded_tilt(first)[first.rows(window)], result.estimates[0].value
+    line = (f"m·g·l·sin α, l = {1000 * arm:.4f} mm", np.degrees(alpha), 1000.0 * arm * per_arm(alpha))
+    data = 1000.0 * np.array([m.force(r, "m")[r.rows(window)] for r in _equally_long(m)])
+    result.figures = _over_tilt("Moment", "mN·m", data, line, (90, 12), ("4.19", "4.20"))
     return result
 
 
-def _commanded(m: Measurement, r: Recording) -> Array:
-    """Return the commanded tilt [rad] in the window."""
-    angle: Array = servo_angle(r.servo_duty[r.rows(m.test.window)], m.bench.servo_neutral, m.bench.servo_slope)
-    return angle
-
-
-def _alike(m: Measurement) -> list[Recording]:
+def _equally_long(m: Measurement) -> list[Recording]:
     """Return recordings with the first one's number of rows."""
     count = m.recordings[0].rows(m.test.window).sum()
     return [r for r in m.recordings if r.rows(m.test.window).sum() == count]

@@ -11,28 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.errors import Fault, InputError, NotExecuted, refuse
+from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import is_model, model_entry, resolve
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Seed
+from cosim.core.text import as_yaml
 from cosim.core.version import __version__
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier
-from cosim.files.kinds import check_given, shell_path
-from cosim.files.yaml_file import YamlFile
+from cosim.files.kinds import shell_path
 from cosim.fmi.building.file import load_model, named_model
 from cosim.fmi.fmu_build import build
 from cosim.model import SCALAR, Model
 from plant.bench import Bench
-from plant.identification import PROTOCOL
 from plant.identification.cells import Cells, calibrate
 from plant.identification.checks import planned_faults, recording_faults, result_faults
-from plant.identification.craft import craft_file, read_craft
+from plant.identification.craft import read_craft
 from plant.identification.estimates import Estimate, Measurement, Result
 from plant.identification.lags import after_sines, after_step
-from plant.identification.protocol import BENCH, Protocol, read_partly
+from plant.identification.protocol import BENCH, Protocol, read_protocol
 from plant.identification.recordings import Recording, load_runs, play_on_fmu, read_recording, runs_of
+from plant.identification.report import bench_page, craft_page
 from plant.identification.thrust import ground_effect_exponent, thrust_line
 from plant.identification.tilt import moment, projection
 from plant.powertrain import ground_effect
@@ -40,7 +40,7 @@ from plant.powertrain import ground_effect
 RECORD, REPORT = "identify.json", "report.html"
 NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}  # of a power-train
 # in order of dependence; the lag of a step is that of the model
-ANALYSES: Mapping[str, Callable[..., Result]] = {
+ANALYSES: Mapping[str, Callable[[Measurement], Result]] = {
     "step": after_step,
     "frequency": after_sines,
     "ground_effect": ground_effect_exponent,
@@ -75,12 +75,10 @@ class Outcome:
         """Return a line for each estimate: value, confidence interval, value as in the thesis, true value."""
         lines = []
         for key, e in self.estimates.items():
-            unit = "" if e.unit == "1" else f" {e.unit}"
+            value = f"{e.value:.5g}" if e.unit == "1" else f"{e.value:.5g} {e.unit}"
             thesis = "no value" if np.isnan(e.thesis) else f"{e.thesis:.5g}"
             truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
-            lines.append(
-                f"{key} = {e.value:.5g}{unit} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {thesis}{truth})"
-            )
+            lines.append(f"{key} = {value} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {thesis}{truth})")
         return lines
 
     def closing(self, out: Path) -> str:
@@ -114,15 +112,23 @@ def identify(
         InputError: Every fault of the protocol and its recordings.
     """
     path = Path(path)
-    check_given(path, PROTOCOL)
     with new_run(out, "", "cosim identify", force=force) as place:
-        if (yaml := craft_file(path)) is not None:
-            return _identify_craft(yaml, place, report=report)
+        if (craft := read_craft(path)) is not None:
+            read = [path, *(log.path for log in (*craft.rest, *craft.runs))]
+            check_writable(place, ("model.yaml", RECORD, REPORT), read)
+            outcome = Outcome(craft.results(), "model.yaml")
+            identified = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
+            values = {**craft.loaded.parameters, **{n: e.value for n, e in identified.items()}}
+            text = _model_text(craft.loaded.source, values, craft.loaded.sensors, identified, "runs")
+            page = craft_page(craft, outcome.results) if report else ""
+            _write(place, outcome, text, {"name": craft.file.name}, page, read)
+            return outcome
         protocol, model, measured = prepare(path)
-        read = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
+        read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
         check_writable(place, ("powertrain.yaml", RECORD, REPORT), read)
         recordings, cells = _recorded(protocol, measured, protocol.file.seed if seed is None else seed, progress)
-        outcome = Outcome(checked_results(protocol, cells, recordings), "powertrain.yaml")
+        outcome = Outcome(analyse(protocol, cells, recordings), "powertrain.yaml")
+        refuse(result_faults(protocol, outcome.results))
         calibration = {
             c: {
                 "loads": cell.loads.tolist(),
@@ -133,32 +139,10 @@ def identify(
             }
             for c, cell in cells.items()
         }
-        page = ""
-        if report:
-            from plant.identification.report import bench_page
-
-            page = bench_page(protocol, cells, outcome.results, sum(map(len, recordings.values())))
+        page = bench_page(protocol, cells, outcome.results, sum(map(len, recordings.values()))) if report else ""
         record = {"protocol": protocol.file.name, "calibration": calibration}
         _write(place, outcome, _powertrain(protocol, outcome, model), record, page, read)
         return outcome
-
-
-def _identify_craft(yaml: YamlFile, out: Path, *, report: bool) -> Outcome:
-    """Analyse logs of a craft and write the results."""
-    craft = read_craft(yaml)
-    read = [yaml.path, *(log.path for log in (*craft.rest, *craft.runs))]
-    check_writable(out, ("model.yaml", RECORD, REPORT), read)
-    outcome = Outcome(craft.results(), "model.yaml")
-    page = ""
-    if report:
-        from plant.identification.report import craft_page
-
-        page = craft_page(craft, outcome.results)
-    identified = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
-    values = {**craft.loaded.parameters, **{n: e.value for n, e in identified.items()}}
-    text = _model_text(craft.loaded.source, values, craft.loaded.sensors, identified, "runs")
-    _write(out, outcome, text, {"name": craft.file.name}, page, read)
-    return outcome
 
 
 def check_protocol(path: Path, checking: Checking) -> list[str]:
@@ -169,61 +153,50 @@ def check_protocol(path: Path, checking: Checking) -> list[str]:
     Raises:
         InputError: Every fault of the protocol, or of logs of a craft.
     """
-    if (yaml := craft_file(path)) is not None:
-        read_craft(yaml)
+    if read_craft(path) is not None:
         return []
     protocol, _, measured = prepare(path)
-    if not measured or not all(cell.points for cell in protocol.file.cells.values()):
+    if not measured or not _is_measured(protocol):
         return []
-    outcome = Outcome(checked_results(protocol, calibrate(protocol, {}), measured, draw=False), "")
+    outcome = Outcome(analyse(protocol, calibrate(protocol, {}), measured), "")
+    refuse(result_faults(protocol, outcome.results))
     return [f"warning: {message}" for message in outcome.warnings]
 
 
 # -- input ----------------------------------------------------------------------------------
 
 
+def _is_measured(protocol: Protocol) -> bool:
+    """Return True if every cell has measured points."""
+    return all(cell.points for cell in protocol.file.cells.values())
+
+
 def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
     """Read a protocol, the model whose parameters it identifies, and the measured recordings by test.
 
     Raises:
-        InputError: Every fault of these files. With a faulty protocol, recordings are read but not judged.
+        InputError: Every fault of the protocol, else of the recordings, else of the model.
     """
-    protocol, faults = read_partly(path)
-    faults = faults or list(planned_faults(protocol))
-    text, where = protocol.file.model, protocol.yaml.place(("model",))
-    cells: Cells | None = None
-    if not faults and all(cell.points for cell in protocol.file.cells.values()):
-        try:
-            cells = calibrate(protocol, {})
-        except InputError as error:
-            faults += error.faults
-    model, not_executed = None, None
-    try:
-        model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
-        if not NUMBERS & {p.name for p in model.parameters}:
-            reason = f"{text} has none of {', '.join(sorted(NUMBERS))}: nothing that is identified is a parameter of it"
-            faults.append(Fault(path, *where, f"{reason}; name the model of what stands on the bench"))
-    except InputError as error:
-        faults += [f if f.file == protocol.yaml.path else Fault(path, *where, str(f)) for f in error.faults]
-    except NotExecuted as error:
-        not_executed = error
-    measured: dict[str, list[Recording]] = {}
+    protocol = read_protocol(path)
+    refuse(planned_faults(protocol))
+    cells = calibrate(protocol, {}) if _is_measured(protocol) else None
+    measured, faults = dict[str, list[Recording]](), list[Fault]()
     for name, test in protocol.file.tests.named_tests():
-        if not test.files:
-            continue
-        measured[name], unread = [], list[Fault]()
+        unread = list[Fault]()
         for file in test.files:
             try:
-                measured[name].append(read_recording(protocol.folder / file))
+                measured.setdefault(name, []).append(read_recording(protocol.folder / file))
             except InputError as error:
                 unread += error.faults
+        if cells is not None and test.files and not unread:
+            unread = recording_faults(protocol, name, measured[name], cells)
         faults += unread
-        if cells is not None:
-            faults += recording_faults(protocol, name, measured[name], cells, whole=not unread)
     refuse(faults)
-    if not_executed is not None:
-        raise not_executed
-    assert model is not None
+    text = protocol.file.model
+    model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
+    if not NUMBERS & {p.name for p in model.parameters}:
+        reason = f"{text} has none of {', '.join(sorted(NUMBERS))}: nothing that is identified is a parameter of it"
+        refuse([protocol.yaml.fault(("model",), f"{reason}; name the model of what stands on the bench")])
     return protocol, model, measured
 
 
@@ -231,8 +204,7 @@ def _recorded(
     protocol: Protocol, measured: Mapping[str, list[Recording]], seed: int, progress: Progress | None
 ) -> tuple[dict[str, list[Recording]], Cells]:
     """Return the recordings of all tests, simulated where not measured, and the calibrated cells."""
-    hung: dict[str, list[Recording]] = {}
-    simulated: dict[str, list[Recording]] = {}
+    hung, simulated = dict[str, list[Recording]](), dict[str, list[Recording]]()
     if protocol.file.bench is not None:
         names = [name for name, _ in protocol.file.tests.named_tests() if name not in measured]
         loads, runs = load_runs(protocol, seed), {name: runs_of(protocol, name, seed) for name in names}
@@ -254,10 +226,7 @@ def _recorded(
     return {**measured, **simulated}, cells
 
 
-# -- analysis -------------------------------------------------------------------------------
-
-
-def analyse(protocol: Protocol, cells: Cells, recordings: Recordings, *, draw: bool = True) -> list[Result]:
+def analyse(protocol: Protocol, cells: Cells, recordings: Recordings) -> list[Result]:
     """Return the results in order of dependence.
 
     Unknown numbers come from earlier tests, else from the protocol.
@@ -269,24 +238,12 @@ def analyse(protocol: Protocol, cells: Cells, recordings: Recordings, *, draw: b
         bench = bench.with_values({n: getattr(blank, n) for n in unknown})
     results = []
     for name in (n for n in ANALYSES if n in recordings):
-        measured = Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth)
-        result = ANALYSES[name](measured, draw=draw)
+        result = ANALYSES[name](Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth))
         results.append(result)
         # the lag of a step test has priority over that of sines
         if not (name == "frequency" and "step" in recordings):
             known = [e for e in result.estimates if e.name in bench.declared]
             bench = bench.with_values({e.name: float(np.clip(e.value, *bench.declared[e.name].bounds)) for e in known})
-    return results
-
-
-def checked_results(protocol: Protocol, cells: Cells, recordings: Recordings, *, draw: bool = True) -> list[Result]:
-    """Return all tests' results, checked for plausibility.
-
-    Raises:
-        InputError: Every impossible number.
-    """
-    results = analyse(protocol, cells, recordings, draw=draw)
-    refuse(result_faults(protocol, results))
     return results
 
 
@@ -351,12 +308,11 @@ def _model_text(
         source: Model from which the file derives.
         repetitions: Word after the number of repetitions, such as `runs`.
     """
-    lines = ["schema_version: 1", f"model: {source}", "parameters:" if values else "parameters: {}"]
-    lines += [f"  {n}: {str(v).lower() if isinstance(v, bool) else repr(float(v))}" for n, v in values.items()]
-    lines += ["sensors:" if sensors else "sensors: {}", *(f"  {n}: {v!r}" for n, v in sensors.items())]
-    lines += ["identified:" if identified else "identified: {}"]
-    for name, e in identified.items():
-        origin = json.dumps(f"{e.origin}; {e.repetitions} {repetitions}", ensure_ascii=False)
-        lines += [f"  {name}:", f"    ci95: [{e.low!r}, {e.high!r}]", f"    unit: {json.dumps(e.unit)}"]
-        lines += [f"    origin: {origin}"]
+    accuracy = {
+        n: {"ci95": [e.low, e.high], "unit": e.unit, "origin": f"{e.origin}; {e.repetitions} {repetitions}"}
+        for n, e in identified.items()
+    }
+    lines = ["schema_version: 1", f"model: {source}"]
+    for key, content in (("parameters", values), ("sensors", sensors), ("identified", accuracy)):
+        lines += [f"{key}:" if content else f"{key}: {{}}", *(f"  {n}: {as_yaml(v)}" for n, v in content.items())]
     return "\n".join(lines) + "\n"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cosim.model import Bias, Drift, Latency, LeverArm, Namespace, Number, Scale, SensorError, Values, parameter
+from plant.effects import off_at_zero
 
 HOVER_THRUST = 2.4973  # [N], T_N of eq 5.36
 
@@ -18,7 +19,7 @@ class AccelerometerBias(Bias):
     equation = "reading a_x + b"
     output = "ax"
 
-    value: float = parameter(0.0, unit="m/s2", bounds=(-2, 2), neutral=0.0, typical=0.05, doc="bias b")
+    value: float = off_at_zero("m/s2", (-2, 2), 0.05, "bias b")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,7 @@ class GyroBias(Bias):
     equation = "reading ψ̇ + b"
     output = "psi_dot"
 
-    value: float = parameter(0.0, unit="rad/s", bounds=(-0.5, 0.5), neutral=0.0, typical=0.01, doc="bias b")
+    value: float = off_at_zero("rad/s", (-0.5, 0.5), 0.01, "bias b")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +56,7 @@ class AccelerometerLeverArm(LeverArm):
     output, others = "ax", ("psi_dot",)
 
     def carried(self, m: Namespace, *others: Number) -> Values:
+        """Return the centripetal part −ψ̇²."""
         (psi_dot,) = others
         return (-psi_dot * psi_dot,)
 
@@ -67,7 +69,7 @@ class AccelerometerDrift(Drift):
     equation = "reading a_x + d·t"
     output = "ax"
 
-    value: float = parameter(0.0, unit="m/s3", bounds=(-0.2, 0.2), neutral=0.0, typical=5e-3, doc="drift d")
+    value: float = off_at_zero("m/s3", (-0.2, 0.2), 5e-3, "drift d")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +80,7 @@ class GyroDrift(Drift):
     equation = "reading ψ̇ + d·t"
     output = "psi_dot"
 
-    value: float = parameter(0.0, unit="rad/s2", bounds=(-0.05, 0.05), neutral=0.0, typical=1e-3, doc="drift d")
+    value: float = off_at_zero("rad/s2", (-0.05, 0.05), 1e-3, "drift d")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +103,7 @@ class MagnetometerDisturbance(SensorError):
     equation = "reading ψ + k·(T_R + T_L − 2·T_N)"
     output = "psi"
 
-    value: float = parameter(
-        0.0, unit="rad/N", bounds=(-0.5, 0.5), neutral=0.0, typical=0.02, doc="heading error k a newton of thrust"
-    )
+    value: float = off_at_zero("rad/N", (-0.5, 0.5), 0.02, "heading error k a newton of thrust")
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
         """Return the heading with the error by the thrust: ψ + k·(T_R + T_L − 2·T_N)."""
