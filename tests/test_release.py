@@ -109,6 +109,7 @@ def test_the_versions_of_the_site_are_listed_with_the_newest_first(tmp_path: Pat
 
 APART = """
 import importlib, os, pkgutil, signal, sys
+import psutil  # has a part for each system
 
 class Closed:
     def find_spec(self, name, path=None, target=None):

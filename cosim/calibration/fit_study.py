@@ -102,8 +102,7 @@ def request_of(
         InputError: Options do not fit together, or the study has faults.
     """
     most = read_limits(limits)
-    path = Path(logs[0])
-    kind = kind_of(path) if len(logs) == 1 else None
+    kind = kind_of(Path(logs[0])) if len(logs) == 1 else None
     if kind not in {STUDY, FIT_STUDY}:
         if fmu is None:
             for log in logs:
@@ -112,7 +111,8 @@ def request_of(
         return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, columns, most)
     if fmu is not None or sealed or columns:
         message = f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed"
-        raise InputError.at(path, f"{message} and --column")
+        raise InputError.at(Path(logs[0]), f"{message} and --column")
+    path = Path(logs[0])
     yaml = YamlFile(path)
     unused = tuple(k for k in yaml.root if kind == STUDY and k not in FitStudyFile.model_fields)
     content = yaml.validate(FitStudyFile, {k: v for k, v in yaml.root.items() if k not in unused})

@@ -25,6 +25,7 @@ from cosim.core.settings import FilePath as FilePath
 
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+MOST_HOLES, SMALL = 1000, 1 << 26  # size over stored bytes, more than any file system compresses; [bytes] always read
 READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 
 
@@ -32,13 +33,15 @@ def open_regular(path: Path) -> int:
     """Return a descriptor of a regular file, for reading.
 
     Raises:
-        OSError: The file is unreadable, or a pipe or device, which may block or never end.
+        OSError: The file is unreadable, or a pipe or device, which may block or never end, or almost only holes.
     """
     descriptor = os.open(path, READING)
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, "is no regular file", str(path))
-    return descriptor
+    status = os.fstat(descriptor)
+    is_regular, stored = stat.S_ISREG(status.st_mode), 512 * getattr(status, "st_blocks", status.st_size)
+    if is_regular and status.st_size <= MOST_HOLES * stored + SMALL:
+        return descriptor
+    os.close(descriptor)
+    raise OSError(errno.EINVAL, "is almost without content" if is_regular else "is no regular file", str(path))
 
 
 def open_bytes(path: Path) -> io.BufferedReader:
