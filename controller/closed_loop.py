@@ -27,7 +27,6 @@ from cosim.experiment.rigs import (
     Signals,
     Trial,
     clip,
-    played_lines,
     trial_of,
 )
 from cosim.files.csv_source import write_columns
@@ -117,4 +116,5 @@ class ClosedLoop(OpenLoop):
             yield f"  - {{from: plant.{name}, to: controller.{name}, noise: {{variance: {variance[name]:g}}}}}"
         yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in trial.references)
         yield from (f"  - {{from: controller.{name}, to: plant.{name}}}" for name in self.commanded)
-        yield from played_lines(q.name for q in model.inputs if q.name not in self.commanded)
+        names = (q.name for q in model.inputs if q.name not in self.commanded)
+        yield from (f"  - {{from: excitation.{name}, to: plant.{name}}}" for name in names)

@@ -102,13 +102,10 @@ class ExtendedFilter(Estimator):
         kf.x = np.array(self.stepper.step(Moment(0.0, tuple(kf.x.tolist())), self.command, dt).state)
         kf.P = F @ kf.P @ F.T + G @ self.noise @ G.T
 
-        def slopes_of_sensed(x: Matrix) -> Matrix:
-            H = np.zeros((3, SIZE))
-            H[0, AT("psi")] = H[1, AT("psi_dot")] = 1.0
-            H[2] = self.slope("output", 1)[0]
-            return H
-
-        kf.update(np.array(measured), slopes_of_sensed, self.sensed)
+        H = np.zeros((3, SIZE))
+        H[0, AT("psi")] = H[1, AT("psi_dot")] = 1.0
+        H[2] = self.slope("output", 1)[0]
+        kf.update(np.array(measured), lambda _: H, self.sensed)
         self.nis = self.squared_innovation()
         if fix == self.fix:
             return
@@ -119,10 +116,8 @@ class ExtendedFilter(Estimator):
             rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
             return np.array([x[k] - latency * rate[k] for k in self.fixed])
 
-        def slopes_of_located(x: Matrix) -> Matrix:
-            return np.asarray((np.eye(SIZE) - latency * self.slope("state", SIZE))[self.fixed])
-
-        kf.update(np.array(position), slopes_of_located, located, self.fix_noise)
+        H_fix = (np.eye(SIZE) - latency * self.slope("state", SIZE))[self.fixed]
+        kf.update(np.array(position), lambda _: H_fix, located, self.fix_noise)
         self.fix_nis = self.squared_innovation()
 
     def slope(self, name: str, rows: int) -> Matrix:

@@ -61,12 +61,6 @@ class Condensed(NamedTuple):
         return self._replace(f=self.f @ z, free=self.free @ z)
 
 
-def predicted(p: PredictiveSettings) -> tuple[Matrix, Matrix]:
-    """Return A (12, 12) and B (12, 4) of the predicted states at hover."""
-    A, B = full_model(p)
-    return A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED]
-
-
 class Predicting(Law):
     """Optimal command of each sample within limits, started from the previous solution.
 
@@ -184,7 +178,8 @@ class PredictiveLaw(Predicting):
 
     def __init__(self, p: PredictiveSettings, y_hat: float = 0.0) -> None:
         super().__init__(p)
-        A, B = predicted(p)
+        A, B = full_model(p)
+        A, B = A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED]  # of the predicted states at hover
         F, G = discretize(A, B, p.prediction_step)
         self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
         self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(NAMES)))

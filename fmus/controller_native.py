@@ -105,10 +105,15 @@ def _design(place: dict[str, int]) -> str:
     for k, estimator in enumerate(ESTIMATORS):
         own = replace(settings, estimator=estimator)
         lines.append(f"{'} else ' if k else ''}if (strcmp(estimator, {quote(estimator)}) == 0) {{")
-        lines += [
-            f"    {line}"
-            for line in (*_dynamics(own, places), *_matrix("d->H", measurement_matrix(own, estimator), places))
-        ]
+        if estimator == "appendix_f":
+            F, G = discrete_model(own)
+            branch = [*_matrix("d->F", F, places), *_matrix("d->G", G, places)]
+        else:
+            A, B = design_model(own)
+            branch = ["double A[NX][NX], B[NX][NU];", *_matrix("A", A, places), *_matrix("B", B, places)]
+            branch.append(f"hold({places[own.sample_time]}, A, B, d->F, d->G);")
+        branch += _matrix("d->H", measurement_matrix(own, estimator), places)
+        lines += [f"    {line}" for line in branch]
     names = ", ".join(ESTIMATORS)
     lines.append(f'}} else return refuse(m, "estimator is %s; it is one of {names}", estimator);')
     lines += _matrix("d->L", settings.gain_matrix, places)
@@ -118,20 +123,6 @@ def _design(place: dict[str, int]) -> str:
     lines += _vector("d->fix_W", (settings.measurement_variance_x,), places)
     lines += [f"d->limit = p[{place['tilt_max']}];", f"d->sample = p[{place['sample_time']}];", "return 0;"]
     return "\nstatic int design(Instance *m, Design *d)\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
-
-
-def _dynamics(p: Settings, places: dict[Any, str]) -> Iterator[str]:
-    """Yield F and G, printed from parameters, or computed from A and B."""
-    if p.estimator == "appendix_f":
-        F, G = discrete_model(p)
-        yield from _matrix("d->F", F, places)
-        yield from _matrix("d->G", G, places)
-        return
-    A, B = design_model(p)
-    yield "double A[NX][NX], B[NX][NU];"
-    yield from _matrix("A", A, places)
-    yield from _matrix("B", B, places)
-    yield f"hold({places[p.sample_time]}, A, B, d->F, d->G);"
 
 
 def _matrix(name: str, rows: Any, places: dict[Any, str]) -> Iterator[str]:

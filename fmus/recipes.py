@@ -9,7 +9,7 @@ from types import ModuleType
 
 from controller.settings import Settings
 from cosim.core.registry import resolve
-from cosim.fmi.fmu_build import Recipe, about_model, sort_values
+from cosim.fmi.fmu_build import Recipe, about_model
 from cosim.fmi.model_description import Description, docstrings_html, model_text
 from cosim.model import Model
 from fmus import PACKAGES
@@ -48,7 +48,7 @@ def _model(
 ) -> Recipe:
     description = about_model(model.with_values(values or {}), about)
     whole = f"<p>{text}</p>{model_text(model)}{docstrings_html(*modules)}"
-    return Recipe(slave, PACKAGES, description, whole, sort_values(values))
+    return Recipe(slave, PACKAGES, description, whole, tuple(sorted((values or {}).items())))
 
 
 heavy_recipe = partial(plant_recipe, HEAVY)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from cosim.core.errors import refuse
 from cosim.model import Stepper
 from cosim.model.namespaces import arrays
-from plant.bench import Bench
+from plant.bench import CHANNELS, Bench
 from plant.identification.cells import calibrate
 from plant.identification.checks import planned_faults
 from plant.identification.estimates import Result
@@ -69,7 +70,10 @@ def _play_lanes(bench: Bench, runs: Sequence[Recording]) -> list[Recording]:
         if k:
             moment = stepper.step(moment, command, step)
         volts[k] = stepper.output(moment.t, moment.state, command)[:3]
-    return [run.with_volts(volts[:, :, j]) for j, run in enumerate(runs)]
+    return [
+        replace(run, volts=dict(zip(CHANNELS, np.ascontiguousarray(volts[:, :, j].T), strict=True)))
+        for j, run in enumerate(runs)
+    ]
 
 
 def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[list[Result]]:

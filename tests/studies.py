@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,14 @@ import jsonschema
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Workplace
 from cosim.logs.log import Log
+from cosim.refinement.decision.bundle import bundle_of
+from cosim.refinement.decision.posterior import Bundle, Decision, decide
 from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
+from cosim.refinement.search.fits import SearchResult
+from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.workflow import refine
 from tests.blind.truth import write
 from tests.blind.truth_study import Study
@@ -23,6 +28,28 @@ from tests.verdicts import contradictions
 
 FEW = "[coulomb_friction, quadratic_drag, table_tilt, servo_dead_band, gyro_bias, mass]"
 SECONDS = 12.0
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What a search comes to before replays and unnamed terms judge it; `best` is of the most probable class."""
+
+    bundle: Bundle
+    decision: Decision
+    best: Hypothesis
+
+    @property
+    def claimed(self) -> set[str]:
+        """Return the certain parts."""
+        return set(self.decision.claimed)
+
+
+def weighed(result: SearchResult) -> Weighed:
+    """Return the decision on a search."""
+    bundle = bundle_of(result.search, result.candidates, result.hidden)
+    decision = decide(bundle)
+    best = next(h for h in result.search.tried.values() if frozenset(h.names) == decision.nearest)
+    return Weighed(bundle, decision, best)
 
 
 def study_of(folder: Path, truth: dict[str, Any], kind: str = "known", seed: int = 3, **conditions: bool) -> Path:

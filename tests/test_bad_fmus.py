@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -127,4 +128,6 @@ def test_the_time_limit_of_a_study_ends_its_search(folder: Path, tmp_path: Path)
     file = write_study(folder, fmu, [folder / "a.csv"], noise=NOISE, limits={"total": "1 ms"})
     with pytest.raises(TimedOut, match=r"the limit of 0\.001 s \(limits: total\) is reached at"):
         cosim.refine(file, tmp_path / "out", report=False)
-    assert not (tmp_path / "out" / "refine.json").exists()
+    record = json.loads((tmp_path / "out" / "refine.json").read_text(encoding="utf-8"))
+    assert record["finished"] is False
+    assert "verdict" not in record

@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
 from controller.laws import LawInput
 from controller.loop import Loop
-from controller.predictive import NAMES, PredictiveLaw, predicted
+from controller.predictive import NAMES, PREDICTED, PredictiveLaw
 from controller.settings import (
     INTEGRAL_SETTINGS,
     PLACED_SETTINGS,
@@ -150,7 +150,8 @@ def test_the_solver_finds_what_another_one_does() -> None:
 
 def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equation() -> None:
     free = replace(MPC, prediction_step=0.1, horizon=0.1)  # one step, then the cost to go: exactly the LQR
-    F, G = discretize(*predicted(free), 0.1)
+    A, B = full_model(free)
+    F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], 0.1)
     law = PredictiveLaw(free)
     P = solve_discrete_are(F, G, law.Q, law.R)
     K = np.linalg.solve(law.R + G.T @ P @ G, G.T @ P @ F)

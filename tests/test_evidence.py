@@ -1,19 +1,16 @@
 """Evidence for a part of a hypothesis: its gain against the scatter of chance, over blocks of time."""
 
-import math
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.special import stdtrit
 
+from cosim.core.linear_algebra import square_roots
 from cosim.estimation.problem import Scored
 from cosim.refinement.decision.evidence import (
     BY_CHANCE,
-    deviations_from,
     gain_per_chance,
     gain_per_scatter,
-    refuting_deviations,
 )
 from tests.cases import some
 
@@ -72,23 +69,7 @@ def test_a_single_event_passes_for_no_effect() -> None:
     assert not any(passes(term, event + rng.normal(size=term.size))[0] for _ in range(100))
 
 
-def alike(rng):
-    """Return two terms of unit size with a correlation of 0.7."""
-    time = np.arange(BLOCKS * ROWS)
-    one, other = (np.sin(frequency * time + rng.uniform(0.0, 6.0)) for frequency in (0.21, 0.33))
-    one, other = one / np.linalg.norm(one), other / np.linalg.norm(other)
-    return one, 0.7 * one + math.sqrt(1.0 - 0.7**2) * other
-
-
-def test_a_true_rival_is_seldom_refuted() -> None:
-    rng = np.random.default_rng(4)
-    wrong = []
-    for colour in (0.0, 0.8):
-        for _ in range(150):
-            true, other = alike(rng)
-            noise = lfilter([1.0], [1.0, -colour], rng.normal(size=true.size))
-            worse, better = (fitted(term, 2.8 / (1.0 - colour) * true + noise)[1] for term in (true, other))
-            wrong.append(
-                worse.nll - better.nll > 3.0 and deviations_from(BLOCK, worse, better) > refuting_deviations(1)
-            )
-    assert np.mean(wrong) < 0.02
+def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:
+    singular = np.array([[4.0, 2.0], [2.0, 1.0]])
+    roots = square_roots(np.stack([singular, np.full((2, 2), np.nan)]))
+    np.testing.assert_allclose(roots @ roots.transpose(0, 2, 1), np.stack([singular, np.zeros((2, 2))]), atol=1e-12)

@@ -24,14 +24,13 @@ from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.chosen_input import Excitation
 from cosim.experiment.excite import excite
 from cosim.logs.log import read_log
-from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
-from cosim.refinement.search.hypotheses import Attribution
 from cosim.simulation.workflow import run
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 from tests.blind.truth import VARIANCE
 from tests.blind.truth_craft import STEP, Craft, Flight
+from tests.studies import Weighed, weighed
 
 DRIVE = Path(__file__).parent.parent / "examples" / "drive" / "drive.py"
 INPUTS = ("duty_right", "duty_left", "tilt_right", "tilt_left")
@@ -70,13 +69,13 @@ def forth_and_back(seconds: float) -> Told:
     return {"x_ref": 0.3 * (time % 4.0 < 2.0), "psi_ref": 0.0 * time, "duty_right": duty, "duty_left": duty}
 
 
-def attributed(log: Path) -> Attribution:
+def attributed(log: Path) -> Weighed:
     """What refine makes of a log, the rivals its only candidates."""
     model = Hovercraft()
     subject = ModelSubject.of(model)
     problem = build_problem(subject, [read_log(log, model.inputs, model.outputs)])
     trial = [c for c in subject.candidates(()) if c.name in RIVALS]
-    return decide(Attributor(subject, problem, trial).run())
+    return weighed(Attributor(subject, problem, trial).run())
 
 
 @pytest.fixture(scope="module")
@@ -91,11 +90,10 @@ def test_rivals_that_a_straight_line_cannot_tell_apart_are_told_by_the_excitatio
 ) -> None:
     craft = Craft(effects={"thrust_asymmetry": {"ratio": 0.02}})
     poor = attributed(log_of_truth(tmp_path / "poor.csv", craft, forth_and_back(15.0)))
-    assert {n for h in (poor.best, *poor.rivals) for n in h.names} == set(RIVALS)
+    assert poor.decision.rivals.keys() == {frozenset({name}) for name in RIVALS}
     flown = columns(told_apart[1] / "excitation.csv") | columns(told_apart[1] / "references.csv")
     rich = attributed(log_of_truth(tmp_path / "rich.csv", craft, flown))
-    assert rich.best.names == ("thrust_asymmetry",)
-    assert not rich.rivals
+    assert (rich.decision.verdict, rich.claimed) == ("effect_found", {"thrust_asymmetry"})
     # three standard deviations, or the test hangs on its seed
     ratio = rich.best.fit.values["thrust_asymmetry.ratio"]
     assert ratio == pytest.approx(0.02, abs=3 * rich.best.fit.sigma("thrust_asymmetry.ratio"))

@@ -13,11 +13,11 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Stepper
-from cosim.refinement.decision.evidence import held_out_gains
-from cosim.refinement.decision.judgement import decide
+from cosim.refinement.decision.posterior import held_out_gain
 from cosim.refinement.search.attribution import Attributor
 from plant.hovercraft import OUTPUTS, Hovercraft
 from tests.logs import IMU, NOISE, POSITION, STEP, log_of, times
+from tests.studies import weighed
 
 TILT = math.radians(12)
 Law = Callable[[float, Mapping[str, float]], tuple[float, float]]  # of time and readings: tilts to the right and left
@@ -62,9 +62,8 @@ def test_logs_that_are_unlike_confirm_what_each_other_shows(tmp_path: Path) -> N
     logs = [flown(tmp_path / f"{k}.csv", craft, law, seconds, k) for k, (law, seconds) in enumerate(flights)]
     problem = build_problem(ModelSubject.of(model), logs)
     trial = [c for c in ModelSubject.of(model).candidates(()) if c.name in ("thrust_asymmetry", "com_offset")]
-    found = Attributor(ModelSubject.of(model), problem, trial).run()
-    attribution = decide(found)
-    assert (attribution.best.names, attribution.rivals) == (("thrust_asymmetry",), ())
-    base, best = attribution.base, attribution.best
+    found = weighed(Attributor(ModelSubject.of(model), problem, trial).run())
+    assert (found.decision.verdict, found.claimed) == ("effect_found", {"thrust_asymmetry"})
     # what the quiet log cannot know of inertia and process noise weighs neither for the claim nor against it
-    assert 100.0 < held_out_gains(found.search, best, base)[0] < base.score - best.score
+    gain = held_out_gain(found.bundle.hypotheses, found.decision.dispersion, "thrust_asymmetry", len(trial))
+    assert gain > 100.0

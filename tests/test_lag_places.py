@@ -11,12 +11,12 @@ import pytest
 
 from cosim.estimation.posing import build_problem
 from cosim.refinement.decision.claims import experiment_for
-from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import build
 from tests.logs import write_log
+from tests.studies import weighed
 
 ROWS, STEP, LAG, NOISE = 400, 2.0, 5.0, 0.02
 IN, OUT = "lag_at_heater", "lag_at_T_air"
@@ -44,7 +44,8 @@ def test_a_lag_of_the_input_and_one_of_the_sensor_are_rivals(tmp_path: Path) -> 
     study = read_study(path)
     problem = build_problem(study.subject, study.logs, noise={"T_air": NOISE})
     candidates = [c for c in study.subject.candidates(["heater"]) if c.name in (IN, OUT, "bias_at_heater")]
-    a = decide(Attributor(study.subject, problem, candidates).run())
-    assert {a.best.names, *(h.names for h in a.rivals)} == {(IN,), (OUT,)}
+    a = weighed(Attributor(study.subject, problem, candidates).run())
+    assert a.decision.verdict == "ambiguous"
+    assert a.decision.rivals.keys() == {frozenset({IN}), frozenset({OUT})}
     assert abs(a.best.fit.values[a.best.candidates[0].parameters[0]] - LAG) < 0.5
-    assert "sensor" in experiment_for(study.subject, [IN, OUT])
+    assert "sensor" in experiment_for(study.subject, [*a.decision.rivals])

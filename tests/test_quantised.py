@@ -14,9 +14,9 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import read_log
 from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
-from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
 from tests.logs import write_log
+from tests.studies import weighed
 
 STEP, ROWS = 0.02, 701
 CELL = 0.02  # [rad], a hundred times the stated noise
@@ -103,7 +103,8 @@ def searched(folder: Path, width: float) -> Attributor:
 
 @pytest.mark.parametrize(("width", "claim"), [(0.0, ()), (0.03, ("dead_band",))])
 def test_cells_of_a_sensor_are_noise_and_no_dead_band(tmp_path: Path, width: float, claim: tuple[str, ...]) -> None:
-    found = decide(searched(tmp_path, width).run())
-    assert found.best.names == claim
+    found = weighed(searched(tmp_path, width).run())
+    assert found.claimed == set(claim)
+    assert found.decision.verdict == ("effect_found" if claim else "no_effect")
     level = math.exp(0.5 * float(found.best.fit.noise.sensors[0]))
     assert CELL / math.sqrt(12.0) * 0.999 < level < CELL

@@ -28,7 +28,7 @@ from cosim.fmi.fmu_build import build
 from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
-from cosim.refinement.decision.claims import Name
+from cosim.refinement.decision.posterior import Verdict
 from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
@@ -88,7 +88,7 @@ def test_replays_are_native_and_equal_those_of_the_delivered_fmu(rubbing: Refine
 
 def test_the_schema_has_every_verdict() -> None:
     jsonschema.Draft202012Validator.check_schema(schema())
-    assert schema()["properties"]["verdict"]["enum"] == list(get_args(Name))
+    assert schema()["properties"]["verdict"]["enum"] == list(get_args(Verdict))
 
 
 @pytest.fixture(scope="module")
@@ -159,8 +159,8 @@ def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
     study = tmp_path / "study.yaml"
     study.write_text("model: base\nlogs: {estimation: [a.csv], validation: [b.csv]}\n")
     r = proven(study, tmp_path / "out")
-    assert r.record["verdict"] == "ambiguous"
-    assert len(r.record["rivals"]) > 5
+    assert (r.record["verdict"], r.record["grade"], r.record["effects"]) == ("ambiguous", "nearest", [])
+    assert len(r.record["rivals"]) > 1
     assert r.record["experiment"]
 
 

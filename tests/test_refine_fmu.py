@@ -16,8 +16,7 @@ from scipy.integrate import solve_ivp
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.estimation.fit import initial_fit
-from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel, processor_time
+from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.fmu_subject import FmuSubject
@@ -26,8 +25,6 @@ from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
-from cosim.refinement.record import effects
-from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.workflow import failure_warnings
 from cosim.residuals.drive import Drive, log_of_fmu
@@ -174,9 +171,7 @@ def test_a_crash_or_a_hang_costs_one_evaluation(folder: Path, fault: str) -> Non
     problem.kernel.limits = problem.kernel.limits.model_copy(update={"load": 3.0})
     noise = problem.plain
     good = problem.score(problem.values, noise).nll
-    begin = processor_time()
     assert problem.score({**problem.values, "resistance": 2.0 * RESISTANCE}, noise).nll == np.inf
-    assert processor_time() - begin > 3.0 * (fault == "hangs")  # the time of a fit is limited, though it sleeps
     assert problem.score(problem.values, noise).nll == good
     assert len(problem.kernel.failures) == 1
     assert len([*failure_warnings(problem)]) == 1
@@ -262,13 +257,10 @@ def test_a_replay_leaves_the_study_that_goes_on(folder: Path, tmp_path: Path) ->
 @pytest.mark.parametrize("kind", ["sensor", "effect"])
 def test_a_replay_of_a_refined_fmu_names_the_claimed_error_of_a_sensor(folder: Path, tmp_path: Path, kind: str) -> None:
     """The FMU holds no error of a sensor; a further refine would only find it again."""
-    study = study_of_way(folder, "model_exchange")
-    (scale,) = (c for c in study.subject.candidates(()) if c.name == "scale_at_speed")
-    fit = replace(initial_fit(problem_of(study)), free=scale.free, information=np.eye(1))
-    (entry,) = effects(study.subject, Hypothesis((scale,), fit, 0.0), ())
-    assert entry.kind == "sensor"
+    parameters = {"factor": {"value": 1.1, "unit": "1", "ci95": [1.09, 1.11]}}
+    entry = {"name": "scale_at_speed", "kind": kind, "parameters": parameters, "probability": 1.0}
     fmu = build(tmp_path / "plant.fmu", "dc_motor", 2, ways=("model_exchange",))
-    (tmp_path / "refine.json").write_text(json.dumps({"effects": [entry.model_dump(mode="json") | {"kind": kind}]}))
+    (tmp_path / "refine.json").write_text(json.dumps({"effects": [entry]}))
     columns = columns_of(folder / "e1.csv")
     log = write_log(tmp_path / "log.csv", columns | {"speed": 1.1 * columns["speed"]})
     done = command("replay", log, "--plant", fmu, "--no-report", "--out", tmp_path / "out")

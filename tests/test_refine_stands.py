@@ -9,6 +9,7 @@ import pytest
 
 from cosim.core.errors import InputError
 from cosim.experiment.excite import excite
+from cosim.fmi.building.file import read_model
 from cosim.refinement.workflow import refine
 from cosim.simulation.workflow import run
 from plant.hovercraft import Hovercraft
@@ -43,11 +44,12 @@ def test_a_mass_of_four_percent_more_is_no_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_what_only_recalibration_explains_is_said_where_no_candidate_accounts_for_it(tmp_path: Path) -> None:
-    study = study_of(tmp_path / "study", {"mass": {"value": 1.1 * Hovercraft().mass}})
+def test_what_recalibration_explains_is_in_the_nearest_model_where_no_candidate_is_it(tmp_path: Path) -> None:
+    truth = 1.1 * Hovercraft().mass
+    study = study_of(tmp_path / "study", {"mass": {"value": truth}})
     r = flown(with_candidates(study, "coriolis, gyro_bias"), tmp_path / "out")
-    assert r.record["verdict"] == "unexplained"
-    assert "mass 0.705 → 0.77" in r.record["sentence"]
+    assert (r.record["verdict"], r.record["nearest"]) == ("no_effect", [])
+    assert read_model(r.folder / "nearest.yaml").parameters["mass"] == pytest.approx(truth, rel=0.01)
 
 
 @pytest.mark.thorough

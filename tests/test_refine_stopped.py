@@ -73,7 +73,7 @@ def test_stopped_before_its_end_it_leaves_nothing(
 def test_stopped_while_results_move_to_their_place_it_leaves_all_of_them(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    assert stopped(study, tmp_path / "out", monkeypatch, "_publish", number) == CODES[number]
+    assert stopped(study, tmp_path / "out", monkeypatch, "remove_earlier", number) == CODES[number]
     written = {"model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu", "refine.json"}
     assert {p.name for p in (tmp_path / "out").iterdir()} == written
 

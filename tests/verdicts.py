@@ -31,6 +31,8 @@ def _names(record: Record) -> Iterator[str]:
     if both := set(claimed) & set(record["hidden"]):
         yield f"claimed, and not to be seen: {sorted(both)}"
     ranked = [set(c["names"]) for c in record["candidates"] if c["why"] == "claimed"]
+    if record["verdict"] in CLAIMS:  # base numbers may be fitted beside the claim
+        ranked = [names - {n for n in record["inclusion"] if n not in claimed} for names in ranked]
     if ranked != ([set(claimed)] if claimed and record["verdict"] != "ambiguous" else []):
         yield f"claimed {claimed}, in the ranking {ranked}"
     if record["verdict"] in CLAIMS:

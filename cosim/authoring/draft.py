@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.authoring.draft_text import scenario_text, write_sound
@@ -19,17 +18,8 @@ MAX_SINGLE_STEPS = 1_000_000  # steps of a single FMU's run, requested by its ow
 MAX_PORTS = 6  # inputs and outputs in a message
 
 
-@dataclass(frozen=True)
-class Draft:
-    """Connections, coupling algorithm and warnings of a first scenario."""
-
-    matches: Matches
-    algorithm: str
-    warnings: tuple[str, ...]
-
-
-def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
-    """Write a commented scenario of FMUs, with guesses marked.
+def write_draft(path: Path, fmus: Sequence[Path]) -> tuple[Matches, str, list[str]]:
+    """Write a commented scenario of FMUs, with guesses marked; return connections, coupling algorithm and warnings.
 
     Connections are by name and unit. An existing file is never overwritten.
 
@@ -49,7 +39,14 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     parts = parts_of(fmus)
     inputs, outputs = [p for part in parts for p in part.inputs], [p for part in parts for p in part.outputs]
     sizes = {name: size for part in parts for name, size in part.sizes.items()}
-    matches = _drop_loops(parts, match_ports(outputs, inputs, sizes))
+    matches = match_ports(outputs, inputs, sizes)
+    every = matches.connections
+    kept = [m for m in every if not m.guess]
+    if _algorithm(parts, kept) is DEFAULT:  # leave out guesses that close an algebraic loop
+        for guess in (m for m in every if m.guess):
+            kept += [guess] if _algorithm(parts, [*kept, guess]) is DEFAULT else []
+        dropped = tuple((m.target, (text(m.source), *m.others)) for m in every if m not in kept)
+        matches = Matches(tuple(m for m in every if m in kept), (*matches.unconnected, *dropped), matches.choices)
     if len(parts) > 1 and not matches.any_candidate:
         raise InputError.at(fmus[0], _no_fit(fmus, inputs, outputs, sizes))
     times = times_of(parts)
@@ -61,19 +58,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
         here, there = platform_of(part.description), platforms_of(part.path)
         if here not in there:
             warnings.append(f"{part.name} does not run on this machine: {no_library(here, there)}")
-    return Draft(matches, algorithm.name, (*warnings, *times.notes, *system.warnings))
-
-
-def _drop_loops(parts: Sequence[DraftPart], matches: Matches) -> Matches:
-    """Return the matches without guessed connections in algebraic loops."""
-    every = matches.connections
-    connections = [m for m in every if not m.guess]
-    if _algorithm(parts, connections) is not DEFAULT:
-        return matches
-    for guess in (m for m in every if m.guess):
-        connections += [guess] if _algorithm(parts, [*connections, guess]) is DEFAULT else []
-    dropped = tuple((m.target, (text(m.source), *m.others)) for m in every if m not in connections)
-    return Matches(tuple(m for m in every if m in connections), (*matches.unconnected, *dropped), matches.choices)
+    return matches, algorithm.name, [*warnings, *times.notes, *system.warnings]
 
 
 def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorithm:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from functools import cache
@@ -107,7 +107,12 @@ def match_ports(
             del open_[name]
     scores = {name: [(_score(o[1], i[1]), o) for o in candidates[name]] for name, i in open_.items()}
     while True:
-        likely = {name: ranked for name in open_ if (ranked := _likely(scores[name], used))}
+        likely: dict[str, list[tuple[float, Port]]] = {}  # scores with outputs, best first
+        for name in open_:
+            rated = [(score + USED_OUTPUT * (text(source) in used), score, source) for score, source in scores[name]]
+            rated.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
+            if rated and rated[0][1] >= MIN_SCORE and rated[0][0] >= MIN_SCORE / 2:
+                likely[name] = [(net, source) for net, score, source in rated if score >= MIN_SCORE]
         clear = [name for name, ranked in likely.items() if len(_alike(ranked)) == 1]
         if not clear:
             break
@@ -136,15 +141,6 @@ def match_ports(
             unconnected.append((target, tuple(fitting)[:MAX_CANDIDATES]))
     ordered = tuple(connections[name] for name in map(text, inputs) if name in connections)
     return Matches(ordered, tuple(unconnected), {name: tuple(map(text, ports)) for name, ports in choices.items()})
-
-
-def _likely(scores: Sequence[tuple[float, Port]], used: Collection[str]) -> list[tuple[float, Port]]:
-    """Return an input's likely outputs with scores, best first; outputs in use count less."""
-    ranked = [(score + USED_OUTPUT * (text(source) in used), score, source) for score, source in scores]
-    ranked.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
-    if not ranked or ranked[0][1] < MIN_SCORE or ranked[0][0] < MIN_SCORE / 2:
-        return []
-    return [(net, source) for net, score, source in ranked if score >= MIN_SCORE]
 
 
 def _alike(ranked: Sequence[tuple[float, Port]]) -> list[Port]:

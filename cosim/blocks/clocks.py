@@ -54,11 +54,6 @@ class Clock:
     priority: int = LOWEST
     clocks: frozenset[str] = frozenset()
 
-    @property
-    def is_time_based(self) -> bool:
-        """Return whether ticks are known beforehand."""
-        return self.kind != "triggered"
-
 
 def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
     """Return the clocks of an FMU by name.

@@ -24,7 +24,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.variable_access import Ports
 from cosim.core.errors import SimulationError, Terminated
 from cosim.fmi.description import Way, takes_any_step
-from cosim.fmi.fmi_types import Exchange, clocks_of, element_names
+from cosim.fmi.fmi_types import Exchange, element_names
 
 NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
 TICK_NOW = 1e-9  # fraction of an interval within which a tick is due
@@ -126,12 +126,13 @@ class EventFmu(FmuBlock):
     def _make_ports(self, recorded: frozenset[str]) -> Ports:
         inputs, others = list[Signal](), list[Signal]()
         for c in self.clocks.values():
-            is_ticked_here = c.causality == "input" and not c.is_time_based and c.name not in self.timings
+            is_ticked_here = c.causality == "input" and c.kind == "triggered" and c.name not in self.timings
             clocks = inputs if is_ticked_here else others
             clocks.append(Signal(c.name, kind="Clock", local=c.causality not in {"input", "output"}))
 
         def part(variable: Any) -> tuple[frozenset[str], bool]:
-            return clocks_of(variable), variable.causality == "input" and self._is_jumping(variable)
+            clocks = frozenset(clock.name for clock in variable.clocks or ())
+            return clocks, variable.causality == "input" and self._is_jumping(variable)
 
         both = tuple(inputs), tuple(others)
         return Ports(self.description, self.connected, recorded, part=part, clocks=both)
@@ -172,36 +173,34 @@ class EventFmu(FmuBlock):
         instance, start = self.instance, self.calls.start_time
         with instance.check_calls():
             for clock in self.clocks.values():
-                self._start_timer(clock, self.timings.get(clock.name), start)
+                timing = self.timings.get(clock.name)
+                # The interval is the one that the scenario states, or that of the FMU.
+                if clock.kind == "triggered":
+                    if timing is not None:
+                        first = start + (timing.shift or 0.0)
+                        self.timers[clock.name] = Timer(first, interval=timing.interval, times=timing.at, is_set=True)
+                    continue
+                self.timers[clock.name] = timer = Timer()
+                interval = clock.interval
+                if timing is not None and timing.interval is not None:
+                    interval = timing.interval
+                    self._set_interval(clock, interval)
+                if interval is not None:
+                    timer.begin(start + clock.shift, interval)
+                    continue
+                qualifier, interval = self._interval(clock)
+                if clock.kind in PERIODIC:
+                    shift = (ctypes.c_double * 1)()
+                    self.instance.fmu.getShiftDecimal((ctypes.c_uint * 1)(clock.reference), shift)
+                    interval = math.nan if qualifier == NOT_YET_KNOWN else interval
+                    timer.begin(start + float(shift[0]), self._checked(clock, interval))
+                elif qualifier != NOT_YET_KNOWN:
+                    timer.begin(start + self._checked(clock, interval))
             self.calls.leave()
         instance.initialized = True
         self.reached, self.mode, self.active = start, EVENT, set()
         if self.steps:
             self._do_step = self.calls.bare(STEPS[3], "DoStep")
-
-    def _start_timer(self, clock: Clock, timing: Timing | None, start: float) -> None:
-        """Set the interval that the scenario states for a clock, or read that of the FMU."""
-        if not clock.is_time_based:
-            if timing is not None:
-                first = start + (timing.shift or 0.0)
-                self.timers[clock.name] = Timer(first, interval=timing.interval, times=timing.at, is_set=True)
-            return
-        self.timers[clock.name] = timer = Timer()
-        interval = clock.interval
-        if timing is not None and timing.interval is not None:
-            interval = timing.interval
-            self._set_interval(clock, interval)
-        if interval is not None:
-            timer.begin(start + clock.shift, interval)
-            return
-        qualifier, interval = self._interval(clock)
-        if clock.kind in PERIODIC:
-            shift = (ctypes.c_double * 1)()
-            self.instance.fmu.getShiftDecimal((ctypes.c_uint * 1)(clock.reference), shift)
-            interval = math.nan if qualifier == NOT_YET_KNOWN else interval
-            timer.begin(start + float(shift[0]), self._checked(clock, interval))
-        elif qualifier != NOT_YET_KNOWN:
-            timer.begin(start + self._checked(clock, interval))
 
     # -- values --------------------------------------------------------------------------------------
 

@@ -72,7 +72,7 @@ class Fixes(Component):
         """
         first = self._first + len(self.inputs)
         if self._point == 0 and self._errors is not None:
-            self._opening = self._measurement(self._errors)
+            self._opening = [self._row[k] + e for k, e in enumerate(self._errors, self._first)]
             if not self._late:
                 self._values, self._count = self._opening, 1
         self._row[first : first + len(self._values) + 1] = [*self._values, float(self._count)]
@@ -85,8 +85,9 @@ class Fixes(Component):
         self._point += 1
         while math.ceil(self._measured / self._fixes_per_step - 1e-9) <= self._point:
             self._measured += 1
-            if (error := self._draw()) is not None:
-                self._queue.append((self._point + self._late, self._measurement(error)))
+            if (errors := self._draw()) is not None:
+                measured = [self._row[k] + e for k, e in enumerate(errors, self._first)]
+                self._queue.append((self._point + self._late, measured))
         while self._queue and self._queue[0][0] <= self._point:
             self._values = self._queue.popleft()[1]
             self._count += 1
@@ -119,7 +120,3 @@ class Fixes(Component):
         """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
         return None if self._losses.random() < self._dropout else errors
-
-    def _measurement(self, errors: list[float]) -> list[float]:
-        row, first = self._row, self._first
-        return [row[k] + e for k, e in enumerate(errors, first)]

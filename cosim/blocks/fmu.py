@@ -379,7 +379,12 @@ class RestartableFmu(FmuBlock):
     def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
         """Reset or reload the FMU, and enter initialization at `start` with new start values."""
         self.start_values = values
-        if self.instance.fmu is None or not self._reset():
+        is_reset = False
+        if self.instance.fmu is not None and self._is_ours:  # Some others (20-sim) stand still after a reset.
+            with suppress(Exception):  # FMPy raises bare Exceptions; without reset the FMU is loaded again.
+                self.instance.fmu.reset()
+                is_reset = True
+        if not is_reset:
             self.instance.free()
             self._load()
         self._begin(start, stop)
@@ -406,11 +411,3 @@ class RestartableFmu(FmuBlock):
     @cached_property
     def _is_ours(self) -> bool:
         return traits_of(self.path) is not None
-
-    def _reset(self) -> bool:
-        """Reset a cosim FMU; return False for foreign FMUs, of which some (20-sim) stand still after a reset."""
-        if self._is_ours:
-            with suppress(Exception):  # FMPy raises bare Exceptions; without reset the FMU is loaded again.
-                self.instance.fmu.reset()
-                return True
-        return False

@@ -59,7 +59,7 @@ class ModelExchange(Calls):
         self.next_event: float | None = None
         self._states, self._indicator_count = description.numberOfContinuousStates, description.numberOfEventIndicators
         # FMI 1.0 demands the call of every host.
-        self._needs_completed_steps = self.version == 1 or bool(self.about.needsCompletedIntegratorStep)
+        self.needs_completed_steps = self.version == 1 or bool(self.about.needsCompletedIntegratorStep)
         self._first: Any = None  # event information from the initialization of FMI 1.0
         self.solver: Any = None
         self.solver_name: Solver | None = None
@@ -97,7 +97,7 @@ class ModelExchange(Calls):
             start=self.start_time,
             longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
             tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
-            single_steps=self._needs_completed_steps,
+            single_steps=self.needs_completed_steps,
             max_steps=self.max_steps,
         )
         self._started = True
@@ -131,11 +131,6 @@ class ModelExchange(Calls):
             change()
         self.update()
         self._enter("ContinuousTime")
-
-    @property
-    def goes_back(self) -> bool:
-        """Return whether the continuous states are all that a step changes, up to its first event."""
-        return not self._needs_completed_steps
 
     def save(self) -> tuple[float, list[float]]:
         """Return time [s] and continuous states, for `go_back`."""
@@ -206,7 +201,7 @@ class ModelExchange(Calls):
                     raise SimulationError(self.name, self.time, self._explain(error)) from None
             self.fmu.setTime(self.time)
             step_event = False
-            if self._needs_completed_steps:
+            if self.needs_completed_steps:
                 answer = self.fmu.completedIntegratorStep()
                 step_event, terminate = (answer, False) if self.version == 1 else answer
                 if terminate:

@@ -355,7 +355,15 @@ class SolveIvp:
         with np.errstate(all="ignore"):  # Non-finite derivatives only shorten the steps.
             try:
                 if self._radau is None or self._radau.t_bound != target:
-                    self._begin(t, target)
+                    from scipy.integrate import Radau
+
+                    if self.states:
+                        self.fmu.getContinuousStates(ctypes.cast(self._x, DOUBLES), self.states)
+                    x = list(self._x) if self.states else [0.0]
+                    scale = [self.tolerance * abs(n) for n in self._nominal]
+                    settings = {"rtol": self.tolerance, "atol": scale, "max_step": self._longest}
+                    first = None if self._first_step is None else min(self._first_step, target - t)
+                    self._radau, self._steps = Radau(self._rates, t, x, target, first_step=first, **settings), 0
                 radau = self._radau
                 before = self._signs(t, radau.y)
                 radau.step()
@@ -379,18 +387,6 @@ class SolveIvp:
             raise SolverFailed(TOO_MANY_SOLVER_STEPS.format(solver="solve_ivp", count=self._steps, other=""))
         self._set(radau.t, radau.y)
         return False, [0] * self.indicators, float(radau.t)
-
-    def _begin(self, t: float, target: float) -> None:
-        """Start the integration from the states of the FMU."""
-        from scipy.integrate import Radau
-
-        if self.states:
-            self.fmu.getContinuousStates(ctypes.cast(self._x, DOUBLES), self.states)
-        x = list(self._x) if self.states else [0.0]
-        scale = [self.tolerance * abs(n) for n in self._nominal]
-        settings = {"rtol": self.tolerance, "atol": scale, "max_step": self._longest}
-        first = None if self._first_step is None else min(self._first_step, target - t)
-        self._radau, self._steps = Radau(self._rates, t, x, target, first_step=first, **settings), 0
 
     def _signs(self, t: float, x: Any) -> list[bool]:
         """Return whether each event indicator is positive; set the FMU to the point."""

@@ -176,7 +176,10 @@ def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alon
             math.inf if changes is None else math.sqrt(sum(float(np.nansum((c / point.sigma) ** 2)) for c in changes))
         )
 
-    powers, shares = _snapped(direction), _snapped(direction * scales)
+    # relative to the smallest component, and rounded where close to whole numbers
+    relative = [each / np.min(np.abs(each)) for each in (direction, direction * scales)]
+    pairs = [(each, np.rint(each)) for each in relative]
+    powers, shares = (np.where(np.abs(each - whole) < 0.05 * np.abs(whole), whole, each) for each, whole in pairs)
     moves = [(form(powers, "ratio", "product"), x * np.exp(MOVE * powers) - x)] if np.all(x != 0.0) else []
     size = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales))
     moves.append((form(shares, "difference", "sum"), MOVE * size * shares))
@@ -184,10 +187,3 @@ def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alon
         if min(visible(side * move) for side in (1.0, -1.0)) <= INVISIBLE * alone:
             return name
     return None
-
-
-def _snapped(direction: Array) -> Array:
-    """Return a direction with components relative to the smallest, rounded where close to whole numbers."""
-    relative = direction / np.min(np.abs(direction))
-    powers = np.rint(relative)
-    return np.asarray(np.where(np.abs(relative - powers) < 0.05 * np.abs(powers), powers, relative))

@@ -63,11 +63,9 @@ def covariance(likelihood: Likelihood) -> Covariance:
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
 
-    def models_of(tables: Sequence[Array]) -> list[Autoregression]:
-        return [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
-
-    def sandwich(tables: Sequence[Array], models: Sequence[Autoregression]) -> tuple[Array, Array]:
-        """Return the covariance of the estimates, and of the channels' innovations."""
+    def sandwich(tables: Sequence[Array]) -> tuple[Array, Array, Sequence[Autoregression]]:
+        """Return the covariance of the estimates, that of the channels' innovations, and their autoregressions."""
+        models = [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
         innovations, filtered = [], []
         for table, slope in zip(tables, slopes, strict=True):
             whitened, smoothed = np.full(table.shape, np.nan), np.zeros(slope.shape)
@@ -86,10 +84,9 @@ def covariance(likelihood: Likelihood) -> Covariance:
                 middle = middle + spread[c, d] * parts[c].T @ parts[d]
         total = sum(int(np.isfinite(t).sum()) for t in tables)
         middle = middle * total / max(1, total - unknowns)
-        return inverse @ middle @ inverse, spread
+        return inverse @ middle @ inverse, spread, models
 
-    models = models_of(point.tables)
-    matrix, spread = sandwich(point.tables, models)
+    matrix, spread, models = sandwich(point.tables)
     colour = np.array([m.colour for m in models])
     freedom = max(1.0, float(np.sum(point.counts / np.maximum(1.0, colour))) - unknowns)
     factors = np.full(unknowns, float(stdtrit(freedom, 0.975)))
@@ -115,8 +112,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
             for s, e in zip(slopes, drawn, strict=True)
         )
         shift = -inverse @ gradient
-        left = [e + s @ shift for s, e in zip(slopes, drawn, strict=True)]
-        repeated, _ = sandwich(left, models_of(left))
+        repeated, _, _ = sandwich([e + s @ shift for s, e in zip(slopes, drawn, strict=True)])
         ratios.append(np.abs(shift) / np.sqrt(np.maximum(np.diag(repeated), 1e-300)))
     return Covariance(matrix, np.maximum(factors, np.quantile(ratios, 0.95, axis=0)), colour)
 

@@ -196,15 +196,13 @@ class Likelihood:
         squares = sum(np.nansum(t * t, axis=0) for t in tables)
         least = SMALLEST * np.array([self.logs.spread[n] for n in self.logs.channels])
         sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), least)
-        point = Point(x, tables, counts, sigma, self._cost(x, counts, sigma))
+        cost = float(counts @ np.log(sigma)) + 0.5 * float(self.precision @ (x - self.prior) ** 2)
+        point = Point(x, tables, counts, sigma, cost)
         if not np.isfinite(point.cost):
             return None
         if not hasattr(self, "best") or point.cost < self.best.cost:
             self.best = point
         return point
-
-    def _cost(self, x: Array, counts: Array, sigma: Array) -> float:
-        return float(counts @ np.log(sigma)) + 0.5 * float(self.precision @ (x - self.prior) ** 2)
 
     def restricted(self, kept: Flags) -> Likelihood:
         """Return the likelihood of some of the unknowns, the others held at the best point."""
@@ -212,7 +210,8 @@ class Likelihood:
         held = {u.name: float(v) for u, v, k in pairs if not k and u.log is None}
         inner = Likelihood(self.logs, [u for u, _, k in pairs if k], {**self.given, **held})
         inner.steps, x = self.steps[kept], best.x[kept]
-        inner.best = replace(best, x=x, cost=inner._cost(x, best.counts, best.sigma))
+        cost = float(best.counts @ np.log(best.sigma)) + 0.5 * float(inner.precision @ (x - inner.prior) ** 2)
+        inner.best = replace(best, x=x, cost=cost)
         if hasattr(self, "slopes"):
             inner.slopes = [s[..., kept] for s in self.slopes]
         return inner
@@ -307,21 +306,17 @@ class Likelihood:
                 continue
             faithful = FAITHFUL * expected <= gain
             damping = max(LEAST_DAMPING, damping * (0.1 if faithful else 1.0 if gain > 0.25 * expected else 4.0))
-            slopes = self._follow(slopes, point, moved) if faithful else []
-            point, fresh = moved, False
+            following = []  # slopes that explain this step (Broyden 1965), in units of the scales
+            sides = zip(slopes, point.tables, moved.tables, strict=True)
+            for k, (slope, before, after) in enumerate(sides if faithful else ()):
+                acting = np.array([u.log in (None, k) for u in self.unknowns])
+                made = np.where(acting, moved.x - point.x, 0.0)
+                weighted = made / self.scales**2
+                square = float(made @ weighted)
+                miss = after - before - slope @ made
+                following.append(slope + miss[..., None] * (weighted / square) if square > 0.0 else slope)
+            point, slopes, fresh = moved, following, False
         return False
-
-    def _follow(self, slopes: Jacobian, point: Point, moved: Point) -> Jacobian:
-        """Return slopes that explain the last step (Broyden 1965), in units of the scales."""
-        updated = []
-        for k, (slope, before, after) in enumerate(zip(slopes, point.tables, moved.tables, strict=True)):
-            acting = np.array([u.log in (None, k) for u in self.unknowns])
-            step = np.where(acting, moved.x - point.x, 0.0)
-            weighted = step / self.scales**2
-            square = float(step @ weighted)
-            miss = after - before - slope @ step
-            updated.append(slope + miss[..., None] * (weighted / square) if square > 0.0 else slope)
-        return updated
 
     def _step(self, point: Point, slopes: Jacobian, damping: float) -> tuple[Array, float]:
         """Return a step within the bounds, and the gain that the quadratic model expects of it."""

@@ -90,7 +90,21 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
         Row("Effort", f"{counted(record.simulations, 'simulation')} of a whole log{failed}, {plain(record.seconds)} s"),
         Row("cosim", __version__),
     ]
-    proof = parts[-1] if parts else None
+    proof, plots = parts[-1] if parts else None, list[Plot]()
+    if proof is not None:  # measured, before and after on the last log, the most improved output first
+        log, panels = proof.logs[-1], list[Panel]()
+        before, after = (side[-1][proof.horizon].outputs for side in (proof.before, proof.after))
+        changes = proof.errors(proof.horizon).items()
+        ratios = {n: b / a if a > 0.0 and math.isfinite(b / a) else 1.0 for n, (a, b) in changes}
+        for name in sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]:
+            unit, factor = display(log.units[name])
+            curves = (
+                (log.outputs[name], "measured", "estimate"),
+                (before[name], "before", "s1"),
+                (after[name], "after", "true"),
+            )
+            panels.append(Panel(name, unit or "1", [Trace(label, v * factor, style) for v, label, style in curves]))
+        plots = charts.over(log.time).plots(panels)
     return render(
         TEMPLATE,
         {
@@ -100,7 +114,7 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
             "tone": tone,
             "badges": badges,
             "warnings": [*record.warnings, *record.notes],
-            "plots": [] if proof is None else _plots(proof, charts),
+            "plots": plots,
             "log": "" if proof is None else proof.logs[-1].path.name,
             "is_sealed": proof is not None and proof.sealed,
             "horizon": "" if proof is None else horizon_name(proof.horizon),
@@ -119,23 +133,6 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
             "version": __version__,
         },
     )
-
-
-def _plots(part: Part, charts: Charts) -> list[Plot]:
-    """Draw measured, before and after on the last log, the most improved output first."""
-    log, errors = part.logs[-1], part.errors(part.horizon)
-    before, after = (side[-1][part.horizon].outputs for side in (part.before, part.after))
-    ratios = {n: b / a if a > 0.0 and math.isfinite(b / a) else 1.0 for n, (a, b) in errors.items()}
-    panels = []
-    for name in sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]:
-        unit, factor = display(log.units[name])
-        curves = (
-            (log.outputs[name], "measured", "estimate"),
-            (before[name], "before", "s1"),
-            (after[name], "after", "true"),
-        )
-        panels.append(Panel(name, unit or "1", [Trace(label, v * factor, style) for v, label, style in curves]))
-    return charts.over(log.time).plots(panels)
 
 
 def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:

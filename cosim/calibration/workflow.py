@@ -87,7 +87,17 @@ def fit(
             estimate.run(chosen, screening=not request.vary)
             stage = "the proof"
             progress("replaying with the values before and after", 0.0)
-            parts = _prove(estimate, chosen, opened, closed)
+            assert estimate.likelihood is not None
+            varied, x = {p.name for p in chosen}, estimate.likelihood.best.x
+            horizon = estimate.logs.horizon or FREE_RUN
+            first = {p.name: p.start for p in chosen if not p.per_log}
+            every = [estimate.likelihood.values(x, k) for k in range(len(opened))]
+            own = [{n: v for n, v in each.items() if n in varied} for each in every]
+            proved = [prove(opened, [first] * len(opened), own, horizon, sealed=False)]
+            if closed:  # sealed logs, with the mean of each value
+                mean = {n: float(np.mean([each[n] for each in own])) for n in own[0]}
+                proved.append(prove(closed, [first] * len(closed), [mean] * len(closed), horizon, sealed=True))
+            parts = proved  # none if the proof is stopped
         except OutOfTime:
             reached = f"the limit of {most.total:g} s (limits: total) is reached"
             stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without proof")
@@ -244,20 +254,3 @@ def _refuse_bad(drives: Sequence[Drive]) -> None:
         findings += input_unit_findings(drive.log, drive.starts, drive.traits.bounds if drive.traits else {})
         faults += gate_faults(drive.log, findings)
     refuse(faults)
-
-
-def _prove(
-    estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
-) -> list[Part]:
-    """Return the errors before and after, on the logs of the estimate and then on sealed logs."""
-    assert estimate.likelihood is not None
-    varied, x = {p.name for p in chosen}, estimate.likelihood.best.x
-    horizon = estimate.logs.horizon or FREE_RUN
-    first = {p.name: p.start for p in chosen if not p.per_log}
-    values = [estimate.likelihood.values(x, k) for k in range(len(opened))]
-    own = [{n: v for n, v in each.items() if n in varied} for each in values]
-    parts = [prove(opened, [first] * len(opened), own, horizon, sealed=False)]
-    if closed:
-        mean = {n: float(np.mean([each[n] for each in own])) for n in own[0]}
-        parts.append(prove(closed, [first] * len(closed), [mean] * len(closed), horizon, sealed=True))
-    return parts

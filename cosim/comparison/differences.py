@@ -213,7 +213,12 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
         found = replace(found, note=signals.unit_note(unit, other, found, by))
         if around is None:
             return found
-        return signals.include_rows_between(found, *around.outside(first, second), allowed)
+        outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
+        if outside <= max(found.largest, signals.ROUNDING * found.scale):
+            return found
+        share, beyond = outside / found.scale, found.beyond or allowed.is_exceeded(outside, found.scale)
+        note = "; ".join(filter(None, [found.note, signals.BETWEEN]))
+        return replace(found, largest=outside, at=at, share=share, beyond=beyond, note=note)
 
     step = float(np.max(np.diff(of_a.time))) if of_a.time.size > 1 else 0.0
     ends = []

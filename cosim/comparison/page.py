@@ -186,6 +186,18 @@ def _several_values(c: several.ComparedRuns, charts: Charts) -> dict[str, Any]:
         curves = list(zip(labels, values, styles, strict=True))
         others = [(label, v - first, style) for label, v, style in curves if style != BASELINE]
         panels += [_panel(name, unit, curves), _panel(f"{name}, minus {short}", unit, others)]
+    by_run, line_styles = dict(zip(c.others, c.comparisons, strict=True)), dict(zip(c.drawn, styles, strict=True))
+    runs = []
+    for k, run in enumerate(c.runs):
+        of_run: dict[str, Any] = {"label": run.name, "style": line_styles.get(k, ""), "path": str(run.path)}
+        of_run |= {"most": "baseline", "same": None, "note": ""}
+        if k in by_run:
+            d, missing = max(by_run[k].differences, key=lambda d: d.share), len(by_run[k].only_a)
+            share = format_share(d).replace(" %", "\u00a0%")  # on one line
+            most = f"{d.name}: {format_size(d, d.largest)} ({share})" if d.largest else "equal"
+            notes = [f"{counted(missing, 'signal')} of the baseline missing" if missing else "", by_run[k].shorter]
+            of_run |= {"most": most, "same": by_run[k].same, "note": "; ".join(filter(None, notes))}
+        runs.append(of_run)
     inputs = []
     for row in c.inputs[:MAX_ROWS]:
         texts = [input_text(value) for value in row.values]
@@ -206,7 +218,7 @@ def _several_values(c: several.ComparedRuns, charts: Charts) -> dict[str, Any]:
         "base": short,
         "count": counted(len(c.others), "run"),
         "outcome": several.sentence(c),
-        "runs": _run_rows(c, dict(zip(c.drawn, styles, strict=True))),
+        "runs": runs,
         "shorts": c.shorts,
         "inputs": inputs,
         "more_inputs": max(0, len(c.inputs) - MAX_ROWS),
@@ -221,21 +233,6 @@ def _several_values(c: several.ComparedRuns, charts: Charts) -> dict[str, Any]:
         "is_drawn": f"Drawn: {', '.join(parts)}. Only in the tables: {' and '.join(rest)}." if parts else "",
         "baseline": c.baseline,
     }
-
-
-def _run_rows(c: several.ComparedRuns, styles: Mapping[int, str]) -> list[dict[str, Any]]:
-    by_run, rows = dict(zip(c.others, c.comparisons, strict=True)), []
-    for k, run in enumerate(c.runs):
-        row: dict[str, Any] = {"label": run.name, "style": styles.get(k, ""), "path": str(run.path)}
-        row |= {"most": "baseline", "same": None, "note": ""}
-        if k in by_run:
-            d, missing = max(by_run[k].differences, key=lambda d: d.share), len(by_run[k].only_a)
-            share = format_share(d).replace(" %", "\u00a0%")  # on one line
-            most = f"{d.name}: {format_size(d, d.largest)} ({share})" if d.largest else "equal"
-            parts = [f"{counted(missing, 'signal')} of the baseline missing" if missing else "", by_run[k].shorter]
-            row |= {"most": most, "same": by_run[k].same, "note": "; ".join(filter(None, parts))}
-        rows.append(row)
-    return rows
 
 
 def _difference_cell(d: Difference | None) -> tuple[str, str, bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -114,19 +114,6 @@ def compare_numbers(
     beyond = allowed.is_exceeded(largest, scale)
     rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf
     return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond)
-
-
-def include_rows_between(d: Difference, outside: float, at: float, allowed: Tolerance) -> Difference:
-    """Return a difference enlarged by intermediate rows of b.
-
-    Args:
-        outside: Largest distance of these rows from the range of a, at time `at` [s].
-    """
-    if outside <= max(d.largest, ROUNDING * d.scale):
-        return d
-    beyond = d.beyond or allowed.is_exceeded(outside, d.scale)
-    note = "; ".join(filter(None, [d.note, BETWEEN]))
-    return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=beyond, note=note)
 
 
 def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:

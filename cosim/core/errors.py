@@ -35,14 +35,7 @@ class CosimError(Exception):
         return printable(super().__str__())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (type(self), self.args, self.__dict__)
-
-
-def _again(kind: type[CosimError], args: tuple[Any, ...], content: dict[str, Any]) -> CosimError:
-    """Return a copy from another process, whatever the arguments of the class."""
-    error = kind.__new__(kind, *args)
-    error.__dict__.update(content)
-    return error
+        return type(self).__new__, (type(self), *self.args), self.__dict__  # whatever the arguments of the class
 
 
 def _message_only(error: CosimError) -> list[str]:

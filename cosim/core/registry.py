@@ -113,12 +113,6 @@ def entry_of(kind: type) -> ModelEntry | None:
     return next((e for place in places for e in models().values() if e.model == place), None)
 
 
-def rig_of(kind: type, otherwise: Any) -> Any:
-    """Return the player of experiments for a model class."""
-    entry = entry_of(kind)
-    return resolve(entry.rig) if entry and entry.rig else otherwise
-
-
 def page_for(components: Iterable[Collection[str]]) -> Page | None:
     """Return the first page for any of the components."""
     sets = [frozenset(variables) for variables in components]
@@ -175,9 +169,7 @@ def attempt(name: str, place: str) -> Any:
         return None
 
 
-@functools.cache
-def _all_points() -> Any:
-    return entry_points()  # reads a file of every installed package
+_all_points = functools.cache(entry_points)  # reads a file of every installed package
 
 
 @functools.cache

@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, pseudo_inverse
-from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel, processor_time
+from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
@@ -30,7 +30,6 @@ NOISE_DIFFERENCE = 0.05
 LONGER = 3  # factor on the iterations of a fit above the objective of its parts
 FAIR = 3  # iterations granted to a fit that starts away from its base; otherwise one
 FAR, LEVELS = 3.0, 9  # innovations in standard deviations, from which so many levels of the unknown inputs are compared
-MAX_SECONDS = 240.0  # [s] of processor time of one fit, after which the search goes on with the values reached
 GOOD = 0.7  # share of the expected improvement from which the slopes serve for a second step
 DOUBLINGS_FROM, HALVINGS = 0.01, 5  # search for the end of a plateau: first distance in sizes, and bisections
 FURTHEST = 1e4  # distance in sizes from which a plateau has no end
@@ -62,7 +61,6 @@ class Fit:
     Attributes:
         scattered: Covariance of the free parameters by scatter over blocks of time.
         regions: Parameter on which the likelihood does not depend near its estimate → limits of its 95 % region.
-        is_cut: Whether the fit was stopped after MAX_SECONDS.
     """
 
     values: Mapping[str, float]
@@ -75,7 +73,6 @@ class Fit:
     converged: bool
     scattered: Array | None = None
     regions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    is_cut: bool = False
 
     @property
     def nll(self) -> float:
@@ -121,10 +118,7 @@ class Fit:
         return float(np.sqrt(max(0.0, *map(float, variances))))
 
     def sigma_between(self, one: str, other: str) -> float:
-        """Return the standard deviation of a difference.
-
-        As in `sigma`, the larger of two values counts.
-        """
+        """Return the standard deviation of a difference; the larger of two values counts, as in `sigma`."""
         names = [f.name for f in self.free]
         j, k = names.index(one), names.index(other)
         return float(np.sqrt(max(0.0, *(c[j, j] + c[k, k] - 2.0 * c[j, k] for c in self._covariances))))
@@ -245,12 +239,11 @@ class _Scoring:
     def run(self, iterations: int, patience: Patience) -> Fit:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
-        done, converged, is_cut, pace, is_kept = 0, False, False, 0.0, False
+        done, converged, pace, is_kept = 0, False, 0.0, False
         slopes = np.zeros((0, 0)), np.zeros((0, 0))
-        end = processor_time() + MAX_SECONDS  # unlike the clock, no matter of what else the machine does
         information = np.zeros((len(self.theta),) * 2)
         limit = iterations * int(np.isfinite(self.scored.nll))  # The filter may diverge at the start values.
-        while done < limit and not (converged or is_cut):
+        while done < limit and not converged:
             slopes = slopes if is_kept else self.sensitivities()
             gradient, curvature = self.derivatives(*slopes)
             if not np.isfinite([*gradient, *curvature.flat]).all():
@@ -269,11 +262,10 @@ class _Scoring:
                 self.damping = damping  # the slopes are to blame
             converged = pace < self.enough and not is_kept
             is_kept = not is_kept and self.is_dear and pace > max(self.enough, GOOD * expected)
-            is_cut = not converged and processor_time() > end
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
         reached = *self._unpack(self.theta), self.free, self.scored.by_log
-        return Fit(*reached, penalty, unscaled, done, converged, is_cut=is_cut)
+        return Fit(*reached, penalty, unscaled, done, converged)
 
     def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
         values = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}
@@ -332,8 +324,9 @@ class _Scoring:
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
         """Return the gradient ∂NLL/∂θ and the information matrix for scaled θ; both include the priors."""
         e, s = self.scored.errors, self.scored.variances
-        gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
-        information = (de / s) @ de.T + 0.5 * dls @ dls.T
+        with np.errstate(over="ignore", invalid="ignore"):  # of a filter that diverges beside this point
+            gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
+            information = (de / s) @ de.T + 0.5 * dls @ dls.T
         weight = self.problem.scatter
         for i, f in enumerate(self.free):
             if f.prior:

@@ -12,12 +12,14 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.estimation.data import data_of, first_measured, start_state
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
+MOST_DOUBLINGS = 8  # of the substeps of a fit
 FEW = 2  # steps of co-simulation between rows while a search ranks candidates
 SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
 NO_SETTINGS = Settings()
@@ -142,11 +144,6 @@ def _range(problem: Problem) -> Array:
     return np.asarray(high - low)
 
 
-def varied_inputs(subject: Subject, logs: Sequence[Log]) -> list[str]:
-    """Return inputs that vary in at least one log."""
-    return [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in logs)]
-
-
 def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
     """Return the problem with the fewest substeps that give the same likelihood.
 
@@ -163,6 +160,23 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
         if abs(coarse.score(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
             return coarse
+    return problem
+
+
+def with_finer_steps(problem: Problem, values: Mapping[str, float], noise: Noise) -> Problem:
+    """Return the problem with as many substeps as the likelihood at a fit needs; the same problem if they suffice.
+
+    A fit may leave the region in which the substeps of the given model integrate it exactly enough.
+    """
+    if problem.layout.is_free_run:
+        return problem
+    now = problem.score(values, noise).nll
+    for _ in range(MOST_DOUBLINGS):
+        finer = replace(problem, logs=[replace(log, substeps=2 * log.substeps) for log in problem.logs])
+        before, now = now, finer.score(values, noise).nll
+        if abs(now - before) < max(SAME, ALIKE * abs(now)):
+            break
+        problem = finer
     return problem
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
 from cosim.estimation.data import UNSCORED
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, run_all
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.readings import Readings, readings_of
@@ -235,7 +235,7 @@ class Problem:
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
         timed = np.isfinite(now.timing)
         shortest, longest = (
-            np.where(timed, 2.0 * np.log(t), now.timing) for t in (1e-3 * min(steps), 4.0 * max(steps))
+            np.where(timed, 2.0 * np.log(t), now.timing) for t in (1e-3 * min(steps), 0.5 * max(steps))
         )
         memory = np.log([2.0 * min(steps), self.longest_memory])
         if not self.layout.is_coloured or self.trusted:
@@ -411,9 +411,10 @@ class Problem:
         """Return innovations and variances of some logs, by default all, one after the other."""
         errors, variances, rows = [], [], []
         chosen = range(len(self.logs)) if only is None else only
-        for index, filtered in zip(
-            chosen, run_all(self.kernel, [self._inputs(values, noise, k) for k in chosen]), strict=True
-        ):
+        inputs = [self._inputs(values, noise, k) for k in chosen]
+        together: Any = getattr(self.kernel, "call_all", None)  # a kernel may filter several logs in one call
+        runs = together("run", inputs) if together else [self.kernel.run(*each) for each in inputs]
+        for index, filtered in zip(chosen, runs, strict=True):
             (e, s), readings = self._aligned(filtered, values, index), self.readings[index]
             errors.append(e.take(readings.places))
             variances.append(s.take(readings.places))

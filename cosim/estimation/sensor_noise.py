@@ -54,9 +54,10 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
     """Return outputs whose time stamps seem to have errors.
 
     Innovations then grow with the rate of change. The statistic is Rao's score test of a variance τ²·ẏ² at τ = 0:
-    Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²).
+    Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²). Such errors are independent from row to row; those of a wrong model are
+    not, so that ẏe/s must not be correlated with that of the next row.
     """
-    scores, information = np.zeros(len(problem.r)), np.zeros(len(problem.r))
+    scores, information, products, squares = np.zeros((4, len(problem.r)))
     for index, readings in enumerate(problem.readings):
         e, s = problem.innovations(at.values, at.noise, index)
         speed = readings.slopes / problem.logs[index].step
@@ -67,9 +68,15 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
             spread = np.where(readings.scored, np.minimum(e**2 / s, WILD) - 1.0, 0.0)
         scores += 0.5 * np.sum(share * spread, axis=0)
         information += 0.5 * np.sum(share**2, axis=0)
+        with np.errstate(invalid="ignore"):
+            size = np.sqrt(np.minimum(e**2 / s, WILD) * speed**2 / s)
+            moved = np.where(readings.scored, np.copysign(size, speed * e), 0.0)
+        neighbours = moved[1:] * moved[:-1]
+        products, squares = products + neighbours.sum(axis=0), squares + (neighbours**2).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         is_significant = scores / np.sqrt(information) > STAMPS_ERR
-    return np.asarray(is_significant & ~np.isfinite(at.noise.timing) & problem.adjusted)
+        is_white = ~(products / np.sqrt(squares) > STAMPS_ERR)
+    return np.asarray(is_significant & is_white & ~np.isfinite(at.noise.timing) & problem.adjusted)
 
 
 def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[str, ...]:
@@ -93,6 +100,13 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[st
         warnings.append(
             f"the model does not state the noise of {join_names([*unstated])} (sensor_variance); the logs show "
             f"{_line(unstated)}, which is used. Write it into the study to state another"
+        )
+    erring = {n: t for n, t in zip(problem.layout.outputs, np.exp(0.5 * noise.timing).tolist(), strict=True) if t > 0.0}
+    if erring:
+        sizes = join_names([f"{name} by {plain(t, 2)} s" for name, t in erring.items()])
+        warnings.append(
+            f"time stamps seem to err from row to row, with a standard deviation: {sizes}. Their readings count less "
+            "where they change fast; record with a better clock to use them fully"
         )
     return tuple(warnings)
 

@@ -67,10 +67,16 @@ class Excitation:
             least = self.apart[self.hardest_first[MAX_LISTED_PAIRS]]
             rest = counted(len(lines) - MAX_LISTED_PAIRS, "more pair")
             lines[MAX_LISTED_PAIRS:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
-        lines.append(f"excursion: {self._ranges(self.trial)}")
-        for name, trial in self.rivals.items():
-            if trial.excess(self.question.limits) > 1.0:
-                lines.append(f"beyond its limits if {name} is true: {self._ranges(trial)}")
+        limits = self.question.limits
+        beyond = {n: trial for n, trial in self.rivals.items() if trial.excess(limits) > 1.0}
+        trials = {"excursion": self.trial, **{f"beyond its limits if {n} is true": t for n, t in beyond.items()}}
+        units = {q.name: q.unit for q in self.question.loaded.model.outputs}
+        names = [n for n in units if n in limits] or self.question.measured
+        for words, trial in trials.items():
+            ranges = ", ".join(
+                f"{n} {trial.outputs[n].min():.3g} to {trial.outputs[n].max():.3g} {units[n]}" for n in names
+            )
+            lines.append(f"{words}: {ranges}")
         return lines
 
     @property
@@ -95,11 +101,6 @@ class Excitation:
     def hardest_first(self) -> list[Pair]:
         """Return pairs of rivals, the hardest to separate first."""
         return sorted(self.apart, key=lambda pair: self.apart[pair])
-
-    def _ranges(self, trial: Trial) -> str:
-        units = {q.name: q.unit for q in self.question.loaded.model.outputs}
-        names = [n for n in units if n in self.question.limits] or self.question.measured
-        return ", ".join(f"{n} {trial.outputs[n].min():.3g} to {trial.outputs[n].max():.3g} {units[n]}" for n in names)
 
 
 def merit_of(apart: Mapping[Pair, float], excess: float = 1.0) -> tuple[int, float]:

@@ -91,7 +91,8 @@ def excite(
         if question.of_fmu is not None:
             rig: OpenLoop = FmuOpenLoop(question.of_fmu, question.first, *common)
         else:  # of the model's class, or that of any model
-            rig = registry.rig_of(type(model), OpenLoop)(model, *common)
+            entry = registry.entry_of(type(model))
+            rig = (registry.resolve(entry.rig) if entry and entry.rig else OpenLoop)(model, *common)
         files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
         check_writable(place, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
         excitation = _choose(question, rig, time, seed, experiments, show_stage)
@@ -138,8 +139,13 @@ def _choose(
 
     def play_rivals(trial: Trial) -> dict[str, Trial]:
         """Simulate each rival with the signals of a trial."""
-        models = {r.name: question.model_if(r) for r in question.rivals}
-        return {name: rig.play(m, trial.signals) for name, m in models.items() if m != model}
+        base, trials = question.base.model, {}
+        sensors = {k.name for k in base.sensors}  # whose errors do not change the model
+        for rival in question.rivals:
+            values = {n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors}
+            if (other := base.with_values(values)) != model:
+                trials[rival.name] = rig.play(other, trial.signals)
+        return trials
 
     for k in range(-1, count):  # the usual input first, so that a worse one is never preferred
         report("trying experiments", max(0, k) / count)
@@ -172,30 +178,28 @@ def draw_signals(rng: np.random.Generator, axes: Sequence[RigAxis], time: Array)
         kind = str(rng.choice(KINDS))
         size = axis.amplitude * rng.uniform(*AMPLITUDE_SHARE)
         moves = rng.random(parts) < MOVE_PROBABILITY
-        signals[axis.name] = size * _wave(rng, kind, axis, time) * moves[part]
+        wave: Array  # within ±1
+        if kind == "multisine":
+            frequency = np.geomspace(axis.slowest, axis.fastest, TONES)
+            phase = rng.uniform(0.0, 2.0 * math.pi, TONES)
+            wave = np.sin(2.0 * math.pi * np.outer(time, frequency) + phase).sum(axis=1)
+            wave = wave / np.abs(wave).max()
+        elif kind == "chirp":
+            from scipy.signal import chirp
+
+            wave = chirp(time, axis.slowest, time[-1], axis.fastest, method="logarithmic", phi=-90)
+            wave = wave if rng.random() < 0.5 else wave[::-1]
+        else:
+            # Levels are held, or joined by lines, for between half a period of the fastest frequency and of the slowest
+            # one.
+            knots, ahead = [0.0], (0.5 / axis.fastest, 0.5 / axis.slowest)
+            while knots[-1] < time[-1]:
+                knots.append(knots[-1] + math.exp(rng.uniform(math.log(ahead[0]), math.log(ahead[1]))))
+            levels = np.concatenate([[0.0], rng.uniform(-1.0, 1.0, len(knots) - 1)])
+            held = levels[np.searchsorted(knots, time, side="right") - 1]
+            wave = np.interp(time, knots, levels) if kind == "ramps" else held
+        signals[axis.name] = size * wave * moves[part]
     return signals
-
-
-def _wave(rng: np.random.Generator, kind: str, axis: RigAxis, time: Array) -> Array:
-    """Return a signal within ±1: a multisine, chirp, ramps or steps."""
-    if kind == "multisine":
-        frequency = np.geomspace(axis.slowest, axis.fastest, TONES)
-        phase = rng.uniform(0.0, 2.0 * math.pi, TONES)
-        wave = np.sin(2.0 * math.pi * np.outer(time, frequency) + phase).sum(axis=1)
-        return np.asarray(wave / np.abs(wave).max())
-    if kind == "chirp":
-        from scipy.signal import chirp
-
-        swept = chirp(time, axis.slowest, time[-1], axis.fastest, method="logarithmic", phi=-90)
-        return np.asarray(swept if rng.random() < 0.5 else swept[::-1])
-    # Levels are held, or joined by lines, for between half a period of the fastest and of the slowest frequency.
-    knots, ahead = [0.0], (0.5 / axis.fastest, 0.5 / axis.slowest)
-    while knots[-1] < time[-1]:
-        knots.append(knots[-1] + math.exp(rng.uniform(math.log(ahead[0]), math.log(ahead[1]))))
-    levels = np.concatenate([[0.0], rng.uniform(-1.0, 1.0, len(knots) - 1)])
-    if kind == "ramps":
-        return np.asarray(np.interp(time, knots, levels))
-    return np.asarray(levels[np.searchsorted(knots, time, side="right") - 1])
 
 
 # -- files --------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, combinations
 from pathlib import Path
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from cosim.core.errors import Fault, InputError, refuse
@@ -15,7 +16,7 @@ from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
-from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges, logged_ranges
+from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges
 from cosim.experiment.rigs import Ranges
 from cosim.experiment.separation import Pair, Rival, typical_rival
 from cosim.files.artefact import ANSWER, CODE, FMU, MODEL
@@ -27,12 +28,13 @@ from cosim.fmi.building.refined import names_refine
 from cosim.fmi.building.substep import with_substep
 from cosim.logs.log import Log, read_log
 from cosim.model.model import Model
-from cosim.refinement.decision.judgement import SIGNIFICANT
 from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
 
 NOTHING = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
+
+SIGNIFICANT = 3.0  # standard deviations of a gain from which a fit says something of a rival
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,6 @@ class Question:
     def subject(self) -> ModelSubject:
         """Return the subject of the base model, with the library of its FMU if it is one."""
         return ModelSubject(self.base) if self.of_fmu is None else self.of_fmu
-
-    def model_if(self, rival: Rival) -> Model:
-        """Return the model under a rival hypothesis; sensor errors do not change the model."""
-        sensors = {k.name for k in self.base.model.sensors}
-        return self.base.model.with_values({n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors})
 
 
 class Ranked(BaseModel):
@@ -160,6 +157,9 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
     Rivals have the values of their significant fits. A rival without a significant fit has its typical size.
     """
     yaml = YamlFile(path)
+    if isinstance(yaml.root, dict) and yaml.root.get("finished") is False:
+        message = "the refinement was stopped before a verdict, so it has no rivals; refine again with more time"
+        raise InputError([yaml.fault(("finished",), message, key=True)])
     content = yaml.validate(RefineResultPart)
     file = Path(content.study)
     if not file.is_file():
@@ -199,7 +199,10 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         _check_names(path, names, candidates)
         typical, pairs = _rivals(loaded, candidates, names)
         rivals = tuple(_fitted_rival(r, names, content, candidates, values) for r in typical)
-    ranges = logged_ranges(logs) if inputs_to_limit(loaded.model) else {}
+    ranges = {}  # (least, largest) command over all logs
+    for name in logs[0].inputs if logs and inputs_to_limit(loaded.model) else ():
+        commands = np.concatenate([log.inputs[name] for log in logs])
+        ranges[name] = float(commands.min()), float(commands.max())
     noise = {**content.sensor_noise, **study.noise}
     return Question(loaded, loaded, rivals, tuple(pairs), tuple(content.measured), noise, {}, ranges, of_fmu, first)
 

@@ -6,13 +6,10 @@ import math
 import re
 from collections.abc import Sequence
 
-import numpy as np
-
 from cosim.core.units import NUMBER, conversion
 from cosim.estimation.subject.interface import Subject
 from cosim.experiment.rigs import Ranges
 from cosim.files.yaml_file import did_you_mean
-from cosim.logs.log import Log
 from cosim.model.model import Model
 
 LIMIT = re.compile(rf"(?P<name>[^=]+)=\s*(?P<number>{NUMBER})\s*(?P<unit>.*)")
@@ -24,12 +21,6 @@ def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
     return tuple(
         q.name for q in model.inputs if q.name not in model.excursion and not all(map(math.isfinite, q.bounds))
     )
-
-
-def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
-    """Return input → (least, largest) command over all logs."""
-    commands = {n: np.concatenate([log.inputs[n] for log in logs]) for n in (logs[0].inputs if logs else ())}
-    return {name: (float(values.min()), float(values.max())) for name, values in commands.items()}
 
 
 def limits_and_ranges(

@@ -13,7 +13,6 @@ import numpy as np
 from cosim.core.text import append_unit, counted, display, plain
 from cosim.core.version import __version__
 from cosim.experiment.chosen_input import MIN_SEPARATION, Excitation
-from cosim.experiment.separation import Pair
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace, held_panels
@@ -37,6 +36,24 @@ def page(excitation: Excitation, scenario: Path) -> str:
     largest = max(
         [MIN_SEPARATION, *(d for of in (excitation.apart, excitation.usual) for d in of.values() if math.isfinite(d))]
     )
+    panels = []  # each output of the model and of its rivals with its limits: limited outputs first
+    limited = [name for name in excitation.trial.outputs if name in question.limits]
+    for name in list(dict.fromkeys((*limited, *names)))[:MAX_OUTPUTS]:
+        unit_text, factor = display(units[name])
+        values = excitation.trial.outputs[name] * factor
+        traces = [Trace("model", values, "true")]
+        for k, (rival, trial) in enumerate(list(excitation.rivals.items())[:MAX_RIVALS]):
+            other = trial.outputs[name] * factor
+            traces.append(Trace(f"if {rival} is true", np.where(np.isfinite(other), other, np.nan), f"s{k}"))
+        limit = question.limits.get(name)
+        edges = () if limit is None else (float(values[0] - limit * factor), float(values[0] + limit * factor))
+        panels.append(Panel(name, unit_text or "1", traces, None, edges, "limit" if edges else ""))
+    rows = []
+    for pair in pairs[:MAX_PAIRS]:
+        distances = excitation.apart[pair], excitation.usual[pair]
+        widths = [round(100.0 * min(1.0, d / largest), 2) if math.isfinite(d) else 100.0 for d in distances]
+        row = {"pair": f"{pair[0]} and {pair[1]}", "apart": plain(distances[0], 2), "usual": plain(distances[1], 2)}
+        rows.append({**row, "width": widths[0], "old": widths[1], "separated": distances[0] >= MIN_SEPARATION})
     return render(
         TEMPLATE,
         {
@@ -53,47 +70,15 @@ def page(excitation: Excitation, scenario: Path) -> str:
             "needed": plain(MIN_SEPARATION, None),
             "mark": round(100.0 * MIN_SEPARATION / largest, 2),
             "usual": excitation.rig.usual,
-            "pairs": [_pair(excitation, pair, largest) for pair in pairs[:MAX_PAIRS]],
+            "pairs": rows,
             "more_pairs": max(0, len(pairs) - MAX_PAIRS),
             "limits": _limits(excitation, units),
-            "outputs": drawing.plots(_output_panels(excitation, units)),
+            "outputs": drawing.plots(panels),
             "play": shlex.join(["cosim", "run", str(scenario)]),
             "data": charts.data(),  # after all drawings
             "version": __version__,
         },
     )
-
-
-def _output_panels(excitation: Excitation, units: Mapping[str, str]) -> list[Panel]:
-    """Return each output of the model and of its rivals with its limits: limited outputs first, then measured ones."""
-    question, rivals = excitation.question, list(excitation.rivals.items())[:MAX_RIVALS]
-    limited = [name for name in excitation.trial.outputs if name in question.limits]
-    names = list(dict.fromkeys((*limited, *question.measured)))[:MAX_OUTPUTS]
-    panels = []
-    for name in names:
-        unit_text, factor = display(units[name])
-        values = excitation.trial.outputs[name] * factor
-        traces = [Trace("model", values, "true")]
-        for k, (rival, trial) in enumerate(rivals):
-            other = trial.outputs[name] * factor
-            traces.append(Trace(f"if {rival} is true", np.where(np.isfinite(other), other, np.nan), f"s{k}"))
-        limit = question.limits.get(name)
-        edges = () if limit is None else (float(values[0] - limit * factor), float(values[0] + limit * factor))
-        panels.append(Panel(name, unit_text or "1", traces, None, edges, "limit" if edges else ""))
-    return panels
-
-
-def _pair(excitation: Excitation, pair: Pair, largest: float) -> Mapping[str, Any]:
-    apart, usual = excitation.apart[pair], excitation.usual[pair]
-    width, old = (round(100.0 * min(1.0, d / largest), 2) if math.isfinite(d) else 100.0 for d in (apart, usual))
-    return {
-        "pair": f"{pair[0]} and {pair[1]}",
-        "apart": plain(apart, 2),
-        "usual": plain(usual, 2),
-        "width": width,
-        "old": old,
-        "separated": apart >= MIN_SEPARATION,
-    }
 
 
 def _limits(excitation: Excitation, units: Mapping[str, str]) -> list[Mapping[str, Any]]:

@@ -6,7 +6,7 @@ Any model can be played in open loop; an unstable one registers its own rig (`co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,17 +107,12 @@ class OpenLoop:
         Args:
             variance: Noise variance of each output.
         """
-        yield from played_lines(q.name for q in model.inputs)
+        yield from (f"  - {{from: excitation.{q.name}, to: plant.{q.name}}}" for q in model.inputs)
 
 
 def clip(values: Array, name: str, ranges: Ranges) -> Array:
     """Return commands of an input clipped to its range."""
     return np.clip(values, *ranges.get(name, (-math.inf, math.inf)))
-
-
-def played_lines(names: Iterable[str]) -> Iterator[str]:
-    """Yield YAML lines that connect outputs of the excitation to inputs of the plant."""
-    yield from (f"  - {{from: excitation.{name}, to: plant.{name}}}" for name in names)
 
 
 def trial_of(

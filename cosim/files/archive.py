@@ -15,7 +15,7 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -98,12 +98,6 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
         archive.extractall(folder)
 
 
-def check_identifier(identifier: str | None) -> None:
-    """Raise BadArchive if the name of a library could lead out of its folder."""
-    if identifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", identifier) or identifier in {".", ".."}:
-        raise BadArchive(f'its modelIdentifier "{str(identifier)[:SHOWN]}" is no name of a file')
-
-
 @contextmanager
 def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
     """Yield an archive after its checks."""
@@ -116,8 +110,36 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
         with archive:
             members = archive.infolist()
             for member in members:
-                _check_member(member)
-            _check_sizes(members, kind)
+                inner, name = member.filename.replace("\\", "/"), member.filename[:SHOWN]
+                if inner.startswith("/") or re.match("[A-Za-z]:", inner) or ".." in inner.split("/"):
+                    raise BadArchive(f'"{name}" in it would be written outside its folder')
+                if "\\" in member.orig_filename:
+                    raise BadArchive(f'"{name}" in it has a backslash; separate folders by /')
+                if stat.S_ISLNK(member.external_attr >> 16):
+                    raise BadArchive(f'"{name}" in it is a link; pack the file it leads to')
+                if member.flag_bits & 1:
+                    raise BadArchive(f'"{name}" in it is encrypted; pack it without a password')
+                if member.compress_type not in PACKED_BY:
+                    raise BadArchive(f'"{name}" in it is compressed by an unsupported method; use deflate')
+            # The compression ratio is no criterion: a table of zeros shrinks a thousandfold.
+            unpacked, packed = sum(m.file_size for m in members), sum(m.compress_size for m in members)
+            if unpacked > MOST_UNPACKED:
+                ratio = unpacked / max(1, packed)
+                hint = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
+                raise BadArchive(
+                    f"it would unpack to {unpacked / 1e6:.0f} MB, more than the {MOST_UNPACKED / 1e6:.0f} MB that are "
+                    f"unpacked{hint}"
+                )
+            for member, following in pairwise(sorted(members, key=lambda m: m.header_offset)):
+                if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
+                    first, second = member.filename[:SHOWN], following.filename[:SHOWN]
+                    raise BadArchive(f'"{first}" and "{second}" in it share bytes: a zip bomb?')
+            for member in members:
+                if kind.parses(member.filename) and member.file_size > MOST_XML:
+                    size, limit = member.file_size / 1e6, MOST_XML / 1e6
+                    raise BadArchive(
+                        f"its {member.filename} has {size:.0f} MB, more than the {limit:.0f} MB that are read"
+                    )
             names = {m.filename for m in members}
             if kind.needed not in names:
                 raise BadArchive(f"it has no {kind.needed}")
@@ -154,44 +176,6 @@ def _check_directory(stream: BinaryIO, size: int) -> None:
     if count > MOST_FILES or directory > 2 * DIRECTORY * MOST_FILES:
         raise BadArchive(f"it holds more than {MOST_FILES} files")
     stream.seek(0)
-
-
-def _check_member(member: zipfile.ZipInfo) -> None:
-    """Check the name, type and compression of a file."""
-    path, name = member.filename.replace("\\", "/"), member.filename[:SHOWN]
-    if path.startswith("/") or re.match("[A-Za-z]:", path) or ".." in path.split("/"):
-        raise BadArchive(f'"{name}" in it would be written outside its folder')
-    if "\\" in member.orig_filename:
-        raise BadArchive(f'"{name}" in it has a backslash; separate folders by /')
-    if stat.S_ISLNK(member.external_attr >> 16):
-        raise BadArchive(f'"{name}" in it is a link; pack the file it leads to')
-    if member.flag_bits & 1:
-        raise BadArchive(f'"{name}" in it is encrypted; pack it without a password')
-    if member.compress_type not in PACKED_BY:
-        raise BadArchive(f'"{name}" in it is compressed by an unsupported method; use deflate')
-
-
-def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
-    """Reject files that are too large or share bytes.
-
-    The compression ratio is no criterion: a table of zeros shrinks a thousandfold.
-    """
-    unpacked, packed = sum(m.file_size for m in members), sum(m.compress_size for m in members)
-    if unpacked > MOST_UNPACKED:
-        ratio = unpacked / max(1, packed)
-        hint = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
-        raise BadArchive(
-            f"it would unpack to {unpacked / 1e6:.0f} MB, more than the {MOST_UNPACKED / 1e6:.0f} MB that are "
-            f"unpacked{hint}"
-        )
-    for member, following in pairwise(sorted(members, key=lambda m: m.header_offset)):
-        if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
-            names = member.filename[:SHOWN], following.filename[:SHOWN]
-            raise BadArchive(f'"{names[0]}" and "{names[1]}" in it share bytes: a zip bomb?')
-    for member in members:
-        if kind.parses(member.filename) and member.file_size > MOST_XML:
-            size, limit = member.file_size / 1e6, MOST_XML / 1e6
-            raise BadArchive(f"its {member.filename} has {size:.0f} MB, more than the {limit:.0f} MB that are read")
 
 
 def check_xml(name: str, text: bytes, standard: str) -> None:

@@ -43,26 +43,6 @@ class NotYaml(Exception):
         self.column: int = 1 if mark is None else mark.column + 1
 
 
-def _compose(text: str) -> Any:
-    """Return the root node of a YAML text, None if empty; raise NotYaml if invalid.
-
-    A node has id (scalar, sequence, mapping), tag, value and start_mark; a scalar has a style, empty if plain.
-    """
-    if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
-        with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
-            return parser(text).get_single_node()
-    try:
-        return YAML(typ="safe", pure=True).compose(text)
-    except RecursionError:
-        raise NotYaml(TOO_DEEP) from None
-    except (YAMLError, ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError) as error:
-        told = " ".join(filter(None, (getattr(error, "context", None), getattr(error, "problem", None))))
-        if not told and isinstance(error, YAMLError):  # others come from mistakes of ruamel.yaml's scanner
-            told = str(error).partition("\n")[0]
-        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-        raise NotYaml(f"is not YAML: {' '.join(told.split())[:200] or 'it cannot be understood'}", mark) from None
-
-
 @lru_cache(maxsize=1)
 def _libyaml() -> Any:
     """Return PyYAML's C parser with ruamel.yaml's scalar types, None if absent."""
@@ -114,7 +94,21 @@ class Document:
 
     @cached_property
     def _root(self) -> Any:
-        return _compose(self._text)
+        """Root node, None if empty: id (scalar, sequence, mapping), tag, value, start_mark; a scalar has a style."""
+        text = self._text
+        if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
+            with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
+                return parser(text).get_single_node()
+        try:
+            return YAML(typ="safe", pure=True).compose(text)
+        except RecursionError:
+            raise NotYaml(TOO_DEEP) from None
+        except (YAMLError, ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError) as error:
+            told = " ".join(filter(None, (getattr(error, "context", None), getattr(error, "problem", None))))
+            if not told and isinstance(error, YAMLError):  # others come from mistakes of ruamel.yaml's scanner
+                told = str(error).partition("\n")[0]
+            mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+            raise NotYaml(f"is not YAML: {' '.join(told.split())[:200] or 'it cannot be understood'}", mark) from None
 
     def place(self, location: Location, key: bool = False) -> Place:
         """Return line and column of the nearest part at a location.

@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 
 from cosim.core.errors import FmuError
 from cosim.core.units import SI
-from cosim.files.archive import DESCRIPTION
+from cosim.files.archive import DESCRIPTION, BadArchive, check_archive
 from cosim.fmi.fmi_types import element_names
-from cosim.fmi.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
+from cosim.fmi.guard import check_identifiers, check_numbers, reason_of
 
 REALS = ("Real", "Float64")
 
@@ -44,7 +44,12 @@ def read_description(path: Path) -> Any:
 
     from cosim.fmi.unread_attributes import add_unread_attributes
 
-    check_fmu_file(path)
+    try:
+        check_archive(path)
+    except BadArchive as error:
+        raise FmuError(f"{path} is no FMU: {error}") from None
+    except OSError as error:
+        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
     slips: tuple[str, ...] = ()
     try:
         try:
@@ -216,11 +221,6 @@ def states_of(description: Any) -> list[Any]:
     """
     states = [unknown.variable.derivative for unknown in description.derivatives]
     return [] if None in states else states
-
-
-def hides_states(description: Any) -> bool:
-    """Return whether a description has a number of states without names, as in FMI 1.0; the library may name them."""
-    return bool(description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives))
 
 
 def name_states(path: Path, description: Any, references: Sequence[int]) -> None:

@@ -131,7 +131,7 @@ class Exchange:
         self.count = len(self.names)
         self.vrs = (ctypes.c_uint * len(variables))(*(v.valueReference for v in variables))
         self.negated = is_negated(variables[0])
-        self.clocks = clocks_of(variables[0])
+        self.clocks = frozenset(clock.name for clock in variables[0].clocks or ())
         self.is_direct = kind.ctype is ctypes.c_double and not self.negated
         is_float = kind.ctype in (ctypes.c_double, ctypes.c_float)
         self.finite = sum(name in outputs for name in self.names) if is_float else 0
@@ -192,11 +192,6 @@ def elements(kind: FmiType, variable: Any, value: Any) -> list[Any]:
 def as_bytes(value: Any) -> bytes:
     """Return binary data, which texts hold as hexadecimal digits; raise ValueError for other text."""
     return bytes.fromhex(value) if isinstance(value, str) else bytes(value or b"")
-
-
-def clocks_of(variable: Any) -> frozenset[str]:
-    """Return the names of the clocks of a variable."""
-    return frozenset(clock.name for clock in variable.clocks or ())
 
 
 def is_negated(variable: Any) -> bool:

@@ -78,12 +78,8 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
     own = (file, type(model).__name__)
     about = about_model(model.with_values(values or {}), model.title)
     slave, text = ("cosim.fmi.model_fmu", "ModelSlave"), model_text(model)
-    return Recipe(slave, (), about, text, sort_values(values), own, (), model.chosen_substep, model.chosen_integrator)
-
-
-def sort_values(values: Mapping[str, float | bool] | None) -> tuple[tuple[str, float | bool], ...]:
-    """Return parameter values sorted by name."""
-    return tuple(sorted((values or {}).items()))
+    sorted_values = tuple(sorted((values or {}).items()))
+    return Recipe(slave, (), about, text, sorted_values, own, (), model.chosen_substep, model.chosen_integrator)
 
 
 def about_model(model: Model, text: str) -> Description:

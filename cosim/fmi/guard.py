@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.core.errors import FmuError
 from cosim.core.units import SI
-from cosim.files.archive import BadArchive, check_archive, check_identifier
+from cosim.files.archive import SHOWN
 
 # form of pythonfmu's exceptions
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")
@@ -18,16 +18,6 @@ CONVERSION = (*SI, "factor", "offset")
 _WORD = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # which every naming convention allows
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
-
-
-def check_fmu_file(path: Path) -> None:
-    """Raise FmuError for a missing or dangerous archive."""
-    try:
-        check_archive(path)
-    except BadArchive as error:
-        raise FmuError(f"{path} is no FMU: {error}") from None
-    except OSError as error:
-        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
 
 
 def reason_of(error: Exception) -> str:
@@ -41,11 +31,11 @@ def reason_of(error: Exception) -> str:
 
 def check_identifiers(path: Path, description: Any) -> None:
     """Raise FmuError if a library name leads outside the FMU."""
-    try:
-        for way in filter(None, (description.coSimulation, description.modelExchange)):
-            check_identifier(way.modelIdentifier)
-    except BadArchive as error:
-        raise FmuError(f"{path} is not a valid FMU: {error}") from None
+    for way in filter(None, (description.coSimulation, description.modelExchange)):
+        name = way.modelIdentifier
+        if name is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", name) or name in {".", ".."}:
+            reason = f'its modelIdentifier "{str(name)[:SHOWN]}" is no name of a file'
+            raise FmuError(f"{path} is not a valid FMU: {reason}")
 
 
 def check_numbers(path: Path, description: Any) -> None:

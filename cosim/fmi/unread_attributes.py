@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -47,7 +46,17 @@ def add_unread_attributes(path: Path, description: Any) -> None:
             if (relative := part.get("relativeQuantity")) is not None:
                 variable.relativeQuantity = relative in TRUE
     if description.fmiVersion == "1.0":
-        description.outputs = _outputs(description, nodes)
+        # `dependencies` is None without the element `DirectDependency`.
+        variables = {variable.name: variable for variable in description.modelVariables}
+        outputs = []
+        for variable in description.modelVariables:
+            if variable.causality == "output" and (node := nodes.get(variable.name)) is not None:
+                direct = node.find("DirectDependency")
+                names = None if direct is None else [(name.text or "").strip() for name in direct.iterfind("Name")]
+                known = names is not None and all(name in variables for name in names)
+                dependencies = [variables[name] for name in names or ()] if known else None
+                outputs.append(Unknown(variable=variable, dependencies=dependencies))
+        description.outputs = outputs
     inverse = {
         (unit.get("name"), display.get("name"))
         for unit in root.iterfind("UnitDefinitions/Unit")
@@ -58,17 +67,3 @@ def add_unread_attributes(path: Path, description: Any) -> None:
         for display in unit.displayUnits:
             if (unit.name, display.name) in inverse:
                 display.__class__ = InverseDisplayUnit
-
-
-def _outputs(description: Any, nodes: Mapping[str | None, ElementTree.Element]) -> list[Unknown]:
-    """Return the outputs of FMI 1.0; `dependencies` is None without the element `DirectDependency`."""
-    variables = {variable.name: variable for variable in description.modelVariables}
-    outputs = []
-    for variable in description.modelVariables:
-        if variable.causality == "output" and (node := nodes.get(variable.name)) is not None:
-            direct = node.find("DirectDependency")
-            names = None if direct is None else [(name.text or "").strip() for name in direct.iterfind("Name")]
-            known = names is not None and all(name in variables for name in names)
-            dependencies = [variables[name] for name in names or ()] if known else None
-            outputs.append(Unknown(variable=variable, dependencies=dependencies))
-    return outputs

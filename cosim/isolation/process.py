@@ -86,7 +86,14 @@ class Worker:
 
     def _start_process(self) -> None:
         """Start a process with the folder and the shared progress that are there."""
-        self._process, self._jobs = _from_lasting_thread(), 0
+        # For the kernel of Linux the thread that starts a process is its parent, and the worker ends with it.
+        if threading.current_thread() is threading.main_thread():
+            self._process = _spawn()
+        else:
+            with _starting:
+                starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
+            self._process = starter.submit(_spawn).result()
+        self._jobs = 0
         self.starts += 1
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._output = _Output(self._process.stderr)
@@ -308,18 +315,6 @@ class _Output:
     def join(self) -> None:
         """Wait for the rest, but not for children of the process."""
         self._thread.join(1.0)
-
-
-def _from_lasting_thread() -> subprocess.Popen[bytes]:
-    """Return a process started by a thread that lasts as long as this process.
-
-    For the kernel of Linux the thread that starts a process is its parent. The worker would end after a short thread.
-    """
-    if threading.current_thread() is threading.main_thread():
-        return _spawn()
-    with _starting:
-        starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
-    return starter.submit(_spawn).result()
 
 
 _starting = threading.Lock()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +33,8 @@ MAX_TIMES = 100_000
 AT = Path("--at")
 
 
-@dataclass(frozen=True)
-class Where:
-    """Content of `--at`: values by name, which override those of the start or of a run at these times [s]."""
-
-    values: Mapping[str, str]
-    scenario: Path | None
-    times: Array
-
-
-def read_at(texts: Sequence[str]) -> Where:
-    """Return the values and the moment of `--at` texts.
+def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array]:
+    """Return the values by name of `--at` texts, which override those of a scenario, the scenario, and its times [s].
 
     Forms: `NAME=VALUE[,NAME=VALUE …]` and at most one `SCENARIO@TIME` or `SCENARIO@START:STOP:STEP`.
 
@@ -74,7 +65,7 @@ def read_at(texts: Sequence[str]) -> Where:
     if len(moments) > 1:
         faults.append(f"{len(moments)} scenarios are named; name one")
     refuse(Fault(AT, 0, 0, fault) for fault in faults)
-    return Where(values, *(moments[0] if moments else (None, np.zeros(0))))
+    return values, *(moments[0] if moments else (None, np.zeros(0)))
 
 
 def _times(text: str) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path, PurePath
-from typing import Any
 
 import numpy as np
 
@@ -64,6 +63,12 @@ def page(outcome: Outcome) -> str:
             strict=True,
         )
     ]
+    matrices = []
+    for name in "ABCD":
+        matrix, rows, columns = linear.matrix(name)
+        texts = [(n, [number(v) if v else "" for v in row]) for n, row in zip(rows, matrix, strict=True)]
+        fits = len(columns) <= MAX_COLUMNS and len(rows) <= 4 * MAX_COLUMNS
+        matrices.append({"name": name, "columns": columns, "fits": fits, "rows": texts})
     return render(
         TEMPLATE,
         {
@@ -89,21 +94,11 @@ def page(outcome: Outcome) -> str:
             "left_out": len(bode) - len(shown),
             "along": along,
             "data": charts.data(),  # after all drawings
-            "matrices": [_matrix(linear, n) for n in "ABCD"],
+            "matrices": matrices,
             "largest": MAX_COLUMNS,
             "version": __version__,
         },
     )
-
-
-def _matrix(linear: Linear, name: str) -> dict[str, Any]:
-    matrix, rows, columns = linear.matrix(name)
-    return {
-        "name": name,
-        "columns": columns,
-        "fits": len(columns) <= MAX_COLUMNS and len(rows) <= 4 * MAX_COLUMNS,
-        "rows": [(n, [number(v) if v else "" for v in row]) for n, row in zip(rows, matrix, strict=True)],
-    }
 
 
 def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:

@@ -19,7 +19,7 @@ from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refu
 from cosim.core.units import read_quantity
 from cosim.files.yaml_file import did_you_mean, short
 from cosim.fmi.building.file import LoadedModel
-from cosim.fmi.description import hides_states, name_states, reals, scalars, states_of, units_of, ways
+from cosim.fmi.description import name_states, reals, scalars, states_of, units_of, ways
 from cosim.isolation import worker as here
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
@@ -73,10 +73,7 @@ class EquationSource:
         try:
             return np.array([value for f in self._equations for value in f(t, state, command)], float)
         except (ArithmeticError, ValueError) as error:
-            raise self._no_value(t, error) from None
-
-    def _no_value(self, t: float, error: Exception) -> SimulationError:
-        return SimulationError(self.name, t, f"the equations have no value there: {error}")
+            raise SimulationError(self.name, t, f"the equations have no value there: {error}") from None
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point.
@@ -93,7 +90,7 @@ class EquationSource:
             try:
                 slopes = self._linearizer(tuple(point.states), tuple(point.inputs), time)
             except (ArithmeticError, ValueError) as error:
-                raise self._no_value(time, error) from None
+                raise SimulationError(self.name, time, f"the equations have no value there: {error}") from None
             matrices = slopes.A, slopes.B, slopes.C, slopes.D
             if not all(np.isfinite(m).all() for m in (*matrices, values)):
                 text = "the derivatives, the outputs or their slopes are not finite at this point"
@@ -128,10 +125,11 @@ class ExchangeSource:
             )
             raise InputError.at(path, text, FmuError.exit_code)
         self._worker, self._path, self._description, self._start = worker, path, description, dict(start)
-        if hides_states(description):
+        # FMI 1.0 has a number of states without names; the library may name them.
+        if description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives):
             name_states(path, description, self._call(read, "state_references"))
         self.title, self.files = description.modelName or path.stem, (path,)
-        listed = _signals(description)
+        listed = states_of(description), reals(description, "input"), reals(description, "output")
         self.states, self.inputs, self.outputs = (scalars(group) for group in listed)
         self.units = {name: unit for group in listed for name, unit in units_of(group).items()}
         self._step = step
@@ -158,11 +156,6 @@ class ExchangeSource:
         watch = Watch([NAME], [fmi_calls(self._description)])
         fmu = self._path.resolve(), self._description, self._start
         return self._worker.call(with_permission, permission.get(), function, *fmu, *more, watch=watch)
-
-
-def _signals(description: Any) -> tuple[list[Any], list[Any], list[Any]]:
-    """Return states, inputs and outputs."""
-    return states_of(description), reals(description, "input"), reals(description, "output")
 
 
 Source = EquationSource | ExchangeSource
@@ -202,7 +195,8 @@ def differentiate(
 
 
 def _differentiate(block: DifferentiableFmu, point: Point, step: float, directional: bool) -> Linear:
-    signals = _signals(block.description)
+    described = block.description
+    signals = states_of(described), reals(described, "input"), reals(described, "output")
     states, inputs, outputs = map(scalars, signals)
     slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, directional=directional)
     n, notes = len(after), list[str]()
@@ -220,7 +214,7 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
         size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
         deviates = np.abs(slopes - differences).max(axis=1, initial=0.0) > MAX_SLOPE_DEVIATION * np.maximum(size, 1e-9)
         if deviates.any():
-            rows = ", ".join(compress(_row_names(states, outputs), deviates))
+            rows = ", ".join(compress([*(f"the rate of {name}" for name in states), *outputs], deviates))
             notes.append(f"differences of step {step:g} are taken for {rows}: the FMU's own slopes of these differ")
             slopes = np.where(deviates[:, None], differences, slopes)
     matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
@@ -255,7 +249,8 @@ def kinks_at(
         values: Rates and outputs as a function of states and inputs.
     """
     z, n = np.concatenate([point.states, point.inputs]), len(states)
-    rows, kinks, center = _row_names(states, outputs), dict[str, list[str]](), values(point.states, point.inputs)
+    rows, kinks = [*(f"the rate of {name}" for name in states), *outputs], dict[str, list[str]]()
+    center = values(point.states, point.inputs)
 
     def slopes(k: int, h: float) -> Array:
         """Return the slopes to both sides."""
@@ -277,10 +272,6 @@ def kinks_at(
         if bent.any():
             kinks[name] = [*compress(rows, bent)]
     return kinks
-
-
-def _row_names(states: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    return [*(f"the rate of {name}" for name in states), *outputs]
 
 
 def settle(source: Source, point: Point, fast: Sequence[str]) -> Point:

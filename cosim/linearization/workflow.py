@@ -79,7 +79,8 @@ def linearize(
         SimulationError: The simulation failed.
     """
     values = texts(set)
-    where, folder = read_at(texts(at)), None if out is None else named_path(out)
+    at_values, scenario, times = read_at(texts(at))
+    folder = None if out is None else named_path(out)
     with ExitStack() as stack:
         stack.enter_context(compiling(compile))
         source = _source(stack, Path(model), values, step)
@@ -105,12 +106,12 @@ def linearize(
         if folder is not None:
             stack.enter_context(new_run(folder, "", "cosim linearize", force=force))
             check_writable(folder, (*FILES, "report.html"), source.files)
-        if where.scenario is None:
+        if scenario is None:
             points, notes = [source.start], list[str]()
         else:
-            source, points, notes = points_along(source, where.scenario, where.times, component, values)
+            source, points, notes = points_along(source, scenario, times, component, values)
         try:
-            points = [settle(source, move(source, point, where.values), residualize) for point in points]
+            points = [settle(source, move(source, point, at_values), residualize) for point in points]
             whole = source.linear(points)
             rows = {*(f"the rate of {name}" for name in (*states, *residualize)), *outputs}
             bent: dict[str, str] = {}

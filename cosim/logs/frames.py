@@ -41,8 +41,28 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         if name in log.outputs and rate in log.outputs:
             yield from _against_rate(log, name, rate, declared=traits is not None)
     for name, values in (*log.inputs.items(), *log.outputs.items()):
-        if log.units[name] == "rad":
-            yield from _magnitude(log, name, values, bounds.get(name))
+        if log.units[name] != "rad":
+            continue
+        limits = bounds.get(name)
+        good = values[np.isfinite(values)]
+        size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
+        cure, stated = f'if it is in degrees, call it "{name} [deg]"', log.written.get(name)
+        if stated:
+            cure = f'its header says "{stated}": is it so, and may the model not go there?'
+        if limits and not limits[0] <= float(good.min()) <= float(good.max()) <= limits[1]:
+            low, high = (plain(v) for v in limits)
+            message = f"reaches {plain(size)} rad, beyond what the model allows ({low} to {high}); {cure}"
+            yield Finding("fault", "degrees", name, message, numbers)
+        elif not stated and ((name in log.inputs and size > TURN) or size > 20.0 * TURN):
+            yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)
+        jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
+        if jumps.size and name in log.outputs and size <= 20.0 * TURN:
+            first = float(log.time[np.isfinite(values)][jumps[0] + 1])
+            message = (
+                f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s; an angle "
+                "is continuous"
+            )
+            yield Finding("warning", "jumps", name, message, {"count": float(jumps.size), "first": first})
     for name, times in log.unwrapped.items():
         message = (
             f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous"
@@ -57,7 +77,17 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
 
     With consistent units, signs and sensors, s is 1 and b is 0.
     """
-    change, integral, length = _blocks(log, log.outputs[name], log.outputs[rate])
+    good = np.flatnonzero(np.isfinite(log.outputs[name]) & np.isfinite(log.outputs[rate]))
+    time, values, rates = log.time[good], log.outputs[name][good], log.outputs[rate][good]
+    if time.size < 2:
+        return
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
+    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / (BLOCK * log.slowness)), prepend=-1.0))
+    if edges.size < 2:
+        return
+    longest = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1])
+    whole = longest < PAUSE * log.slowness  # over a pause, the integral is a guess
+    change, integral, length = (np.diff(part[edges])[whole] for part in (values, area, time))
     if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
         return
     rho = float(np.corrcoef(change, integral)[0, 1])
@@ -124,49 +154,6 @@ def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], m
             "motion: was the sensor set anew?"
         )
         yield Finding("warning", "jumps", name, message, {"size": float(miss[k])})
-
-
-def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]:
-    """Return change, integrated rate and length of consecutive blocks with both signals."""
-    good = np.flatnonzero(np.isfinite(values) & np.isfinite(rates))
-    time, y, rate = log.time[good], values[good], rates[good]
-    if time.size < 2:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    area = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
-    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / (BLOCK * log.slowness)), prepend=-1.0))
-    change, integral, length = np.diff(y[edges]), np.diff(area[edges]), np.diff(time[edges])
-    if edges.size < 2:
-        return change, integral, length
-    longest = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1])
-    whole = longest < PAUSE * log.slowness  # over a pause, the integral is a guess
-    return change[whole], integral[whole], length[whole]
-
-
-def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
-    """Yield findings on angles that are too large for radians, and on jumps by a full turn.
-
-    Args:
-        bounds: Limits declared by the model.
-    """
-    good = values[np.isfinite(values)]
-    size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
-    cure, stated = f'if it is in degrees, call it "{name} [deg]"', log.written.get(name)
-    if stated:
-        cure = f'its header says "{stated}": is it so, and may the model not go there?'
-    if bounds and not bounds[0] <= float(good.min()) <= float(good.max()) <= bounds[1]:
-        low, high = (plain(v) for v in bounds)
-        message = f"reaches {plain(size)} rad, beyond what the model allows ({low} to {high}); {cure}"
-        yield Finding("fault", "degrees", name, message, numbers)
-    elif not stated and ((name in log.inputs and size > TURN) or size > 20.0 * TURN):
-        yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)
-    jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
-    if jumps.size and name in log.outputs and size <= 20.0 * TURN:
-        first = float(log.time[np.isfinite(values)][jumps[0] + 1])
-        message = (
-            f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s; an angle "
-            "is continuous"
-        )
-        yield Finding("warning", "jumps", name, message, {"count": float(jumps.size), "first": first})
 
 
 def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:

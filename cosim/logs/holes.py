@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array
 from cosim.logs.log import Log
 
 SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess
@@ -19,7 +19,12 @@ def fill_holes(log: Log) -> Log:
     """
     grid = log.grid
     lost = np.setdiff1d(np.arange(int(grid[-1]) + 1), grid)
-    smooth = {name for name, values in log.inputs.items() if _is_smooth(values, grid)}
+    whole, smooth = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1), set[str]()
+    for name, values in log.inputs.items():
+        first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
+        hold, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
+        if line < SMOOTH * hold:
+            smooth.add(name)
     if not lost.size or not smooth:
         return log
     after = np.searchsorted(grid, lost)  # the last row is never lost
@@ -38,11 +43,3 @@ def fill_holes(log: Log) -> Log:
     nothing = np.full(lost.size, np.nan)
     outputs = {name: join(values, nothing) for name, values in log.outputs.items()}
     return replace(log, time=join(log.time, times), inputs=inputs, outputs=outputs)
-
-
-def _is_smooth(values: Array, grid: Rows) -> bool:
-    """Return True if interpolation between the neighbours predicts values better than a hold of the previous value."""
-    whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
-    first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
-    hold, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
-    return line < SMOOTH * hold

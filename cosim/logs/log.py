@@ -177,10 +177,14 @@ def read_log(
     time = read.pop("time")
     measured = {n: values for n, values in read.items() if n in out}
     unwrapped = dict[str, tuple[float, ...]]()
-    for name in measured:
-        if units[name] == "rad":
-            measured[name], jumps = _unwrap(measured[name])
-            unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
+    for name in [name for name in measured if units[name] == "rad"]:
+        rows = np.flatnonzero(np.isfinite(measured[name]))
+        values = measured[name][rows]
+        jumps = rows[1:][np.abs(np.diff(values)) > math.pi]
+        if jumps.size and np.ptp(values) <= 1.02 * TURN:  # An angle that spans more than a turn is unchanged.
+            measured[name] = measured[name].copy()
+            measured[name][rows] = np.unwrap(values)
+            unwrapped[name] = tuple(time[jumps].tolist())
     return Log(
         path,
         time,
@@ -293,21 +297,6 @@ def name_list(names: Collection[str]) -> str:
     return ", ".join(islice(names, SHOWN)) + more
 
 
-def _unwrap(angle: Array) -> tuple[Array, Rows]:
-    """Return the continuous angle and its jumps.
-
-    An angle that spans more than a turn is unchanged.
-    """
-    rows = np.flatnonzero(np.isfinite(angle))
-    values = angle[rows]
-    jumps = rows[1:][np.abs(np.diff(values)) > math.pi]
-    if not jumps.size or np.ptp(values) > 1.02 * TURN:
-        return angle, jumps[:0]
-    smooth = angle.copy()
-    smooth[rows] = np.unwrap(values)
-    return smooth, jumps
-
-
 def usual_step(time: Array) -> float:
     """Return the row spacing [s]: the slope of a line through the times, with whole steps over gaps.
 
@@ -339,29 +328,6 @@ def slowness(step: float) -> float:
     return min(1.0, step / FAST) if step < USUAL else max(1, math.ceil(step / USUAL - 0.1))
 
 
-def _measured_ranges(log: Log, first: int, end: int) -> list[tuple[int, int]]:
-    """Return ranges (first, end) of rows without pauses in the measurements, relative to `first`.
-
-    A pause is longer than the usual spacing of measurements, so that a slow sensor makes no pauses. Without
-    measurements, the range is all rows.
-    """
-    measured = np.zeros(end - first, bool)
-    for values in log.outputs.values():
-        measured |= np.isfinite(values[first:end])
-    rows = np.flatnonzero(measured)
-    if not rows.size:
-        return [(0, end - first)]
-    time = log.time[first:end]
-    intervals = np.diff(time[rows])
-    limit = max(log.pause, USUALLY * float(np.median(intervals))) if intervals.size else log.pause
-    edges = np.flatnonzero(intervals > limit)
-    # Commands before the first and after the last measurement belong to the range, except after a pause.
-    start = 0 if time[rows[0]] - time[0] <= limit else rows[0]
-    stop = end - first if time[-1] - time[rows[-1]] <= limit else rows[-1] + 1
-    starts, ends = (start, *rows[edges + 1]), (*rows[edges] + 1, stop)
-    return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
-
-
 def first_rows(log: Log, count: int) -> Log:
     """Return the first rows of a log."""
     return log if log.rows <= count else _cut(log, slice(count))
@@ -377,13 +343,26 @@ def _cut(log: Log, rows: slice) -> Log:
 def stretches(log: Log) -> list[Log]:
     """Return the parts of a log between pauses.
 
-    In a pause, rows are missing (unknown commands and state), or measurements are missing (unknown state).
+    In a pause, rows are missing (unknown commands and state), or measurements are missing (unknown state). A pause
+    in the measurements is longer than their usual spacing, so that a slow sensor makes none.
     """
-    pieces = [
-        (first + a, first + b)
-        for first, end in pairwise([0, *(np.flatnonzero(np.diff(log.time) > log.pause) + 1).tolist(), log.rows])
-        for a, b in _measured_ranges(log, first, end)
-    ]
+    pieces: list[tuple[int, int]] = []
+    for first, end in pairwise([0, *(np.flatnonzero(np.diff(log.time) > log.pause) + 1).tolist(), log.rows]):
+        measured = np.zeros(end - first, bool)
+        for values in log.outputs.values():
+            measured |= np.isfinite(values[first:end])
+        rows = np.flatnonzero(measured) + first
+        if not rows.size:
+            pieces.append((first, end))
+            continue
+        intervals = np.diff(log.time[rows])
+        limit = max(log.pause, USUALLY * float(np.median(intervals))) if intervals.size else log.pause
+        edges = np.flatnonzero(intervals > limit)
+        # Commands before the first and after the last measurement belong to the part, except after a pause.
+        start = first if log.time[rows[0]] - log.time[first] <= limit else rows[0]
+        stop = end if log.time[end - 1] - log.time[rows[-1]] <= limit else rows[-1] + 1
+        starts, ends = (start, *rows[edges + 1]), (*rows[edges] + 1, stop)
+        pieces += [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
     if pieces == [(0, log.rows)]:
         return [log]
     return [_cut(log, slice(*piece)) for piece in pieces]

@@ -81,7 +81,8 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
                     f'"[{written}]" out of the header'
                 )
             elif other := other_unit(unit, fit.slope):
-                message = f"moves with the model, but {times}; {_is_unit(name, other)}"
+                cure = f'is its unit {other}? Then call the column "{name} [{other}]"'
+                message = f"moves with the model, but {times}; {cure}"
             else:
                 continue
             yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
@@ -90,12 +91,9 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             ratio = size / own if own > 0.0 else 0.0
             moves = ratio > OTHER_SIZE and size > MIN_SIGNAL * noise_level(measured)
             if moves and (other := other_unit(unit, ratio)):
-                message = f"moves {plain(ratio, 2)} times as far as the model; {_is_unit(name, other)}"
+                cure = f'is its unit {other}? Then call the column "{name} [{other}]"'
+                message = f"moves {plain(ratio, 2)} times as far as the model; {cure}"
                 yield Finding("warning", "unit", name, message, {"ratio": ratio})
-
-
-def _is_unit(name: str, unit: str) -> str:
-    return f'is its unit {unit}? Then call the column "{name} [{unit}]"'
 
 
 def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:

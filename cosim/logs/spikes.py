@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Rows
 from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.log import Log
 
@@ -39,11 +39,23 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     if not suspects:
         return {}
     model = {} if predict is None else predict(suspects)
-    after_jumps = _rows_after_jumps(log)
+    jumps = np.zeros(log.rows)
+    for values in log.inputs.values():
+        change = np.abs(np.diff(values, prepend=values[0]))
+        jumps += (change > JUMP * np.ptp(values)) & (change > 8.0 * np.median(change))
+    after = max(5, round(ANSWER / log.step))
+    after_jumps = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows] > 0.5
     spikes = {}
     for name, rows in suspects.items():
-        values = log.outputs[name]
-        genuine = after_jumps[rows] if predict is None else _is_motion(values, model.get(name), rows)
+        genuine = after_jumps[rows]
+        if predict is not None and name not in model:
+            genuine = np.zeros(rows.size, bool)
+        elif predict is not None:  # near sharp motion of the model
+            values, predicted = log.outputs[name], model[name]
+            moving = np.where(np.isfinite(values) & np.isfinite(predicted), predicted, np.nan)
+            motion, deviation = (SCALE * np.nan_to_num(np.abs(surprise(each))) for each in (moving, values))
+            near = np.lib.stride_tricks.sliding_window_view(np.pad(motion, LATENESS), 2 * LATENESS + 1).max(axis=1)
+            genuine = UNCERTAINTY * near[rows] >= deviation[rows]
         if not genuine.all():
             spikes[name] = rows[~genuine]
     return spikes
@@ -81,20 +93,6 @@ def _suspects(log: Log, values: Array) -> Rows:
     peaks = np.flatnonzero((deviation > limit) & (deviation >= around))
     rest[[k for k in peaks.tolist() if _neighbours_agree(rest, k, limit)]] = np.nan
     return np.flatnonzero(np.isfinite(values) & np.isnan(rest))
-
-
-def _is_motion(values: Array, model: Array | None, rows: Rows) -> Flags:
-    """Return True for rows near sharp motion of the model."""
-    if model is None:
-        return np.zeros(rows.size, bool)
-    motion = _deviation_from_neighbours(np.where(np.isfinite(values) & np.isfinite(model), model, np.nan))
-    near = np.lib.stride_tricks.sliding_window_view(np.pad(motion, LATENESS), 2 * LATENESS + 1).max(axis=1)
-    return np.asarray(UNCERTAINTY * near[rows] >= _deviation_from_neighbours(values)[rows])
-
-
-def _deviation_from_neighbours(values: Array) -> Array:
-    """Return the deviation of each reading from the four nearest readings."""
-    return SCALE * np.nan_to_num(np.abs(surprise(values)))
 
 
 def _outlier_groups(values: Array, limit: float) -> list[int]:
@@ -146,14 +144,3 @@ def _neighbours_agree(values: Array, k: int, limit: float) -> bool:
     bends = (before[1] - before[0] - slope, after[1] - after[0] - slope)
     middle = abs(values[k] - 0.5 * (before[1] + after[0]))
     return bool(max(map(abs, bends)) < 0.5 * min(middle, limit) or max(map(abs, bends)) < 0.25 * middle)
-
-
-def _rows_after_jumps(log: Log) -> Flags:
-    """Return rows directly after a jump of an input."""
-    jumps = np.zeros(log.rows)
-    for values in log.inputs.values():
-        change = np.abs(np.diff(values, prepend=values[0]))
-        jumps += (change > JUMP * np.ptp(values)) & (change > 8.0 * np.median(change))
-    after = max(5, round(ANSWER / log.step))
-    near = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows]
-    return np.asarray(near > 0.5)

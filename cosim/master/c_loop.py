@@ -110,35 +110,32 @@ class CompiledSteps:
             for k, every, source in sources:  # Times are computed as by the sources themselves.
                 values.append(source.over((system.start + (points - every) * master.h) + every * master.h))
                 loop.prepare(k, values[-1], first)
-            self._run_until(last)
-
-    def _run_until(self, last: int) -> None:
-        """Make the steps to a point, and act where C returns for it."""
-        loop, master, system = self.loop, self.master, self.master.system
-        pause = master.next_call(loop.plan.next)
-        while True:
-            try:
-                why = loop.run(last, pause)
-            finally:
-                for component, slot in zip(master.components, loop.slots, strict=True):
-                    component.set_time(slot.time)
-            place = loop.plan.place
-            if why == StopReason.FINISHED:
-                return
-            if why == StopReason.PAUSED:
-                master.change(pause)
-                master.tell(pause)
-                loop.plan.place = loop.plan.slots  # Events may have changed outputs: the held transfers are made again.
-                pause = master.next_call(pause + 1)
-            elif why == StopReason.NO_ITEM:
-                for t in system.stages[place].transfers if place < len(system.stages) else system.held:
-                    t.check_item(master.row[t.target], system.start + loop.plan.next * master.h)
-                raise AssertionError("C met a value that is no item, and there is none")
-            elif why == StopReason.FAILED:  # without an error after Ctrl-C between C and Python
-                raise next(iter(self.slots[place].failures), KeyboardInterrupt())
-            elif why == StopReason.LATER:
-                if master.asked[0] and master.keeper is not None:
-                    master.keeper.look(master, loop.plan.next - 1)
-                pause = master.next_call(loop.plan.next)  # Steps may have become slower.
-            else:
-                master.components[place].raise_error(why, loop.plan, loop.slots[place])
+            # C returns at points where Python is to act.
+            pause = master.next_call(loop.plan.next)
+            while True:
+                try:
+                    why = loop.run(last, pause)
+                finally:
+                    for component, slot in zip(master.components, loop.slots, strict=True):
+                        component.set_time(slot.time)
+                place = loop.plan.place
+                if why == StopReason.FINISHED:
+                    break
+                if why == StopReason.PAUSED:
+                    master.change(pause)
+                    master.tell(pause)
+                    # Events may have changed outputs: the held transfers are made again.
+                    loop.plan.place = loop.plan.slots
+                    pause = master.next_call(pause + 1)
+                elif why == StopReason.NO_ITEM:
+                    for t in system.stages[place].transfers if place < len(system.stages) else system.held:
+                        t.check_item(master.row[t.target], system.start + loop.plan.next * master.h)
+                    raise AssertionError("C met a value that is no item, and there is none")
+                elif why == StopReason.FAILED:  # without an error after Ctrl-C between C and Python
+                    raise next(iter(self.slots[place].failures), KeyboardInterrupt())
+                elif why == StopReason.LATER:
+                    if master.asked[0] and master.keeper is not None:
+                        master.keeper.look(master, loop.plan.next - 1)
+                    pause = master.next_call(loop.plan.next)  # Steps may have become slower.
+                else:
+                    master.components[place].raise_error(why, loop.plan, loop.slots[place])

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from cosim.blocks.event_mode import EventFmu
@@ -27,7 +26,6 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange
 from cosim.blocks.sources import SourceBlock
 from cosim.core.errors import SimulationError
-from cosim.files.results import Results
 from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import Copies, copy_values
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
@@ -75,7 +73,8 @@ class Part:
             self.rank = REPEATABLE
         elif self.exchange is not None:
             self.exchange.stops_at_events = True
-            self.rank = REPEATABLE if self.exchange.goes_back else EARLY
+            # Without completed steps, a step changes the continuous states only, up to its first event.
+            self.rank = EARLY if self.exchange.needs_completed_steps else REPEATABLE
         elif self.may_return:
             self.rank = EARLY
 
@@ -424,10 +423,3 @@ class Instants(Policy):
         self.counts[event[1:]] = self.counts.get(event[1:], 0) + 1
         if len(self.events) < MOST_RECORDED:
             self.events.append(event)
-
-    def add_to(self, results: Results) -> Results:
-        """Return results with the events."""
-        counts: dict[str, dict[str, int]] = {}
-        for (component, cause), count in sorted(self.counts.items()):
-            counts.setdefault(component, {})[cause] = count
-        return replace(results, events=tuple(self.events), event_counts=counts)

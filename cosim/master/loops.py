@@ -117,7 +117,8 @@ class Member:
         self.component, self.row, self.inputs, self.outputs = component, master.row, inputs, outputs
         self.call = partial(master.announce, component)
         self.variables = [[master.system.columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
-        self.nominal = {k: nominal_of(component, name) for k, name in zip(inputs, self.variables[1], strict=True)}
+        nominal = component.nominal if isinstance(component, FmuBlock) else lambda _: 1.0
+        self.nominal = {k: nominal(name) for k, name in zip(inputs, self.variables[1], strict=True)}
         self.changes_by_events = getattr(component, "changes_by_events", False)
         self.repeats, self.promised, self.late = False, False, ""
         self.reacts = np.zeros((len(outputs), len(inputs)), bool)
@@ -542,11 +543,6 @@ class LoopSolver:
             )
             raise SimulationError(name, self.start, message)
         return []
-
-
-def nominal_of(component: Any, variable: str) -> float:
-    """Return the nominal value of a component's variable."""
-    return component.nominal(variable) if isinstance(component, FmuBlock) else 1.0
 
 
 def is_lost(component: Any) -> bool:

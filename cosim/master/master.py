@@ -17,6 +17,7 @@ import bisect
 import ctypes
 import errno
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -146,7 +147,16 @@ class Master:
             Initialization(self, self.solvers).run()
             for solver in self.solvers:
                 self.notes += solver.begin()
-            self._record_first()
+            self.change(0)
+            if any(isinstance(component, EventFmu) for component in self.components):
+                self.instants = Instants(self)
+                self.instants.settle(0)
+            for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.transfers)):
+                values = self.beside if transfer.beside[1] else self.row
+                transfer.check_item(values[transfer.target], self.system.start)
+            self.tell(0)
+            ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))
+            self.done = self.row_count[0] = 1
             if self.keeper is not None:
                 self.keeper.begin(self)
             self._step_on()
@@ -158,7 +168,19 @@ class Master:
         except EarlyEnd as end:
             if not self.done:
                 raise StoppedRun(end, self._rows_so_far()) from None  # before the first row
-            self._record_last(end)
+            self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
+            # A run of a single FMU gets a last row at that time; with several, the others would have no state then.
+            alone = len(self.system.fmus) == 1
+            k = self.done
+            if k <= self.last and end.readable and alone and end.reached > self.time[k - 1]:
+                for component in self.components:
+                    component.get()
+                if self.instants is None:
+                    self.change(k)
+                self.tell(k)
+                self.time[k] = end.reached
+                self.table[k] = self.row[:]
+                self.done = self.row_count[0] = k + 1
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             error = self._explain(stop_error(stop, float(self.time[max(0, self.done - 1)])))
             raise StoppedRun(error, self._rows_so_far()) from None
@@ -182,17 +204,6 @@ class Master:
         for component in self.components:
             self.announce(component).open(self.system.start, float(self.time[-1]))
 
-    def _record_first(self) -> None:
-        self.change(0)
-        if any(isinstance(component, EventFmu) for component in self.components):
-            self.instants = Instants(self)
-            self.instants.settle(0)
-        for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.transfers)):
-            transfer.check_item((self.beside if transfer.beside[1] else self.row)[transfer.target], self.system.start)
-        self.tell(0)
-        ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))
-        self.done = self.row_count[0] = 1
-
     def _step_on(self) -> None:
         """Make all steps, in C if possible, otherwise in Python."""
         if self.system.control is not None:
@@ -213,32 +224,30 @@ class Master:
             if isinstance(policy, CompiledSteps):
                 policy.make_all()
             else:
-                self._make_steps(policy)
+                # The calls in this loop and in `advance` determine the run time.
+                row, table, width = self.view, doubles(self.table), len(self.view)
+                row_count, asked = self.row_count, self.asked
+                advance_to, settle = policy.advance_to, None if self.instants is None else self.instants.settle
+                call_point = self.next_call(self.done)
+                for k in range(self.done, self.last + 1):
+                    advance_to(k)
+                    if k == call_point:
+                        self.change(k)
+                    if settle is not None:
+                        settle(k)
+                    if k == call_point:
+                        self.tell(k)
+                        call_point = self.next_call(k + 1)
+                    table[k * width : k * width + width] = row
+                    row_count[0] = k + 1
+                    if asked[0] and self.keeper is not None:
+                        self.keeper.look(self, k)
         finally:
             self.done = self.row_count[0]
             if isinstance(policy, Policy):
                 policy.finish()
         if self.done <= self.steps:
             raise OSError(errno.ENOSPC, "no room for further rows")
-
-    def _make_steps(self, policy: Policy) -> None:
-        """Make all steps in Python. The calls in this loop and in `advance` determine the run time."""
-        row, table, width, row_count, asked = self.view, doubles(self.table), len(self.view), self.row_count, self.asked
-        advance_to, settle = policy.advance_to, None if self.instants is None else self.instants.settle
-        call_point = self.next_call(self.done)
-        for k in range(self.done, self.last + 1):
-            advance_to(k)
-            if k == call_point:
-                self.change(k)
-            if settle is not None:
-                settle(k)
-            if k == call_point:
-                self.tell(k)
-                call_point = self.next_call(k + 1)
-            table[k * width : k * width + width] = row
-            row_count[0] = k + 1
-            if asked[0] and self.keeper is not None:
-                self.keeper.look(self, k)
 
     def advance(self, actives: Iterable[Active], k: int, t: float, until: float) -> None:
         """Step components once, in their order, towards point k.
@@ -262,25 +271,6 @@ class Master:
                 step(since := self.system.start + (k - every) * self.h, length or until - since)
             if late is not None:
                 late(k)
-
-    def _record_last(self, end: EarlyEnd) -> None:
-        """Note that an FMU ended the run early. A run of a single FMU gets a last row at that time.
-
-        With several FMUs, the others would have no state at that time.
-        """
-        self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
-        alone = len(self.system.fmus) == 1
-        k = self.done
-        if not (0 < k <= self.last and end.readable and alone and end.reached > self.time[k - 1]):
-            return
-        for component in self.components:
-            component.get()
-        if self.instants is None:
-            self.change(k)
-        self.tell(k)
-        self.time[k] = end.reached
-        self.table[k] = self.row[:]
-        self.done = self.row_count[0] = k + 1
 
     def _explain(self, error: SimulationError) -> SimulationError:
         """Return an error with the open loop of its component, if the loop may be its cause.
@@ -402,7 +392,12 @@ class Master:
             details["pacing"] = self.pacer.record(self.system.start)
         time, table = self.time[: self.done], self.table[: self.done]
         results = results_of(self.system, time, table, beside, notes, self.loop, details=details)
-        return results if self.instants is None else self.instants.add_to(results)
+        if self.instants is None:
+            return results
+        counts: dict[str, dict[str, int]] = {}
+        for (component, cause), count in sorted(self.instants.counts.items()):
+            counts.setdefault(component, {})[cause] = count
+        return replace(results, events=tuple(self.instants.events), event_counts=counts)
 
 
 def results_of(

@@ -20,11 +20,6 @@ class Quantity:
     start: float = 0.0
     bounds: tuple[float, float] = (-INFINITY, INFINITY)
 
-    @property
-    def is_bounded(self) -> bool:
-        """Return True if at least one bound is finite."""
-        return any(map(math.isfinite, self.bounds))
-
 
 @dataclass(frozen=True)
 class Parameter:

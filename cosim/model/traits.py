@@ -5,6 +5,7 @@ An FMU built by cosim stores the traits in its description, for use without the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 
@@ -35,7 +36,7 @@ class Traits:
             rates: Output → output that is its time derivative; by default from the equations.
         """
         signals = {q.name: q for q in (*model.outputs, *model.inputs)}
-        bounds = {n: q.bounds for n, q in signals.items() if q.is_bounded}
+        bounds = {n: q.bounds for n, q in signals.items() if any(map(math.isfinite, q.bounds))}
         return cls(rates_of(model) if rates is None else rates, bounds, model.planar)
 
 

@@ -17,7 +17,7 @@ from cosim.files.folders import manifest_in, replay_record, run_name, status_in,
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, entries
-from cosim.files.run_selection import Selected, select_groups
+from cosim.files.run_selection import select_groups
 from cosim.pages.rows import Recording
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
 
@@ -139,8 +139,23 @@ def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list
         return _differing(found[-MAX_RUNS:]), notes
     found, faults = list[RunPlace](), list[Fault]()
     for text, group in zip(texts, select_groups(texts, results), strict=True):
+        count = len(found)
         try:
-            found += _places_of(text, group)
+            for selected in group:
+                path, entry = selected.path, selected.entry
+                if not path.is_dir():
+                    check_given(path, LOG)
+                    found.append(RunPlace(path.stem, path.stem, path))
+                elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
+                    found.append(place)
+                elif entry is None and (rows := rows_in(path)) is not None:
+                    name = run_name(path)
+                    found.append(RunPlace(name, name, rows))
+                elif not selected.by_pattern:
+                    refuse_folder(path, WANTED)
+                    raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
+            if group and len(found) == count:  # a pattern leaves out results without rows
+                raise InputError.at(Path(text), NO_ROWS.format(status=""))
         except InputError as error:
             faults += error.faults
     refuse(faults)
@@ -173,27 +188,6 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             notes.append(f"{place.label} is left out: {reason}")
     refuse(named or (faults if not runs else ()))
     return runs, notes
-
-
-def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
-    """Return the tables of results that a text names; a pattern leaves out results without rows."""
-    found: list[RunPlace] = []
-    for selected in group:
-        path, entry = selected.path, selected.entry
-        if not path.is_dir():
-            check_given(path, LOG)
-            found.append(RunPlace(path.stem, path.stem, path))
-        elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
-            found.append(place)
-        elif entry is None and (rows := rows_in(path)) is not None:
-            name = run_name(path)
-            found.append(RunPlace(name, name, rows))
-        elif not selected.by_pattern:
-            refuse_folder(path, WANTED)
-            raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
-    if group and not found:
-        raise InputError.at(Path(text), NO_ROWS.format(status=""))
-    return found
 
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:

@@ -91,7 +91,28 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
     if content_of(place / ABOUT):
         os.utime(place)
     else:
-        place = _convert(path, status, place, columns, progress)
+        place.parent.mkdir(mode=0o700, exist_ok=True)
+        for each in place.parent.iterdir():  # conversions that nobody has looked at for long
+            with suppress(OSError):
+                if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED:
+                    shutil.rmtree(each)
+        with scratch_folder(place.parent, DRAFT) as folder:
+            draft = folder / place.name
+            draft.mkdir()
+            try:
+                written = _write(draft, path, _table_of(path, columns), columns, progress)
+            except (pa.ArrowException, OSError, ValueError) as error:
+                if is_full(error):
+                    raise
+                columns.read(path)  # which tells each fault by its place
+                raise InputError.at(path, f"cannot be read: {str(error).partition(chr(10))[0]}") from None
+            (draft / ABOUT).write_text(json.dumps(written), encoding="utf-8")
+            if _state(path.stat()) != _state(status):  # no longer the content of its key
+                place = process_folder() / FOLDER / place.name
+                place.parent.mkdir(exist_ok=True)
+            shutil.rmtree(place, ignore_errors=True)
+            with suppress(OSError):  # Another command was faster.
+                shutil.move(draft, place)
     about: Any = content_of(place / ABOUT)
     store = Store(place, about["units"], int(about["rows"]))
     store.rounded, store.inexact = about["rounded"], about["inexact"]
@@ -140,33 +161,6 @@ class _Table:
     numbers: Sequence[bool]
     whole: Collection[int]
     batches: Callable[[Sequence[int], Sequence[int]], Iterator[tuple[list[Any], list[Any], int]]]
-
-
-def _convert(path: Path, status: os.stat_result, place: Path, columns: ColumnTypes, progress: Progress) -> Path:
-    """Write the files of a cache; return their folder. Faults of a table are those of its reader."""
-    place.parent.mkdir(mode=0o700, exist_ok=True)
-    for each in place.parent.iterdir():  # conversions that nobody has looked at for long
-        with suppress(OSError):
-            if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED:
-                shutil.rmtree(each)
-    with scratch_folder(place.parent, DRAFT) as folder:
-        draft = folder / place.name
-        draft.mkdir()
-        try:
-            about = _write(draft, path, _table_of(path, columns), columns, progress)
-        except (pa.ArrowException, OSError, ValueError) as error:
-            if is_full(error):
-                raise
-            columns.read(path)  # which tells each fault by its place
-            raise InputError.at(path, f"cannot be read: {str(error).partition(chr(10))[0]}") from None
-        (draft / ABOUT).write_text(json.dumps(about), encoding="utf-8")
-        if _state(path.stat()) != _state(status):  # no longer the content of its key
-            place = process_folder() / FOLDER / place.name
-            place.parent.mkdir(exist_ok=True)
-        shutil.rmtree(place, ignore_errors=True)
-        with suppress(OSError):  # Another command was faster.
-            shutil.move(draft, place)
-    return place
 
 
 def _write(draft: Path, path: Path, table: _Table, columns: ColumnTypes, progress: Progress) -> dict[str, Any]:

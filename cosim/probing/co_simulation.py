@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import permutations
 
@@ -227,7 +228,8 @@ class Responses:
         wanted = float(np.std(held)) or amplitude_of(variable, float(held[0]))
         changed = moved_within(held, wanted, limits_of(variable))
         size = float(changed[row] - held[row]) or wanted
-        moved = course.with_input(name, np.where(np.arange(course.time.size) < row, held, changed))
+        values = np.where(np.arange(course.time.size) < row, held, changed)
+        moved = replace(course, inputs={**course.inputs, name: values})
         table, _ = self._prober.call(outputs_along, self._prober.fmu, moved)
         rows = min(len(table), len(self._bases[key]))
         return row, course, table[:rows] - self._bases[key][:rows], size

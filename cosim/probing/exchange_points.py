@@ -87,13 +87,6 @@ class Points:
         """Return a displaced point within the limits, or no further outside than the point itself."""
         return np.asarray(np.clip(moved, np.minimum(self.low, z), np.maximum(self.high, z)))
 
-    @property
-    def known_table(self) -> tuple[Array, Array]:
-        """Return states with inputs, and rates with outputs, of all finite evaluations."""
-        known, values = np.array(self.known), np.array(self.values)
-        finite = np.isfinite(values).all(axis=1)
-        return known[finite], values[finite]
-
 
 def _safe_rates(block: DifferentiableFmu, x: Array, u: Array, t: float | None = None) -> Array:
     """Return rates and outputs, at another time if given; NaN where the FMU refuses the point."""

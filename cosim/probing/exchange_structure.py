@@ -57,7 +57,9 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     if not any(run.time.size for run in runs):
         raise runs[0].stop or prober.fmu.too_short(courses[0])
     points, scales = _points(prober, courses, firsts, runs)
-    known, table = points.known_table
+    known, table = np.array(points.known), np.array(points.values)
+    finite = np.isfinite(table).all(axis=1)
+    known, table = known[finite], table[finite]
     n = len(states)
     found = equal_columns(known[:, :n], table[:, n:])
     depends = points.depends
@@ -166,22 +168,16 @@ def _connections(
     usual = np.nanmedian(slopes, axis=0)
     for first, second in combinations([p for p in pairs if p.gain == 1.0], 2):
         (q, v), (r, w) = ((states.index(p.position), states.index(p.velocity)) for p in (first, second))
-        ratio = _constant_ratio((slopes[:, v, r], slopes[:, w, q]), (slopes[:, v, w], slopes[:, w, v]))
-        if ratio is None:
+        ends = (slopes[:, v, r], slopes[:, w, q]), (slopes[:, v, w], slopes[:, w, v])
+        ratios = [o[one > 0.0] / one[one > 0.0] for one, o in ends if (one > 0.0).any() and (o > 0.0).any()]
+        if not ratios or any(np.ptp(x) > CONSTANT * np.median(x) for x in ratios):
             continue
+        ratio = float(np.median(ratios[0]))
         spring, damper, own = float(usual[v, r]), float(usual[v, w]), float(usual[v, q] * usual[w, r])
         is_alone = abs(own - spring * usual[w, q]) <= CONSTANT * abs(own)
         gear = float(-spring / usual[v, q]) if is_alone and spring > 0.0 else 1.0
         deflection, speed = (float(np.std(along[:, a] - gear * along[:, b])) for a, b in ((q, r), (v, w)))
         yield Connection(first, second, gear, gear * ratio, spring / gear, damper / gear, deflection, speed)
-
-
-def _constant_ratio(*ends: tuple[Array, Array]) -> float | None:
-    """Return the ratio of both slopes of the first pair with positive ones; None if there is none, or one changes."""
-    ratios = [o[one > 0.0] / one[one > 0.0] for one, o in ends if (one > 0.0).any() and (o > 0.0).any()]
-    if not ratios or any(np.ptp(x) > CONSTANT * np.median(x) for x in ratios):
-        return None
-    return float(np.median(ratios[0]))
 
 
 def _parameters(

@@ -219,11 +219,6 @@ class Structure:
         return tuple(p.name for p in self.parameters if not (p.acts or p.starts))
 
     @property
-    def without_port(self) -> tuple[str, ...]:
-        """Return velocities that no input changes directly."""
-        return tuple(p.velocity for p in self.pairs if not p.ports)
-
-    @property
     def directions(self) -> tuple[Damping, ...]:
         """Return the dampings that alone tell how forces act: these change other rates, or not always the same."""
         return tuple(d for d in self.dampings if not (d.is_constant or d.port))

@@ -53,10 +53,6 @@ class Course:
         inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
         return replace(self, time=self.time[:rows], inputs=inputs, outputs=outputs)
 
-    def with_input(self, name: str, values: Array) -> Course:
-        """Return the course with other values of an input."""
-        return replace(self, inputs={**self.inputs, name: values})
-
     def parted(self, row: int, parts: int) -> Course:
         """Return the course with two further rows in the step after a row, each a part of the step apart."""
         if parts == 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -99,7 +99,8 @@ def excited_course(prober: Prober, course: Course) -> Course:
         if variable.name in course.inputs:
             held = course.inputs[variable.name]
             size = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-            course = course.with_input(variable.name, moved_within(held, size, limits_of(variable)))
+            moved = moved_within(held, size, limits_of(variable))
+            course = replace(course, inputs={**course.inputs, variable.name: moved})
     return course
 
 

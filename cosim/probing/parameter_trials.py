@@ -62,7 +62,12 @@ def tried_parameters(
             value = float(prober.values.get(variable.name, variable.start))
             acts = starts = False
             failure, tried = "", value
-            for tried in _trial_values(value, quantity.bounds):
+            low, high = quantity.bounds
+            wanted = [1.1 * value, 0.9 * value, 2.0 * value, 0.5 * value] if value else [0.1, 1.0, -0.1, -1.0]
+            inside = [v for v in wanted if low <= v <= high]
+            if not inside and np.isfinite([low, high]).all() and low < high:
+                inside = [low + share * (high - low) for share in (0.1, 0.9)]
+            for tried in inside:
                 try:
                     state, reaction = react(prober.with_values({variable.name: tried}))
                 except SimulationError as error:
@@ -77,16 +82,6 @@ def tried_parameters(
                     break
             found.append(ProbedParameter(quantity, acts, starts, tried, failure))
     return tuple(found)
-
-
-def _trial_values(value: float, bounds: tuple[float, float]) -> list[float]:
-    """Return values to try instead of a parameter's value, the nearest first."""
-    low, high = bounds
-    wanted = [1.1 * value, 0.9 * value, 2.0 * value, 0.5 * value] if value else [0.1, 1.0, -0.1, -1.0]
-    inside = [v for v in wanted if low <= v <= high]
-    if not inside and np.isfinite([low, high]).all() and low < high:
-        inside = [low + share * (high - low) for share in (0.1, 0.9)]
-    return inside
 
 
 def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> tuple[StartValue, ...]:

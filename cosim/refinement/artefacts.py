@@ -18,7 +18,7 @@ ARTEFACTS = (
     Artefact(
         ANSWER,
         "`cosim excite {file}` seeks the experiment that decides; check the study or model.yaml beside it",
-        keys=(frozenset({"verdict", "candidates"}),),
+        keys=(frozenset({"verdict", "candidates"}), frozenset({"finished", "candidates"})),
         verb="cosim refine",
         marks=("refine.json",),
         files=(

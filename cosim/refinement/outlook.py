@@ -45,19 +45,16 @@ def check_study(path: Path, checking: Checking) -> list[str]:
 
 
 def outlook(study: Study) -> list[str]:
-    """Return plans and blind spots of a refinement."""
+    """Return plans and blind spots of a refinement: interface, places and number of candidates."""
     subject = study.subject
     if not isinstance(subject, FmuSubject):
         return []
-    return [*_plan(study, subject), *_blind_spots(study, subject)]
-
-
-def _plan(study: Study, subject: FmuSubject) -> Iterator[str]:
-    """Yield interface, places and number of candidates."""
-    structure = subject.structure
-    yield Note(f"`cosim refine` will use {subject.source.removeprefix(f'{structure.fmu}, ')}")
-    count = len(subject.candidates([q.name for q in subject.inputs]))
-    yield Note(f"`cosim refine` will try {count} terms and parameters: {'; '.join(_places(structure))}")
+    structure, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
+    return [
+        Note(f"`cosim refine` will use {subject.source.removeprefix(f'{structure.fmu}, ')}"),
+        Note(f"`cosim refine` will try {count} terms and parameters: {'; '.join(_places(structure))}"),
+        *_blind_spots(study, subject),
+    ]
 
 
 def _places(s: Structure) -> Iterator[str]:
@@ -90,7 +87,7 @@ def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
     places = (
         (
             "terms at {}, which never changes in the estimation logs",
-            [q.name for q in s.inputs if _is_still(logs, names[q.name])],
+            [q.name for q in s.inputs if not any(np.ptp(log.inputs[names[q.name]]) > 0.0 for log in logs)],
         ),
         (
             "errors of the sensors of {}, which no estimation log has",
@@ -99,7 +96,7 @@ def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
         ("{}, which changes no output along these logs", s.idle),
         (
             "forces at {}, because no input acts there and co-simulation gives no access to derivatives",
-            s.without_port if is_stepped else (),
+            [p.velocity for p in s.pairs if is_stepped and not p.ports],
         ),
         (
             "dry friction at {} apart from a constant force, because the velocity never reverses",
@@ -117,11 +114,6 @@ def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
             f"no validation log: a claim from {counted(len(study.content.logs.estimation), 'log')} will not be "
             "proven on data that no decision has used"
         )
-
-
-def _is_still(logs: Sequence[Log], name: str) -> bool:
-    """Return whether an input is constant in each log."""
-    return not any(np.ptp(log.inputs[name]) > 0.0 for log in logs)
 
 
 def _goes_one_way(logs: Sequence[Log], name: str) -> bool:

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
-from cosim.core.text import join_names
+from cosim.core.arrays import Array
+from cosim.core.text import percent
 from cosim.core.version import __version__
 from cosim.estimation.expected import expected_value
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own
-from cosim.estimation.problem import Problem
-from cosim.estimation.subject.candidates import Candidate, Kind, kind_within
+from cosim.estimation.subject.candidates import Kind, kind_within
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
-from cosim.refinement.decision.sentences import sentence
+from cosim.refinement.decision.claims import Claims, text_of
+from cosim.refinement.decision.posterior import Grade, Verdict
+from cosim.refinement.decision.sentences import Proof, sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
-from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
+from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -59,6 +60,7 @@ class EffectEntry(_Entry):
     name: str = Field(description="as in the catalogue; a base parameter by its own name")
     kind: Kind = Field(description="`sensor`: an error of the readings, which model.yaml has and an FMU has not")
     parameters: dict[str, Estimate] = Field(description="by name; base parameters and sensors have one, `value`")
+    probability: Finite = Field(description="posterior probability that the part belongs to the model")
 
 
 class NotExcludedEntry(_Entry):
@@ -66,9 +68,14 @@ class NotExcludedEntry(_Entry):
 
     name: str
     in_place_of: str = Field(description="name in `effects`")
-    parameter: str = Field(description="in which both differ")
-    up_to: Finite = Field(description="largest value in its 95 % interval")
-    unit: str
+    probability: Finite = Field(description="that the richer effect is the true one")
+
+
+class ClassEntry(_Entry):
+    """A class of hypotheses that the logs do not tell apart, named by its most probable member."""
+
+    names: list[str] = Field(description="effects, sensor errors and base parameters; none: the model recalibrated")
+    probability: Finite
 
 
 class Followed(_Entry):
@@ -99,8 +106,7 @@ class CandidateEntry(_Entry):
         description="log-likelihood gained on the base model; null where it diverged"
     )
     score_gain: Likelihood = Field(
-        description="the same less the penalty of the base parameters' priors, less ½ ln N for each parameter added "
-        "(half of BIC) and, for each candidate, 3 and the logarithm of how many are on trial"
+        description="log posterior odds to the recalibrated model; of a hypothesis that was only screened an estimate"
     )
     fitted: bool = Field(description="false: the fit was given up before its first step")
     parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
@@ -242,24 +248,26 @@ class Record(_Entry):
     schema_version: Literal[1] = 1
     cosim_version: str = __version__
     study: str = Field(description="path of the study; empty of one that was written in Python")
-    verdict: Name
+    verdict: Verdict
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
-        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error, or half of it on a "
-        "channel of the sealed logs, or an unknown input of more than 2 % of the derivative of its state; `nearest`: "
-        "nothing is claimed for sure; the nearest model predicts best"
+        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error of replays, or beside "
+        "which rivals remain; `nearest`: nothing is claimed"
     )
-    every_rival_misses: dict[str, Finite] = Field(
-        default={},
-        description="where every rival of an `ambiguous` verdict leaves an output of the sealed logs at more than "
-        "twice the noise floor: the output that the best rival misses most → its multiple of the floor; else empty",
+    posterior: list[ClassEntry] = Field(description="classes of hypotheses with their probabilities, highest first")
+    inclusion: dict[str, Finite] = Field(description="part → its probability, the sum over the classes with it")
+    dispersion: Finite = Field(
+        description="κ, by which log-likelihoods are divided; above 2 a sign that no hypothesis fits"
     )
+    reasons: list[str] = Field(description="what stands against a claim")
+    finished: Literal[True] = True
     effects: list[EffectEntry] = Field(
         description="what is claimed, most important first; where the verdict is `ambiguous`, what all rivals contain, "
         "with intervals over all of them"
     )
     rivals: list[str] = Field(
-        description="what the data cannot distinguish, where the verdict is `ambiguous`; `a + b` are two together"
+        description="what the data cannot distinguish, where the verdict is `ambiguous`; `a + b` are two together; "
+        "`no_effect` is the model recalibrated"
     )
     experiment: str = Field(description="the input that would separate rivals, else empty")
     alike: tuple[tuple[str, ...], ...] = Field(
@@ -304,9 +312,6 @@ class Record(_Entry):
         description="standard deviation of the logarithm of each floor from draw to draw; where a floor is above the "
         "error by more than 3 of these and a fifth, a warning says so"
     )
-    held_out_gain: Likelihood = Field(
-        description="log-likelihood that the claim gains on each log, as the other logs have it"
-    )
     seconds: Finite = Field(description="time it took")
 
 
@@ -318,6 +323,7 @@ class Measurements:
         played: Replays of every variant on every set of logs.
         floors: Noise floor of the errors.
         noise: Noise of the best hypothesis, with sensor noise free of model errors.
+        between: Inputs between rows.
         way: FMUs used for the replays.
         ends: Final filtered values of parameters per log on sealed logs.
         seconds: Duration of the study.
@@ -326,19 +332,20 @@ class Measurements:
     played: Replayed
     floors: Floors
     noise: Noise
+    between: Between
     way: Replays = IN_PYTHON
     ends: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
 
 
-def _not_excluded(claims: Claims) -> list[NotExcludedEntry]:
-    return [NotExcludedEntry.model_validate(asdict(other)) for other in claims.not_excluded]
-
-
 def record(
-    study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measurements
+    study: Study, claims: Claims, told: Proof, unfitted: Fit, measured: Sequence[str], proof: Measurements
 ) -> Record:
-    """Return the content of refine.json."""
+    """Return the content of refine.json.
+
+    Args:
+        unfitted: Given model with fitted parameters per log.
+    """
     judged = study.subject.horizon
     claimed, floors, sets = claims.claimed, proof.floors, proof.played.items()
 
@@ -350,24 +357,40 @@ def record(
     return Record(
         study=str(study.path or ""),
         verdict=claims.name,
-        sentence=sentence(claims, study.subject),
+        sentence=sentence(claims, study.subject, told),
         grade=claims.grade,
-        every_rival_misses=dict(claims.missed),
-        effects=effects(study.subject, claimed, a.tried, claims.claimed_candidates) if claimed else [],
-        rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
+        posterior=[ClassEntry(names=sorted(n), probability=p) for n, p in claims.decision.classes.items()],
+        inclusion=dict(claims.decision.inclusion),
+        dispersion=claims.decision.dispersion,
+        reasons=list(claims.decision.reasons),
+        effects=effects(study.subject, claims),
+        rivals=list(claims.rivals),
         experiment=claims.experiment,
-        alike=claims.namesakes,
-        not_excluded=_not_excluded(claims),
+        alike=tuple(map(tuple, claims.equivalent)),
+        not_excluded=[
+            NotExcludedEntry(name=rich, in_place_of=simple, probability=p)
+            for (rich, simple), p in claims.decision.not_excluded.items()
+        ],
         nearest=list(claims.nearest.names) if claims.nearest else [],
         ladder=_rungs(claims.ladder),
-        per_log=per_log(study, claimed.fit if claimed else a.unfitted, proof.ends),
-        candidates=ranking(a, claims),
-        hidden=hidden_effects(a, claims),
-        measured=list(problem.layout.outputs),
-        sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * proof.noise.sensors).tolist(), strict=True)),
-        inputs=Inputs(taken=dict(between.ways), gain_otherwise=between.gain),
+        per_log=per_log(study, claimed.fit if claimed else unfitted, proof.ends),
+        candidates=[
+            CandidateEntry(
+                names=list(h.names),
+                log_likelihood_gain=claims.base.fit.nll - h.fit.nll,
+                score_gain=odds,
+                fitted=h.fit.iterations > 0,
+                parameters={n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
+                why=_reason(claims, h, claims.tried[0][1] - odds),
+            )
+            for h, odds in claims.tried
+        ],
+        hidden=list(claims.hidden),
+        measured=list(measured),
+        sensor_noise=dict(zip(measured, np.exp(0.5 * proof.noise.sensors).tolist(), strict=True)),
+        inputs=Inputs(taken=dict(proof.between.ways), gain_otherwise=proof.between.gain),
         warnings=list(study.warnings),
-        residual=Residual.model_validate(claims.misfit),
+        residual=Residual.model_validate(claims.residual),
         replays=proof.way,
         horizon=judged if math.isfinite(judged) else "free run",
         error=errors(judged),
@@ -375,25 +398,39 @@ def record(
         noise_floor=keep_finite(floors["validation" if "validation" in floors else "estimation"].level),
         noise_floors={part: keep_finite(floor.level) for part, floor in floors.items()},
         floor_scatters={part: keep_finite(floor.scatter) for part, floor in floors.items()},
-        held_out_gain=a.total.held_out,
         seconds=proof.seconds,
     )
 
 
-def _rungs(ladder: Sequence[Rung]) -> list[RungEntry]:
+def unfinished(study: Study, tried: Sequence[Hypothesis]) -> dict[str, Any]:
+    """Return the content of refine.json of a study that its limit of time has stopped: hypotheses, and no verdict."""
+    base = max((h.fit.nll for h in tried if not h.names), default=math.nan)
+    candidates = [
+        {
+            "names": list(h.names),
+            "log_likelihood_gain": base - h.fit.nll if math.isfinite(base - h.fit.nll) else None,
+            "parameters": {n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
+        }
+        for h in sorted(tried, key=lambda h: h.score)
+    ]
+    shared = {"schema_version": 1, "cosim_version": __version__, "study": str(study.path or "")}
+    return {**shared, "finished": False, "candidates": candidates}
+
+
+def _rungs(ladder: Sequence[tuple[Hypothesis | None, Array]]) -> list[RungEntry]:
     """Return the entries of the ladder; a model whose predictions diverge is omitted."""
-    finite = [rung for rung in ladder if np.isfinite(rung.errors).all()]
-    if not finite or finite[0].hypothesis is not None:
+    finite = [rung for rung in ladder if np.isfinite(rung[1]).all()]
+    if not finite or finite[0][0] is not None:
         return []
-    given, least = finite[0].errors, min(finite, key=lambda rung: float(np.mean(rung.errors))).errors
+    given, least = finite[0][1], min((errors for _, errors in finite), key=lambda errors: float(np.mean(errors)))
     entries = []
-    for rung in finite:
-        h, excess = rung.hypothesis, rung.errors - least
+    for h, errors in finite:
+        excess = errors - least
         model: Literal["before", "recalibrated", "candidates"] = (
             "before" if h is None else "candidates" if h.candidates else "recalibrated"
         )
         scatter = float(np.std(excess, ddof=1) / math.sqrt(excess.size)) if excess.size > 1 else None
-        ratio = float(np.exp(np.mean(rung.errors - given)))
+        ratio = float(np.exp(np.mean(errors - given)))
         entries.append(RungEntry(model=model, names=list(h.names) if h else [], ratio=ratio, standard_error=scatter))
     return entries
 
@@ -416,19 +453,9 @@ def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
-def effects(
-    subject: Subject,
-    claimed: Hypothesis,
-    tried: Iterable[Hypothesis],
-    candidates: Sequence[Candidate] | None = None,
-) -> list[EffectEntry]:
-    """Return the claimed effects, most important first.
-
-    Args:
-        candidates: Claimed candidates of the hypothesis, by default all.
-    """
-    declared = subject.declared
-    alone = {h.names: h.score for h in tried if len(h.candidates) == 1}
+def effects(subject: Subject, claims: Claims) -> list[EffectEntry]:
+    """Return the claimed effects, most probable first."""
+    claimed, declared = claims.claimed, subject.declared
     return [
         EffectEntry(
             name=c.name,
@@ -436,10 +463,10 @@ def effects(
             parameters={
                 n.partition(".")[2] or "value": _estimate(claimed.fit, n, declared[n].unit) for n in c.parameters
             },
+            probability=claims.decision.claimed[c.name],
         )
-        for c in sorted(
-            claimed.candidates if candidates is None else candidates, key=lambda c: alone.get((c.name,), math.inf)
-        )
+        for c in claims.claimed_candidates
+        if claimed is not None
     ]
 
 
@@ -459,56 +486,19 @@ def _estimate(f: Fit, name: str, unit: str) -> Estimate:
     return Estimate(value=float(f.values[name]), unit=unit, ci95=f.interval(name))
 
 
-def hidden_effects(a: Attribution, claims: Claims) -> list[str]:
-    """Return effects that the logs cannot show."""
-    claimed = claims.claimed.names if claims.claimed else ()
-    return [name for name in a.hidden if name not in claimed]
+def _reason(claims: Claims, h: Hypothesis, behind: float) -> str:
+    """Return the reason against a hypothesis.
 
-
-def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
-    """Return every hypothesis with its scores."""
-    return [
-        CandidateEntry(
-            names=list(h.names),
-            log_likelihood_gain=a.base.fit.nll - h.fit.nll,
-            score_gain=a.base.score - h.score,
-            fitted=h.fit.iterations > 0,
-            parameters={n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters},
-            why=_reason(a, h, claims),
-        )
-        for h in a.tried
-    ]
-
-
-def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
-    """Return the reason against a hypothesis, by the verdict or else by the search."""
-    is_first = claims.claimed is not None and h.names == claims.claimed.names
-    if TOGETHER.join(h.names) in claims.disputed:
-        return f"a rival: {'fits best, by little' if is_first else 'the logs do not decide against it'}"
-    if is_first:
+    Args:
+        behind: Log odds of the most probable hypothesis to it.
+    """
+    parts, decision = frozenset(h.names), claims.decision
+    if parts in decision.rivals:
+        return f"a rival: probability {percent(decision.rivals[parts])}"
+    if claims.claimed is not None and h.names == claims.claimed.names:
         return "claimed"
-    if h.names != a.best.names:
-        return a.reasons[h.names] or _score_text(h, claims.claimed or a.best)
-    if claims.name == "unexplained":
-        return _unexplained_reason(h, claims)
-    if claims.name == "no_effect":
-        return "nothing more is missing"
-    if claims.claimed is not None:
-        return "only with its numbers beyond their tolerances"
-    return "nothing can be said: the logs excite too little"
-
-
-def _unexplained_reason(h: Hypothesis, claims: Claims) -> str:
-    """Return the reason against the best supported hypothesis of an unexplained misfit."""
-    why = "disputed" if h.candidates else "incomplete"
-    if claims.nearest is None or claims.nearest.names == h.names:
-        return f"nearest, but {why}"
-    return f"{why}; held-out logs are predicted better by {join_names(claims.nearest.names) or 'the given model'}"
-
-
-def _score_text(h: Hypothesis, best: Hypothesis) -> str:
-    """Return the comparison of two scores in words."""
-    than, behind = join_names(best.names) or "the base model", h.score - best.score
-    if behind < 0.0:
-        return f"gains {-behind:.1f} on {than}, but not with every part borne out"
-    return f"its score is {behind:.1f} below that of {than}"
+    if parts == decision.nearest:
+        return "nothing more is missing" if claims.name == "no_effect" else "most probable, but not claimed"
+    if not h.ended:
+        return "screened: the logs speak against it"
+    return f"e^{behind:.1f} times less probable than {text_of(frozenset(claims.tried[0][0].names))}"

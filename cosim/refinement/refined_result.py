@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from cosim.estimation.subject.interface import Subject
 
+COLOURS = {"before": "#8c8c8c", "recalibrated": "#56b4e9", "after": "#0072b2"}  # of the models in a figure
+
 
 @dataclass(frozen=True, repr=False)
 class Refined:
@@ -83,12 +85,29 @@ class Refined:
         Raises:
             ValueError: The record holds no errors of this part.
         """
-        from cosim.refinement.report.error_figure import errors_figure
+        from cosim.report.figure import new_figure
 
-        return errors_figure(self.record, part)
+        errors = {m: dict(self.record.get("error", {}).get(m, {}).get(part) or {}) for m in COLOURS}
+        channels = list(dict.fromkeys(name for of in errors.values() for name in of))
+        if not channels:
+            raise ValueError(f'no errors of "{part}" are in refine.json; it holds estimation and validation')
+        columns = min(4, len(channels))
+        rows = -(-len(channels) // columns)
+        figure = new_figure(2.4 * columns + 0.4, 2.4 * rows + 0.3)
+        axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for ax, channel in zip(axes, channels, strict=False):
+            models = [m for m in COLOURS if errors[m].get(channel) is not None]
+            ax.bar(models, [errors[m][channel] for m in models], color=[COLOURS[m] for m in models])
+            ax.set_title(channel.replace("$", r"\$"), loc="left", fontsize=10)
+            ax.tick_params(axis="x", labelsize=7.5)
+            ax.spines[["top", "right"]].set_visible(False)
+        for ax in axes[len(channels) :]:
+            ax.set_axis_off()
+        figure.suptitle(f"root mean square error, {part} logs", fontsize=10)
+        return figure
 
     def __repr__(self) -> str:
-        return f"{self.verdict}: {self.sentence}"
+        return f"{self.verdict}: {self.sentence}" if self.verdict else "stopped before a verdict"
 
     def _repr_html_(self) -> str:
         from cosim.core.notebook import heading, table

@@ -13,7 +13,6 @@ from cosim.refinement.decision.claims import Claims
 from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import Part
-from cosim.refinement.search.hypotheses import Attribution
 from cosim.refinement.study import Study
 
 
@@ -22,7 +21,6 @@ class Refinement:
     """Result of a study, with everything that its report shows."""
 
     study: Study
-    attribution: Attribution
     verdict: Claims
     record: Mapping[str, Any]
     folder: Path

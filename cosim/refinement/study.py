@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag, ValidationError
 
-from cosim.core.arrays import Rows
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import with_prefix
 from cosim.core.registry import BASE
@@ -138,18 +137,6 @@ class StudyFile(BaseModel):
             subject.horizon = math.inf if self.horizon == "free run" else self.horizon
         return subject
 
-    def find_interpolated(self, subject: Subject) -> frozenset[str]:
-        """Return the interpolated inputs."""
-        inputs = self.inputs if isinstance(self.inputs, dict) else {q.name: self.inputs for q in subject.inputs}
-        return frozenset(name for name, interpolation in inputs.items() if interpolation == "interpolated")
-
-    def tolerance_of(self, subject: Subject) -> dict[str, float]:
-        """Return base parameter → relative tolerance."""
-        if isinstance(self.tolerance, dict):
-            return dict(self.tolerance)
-        base = [p.name for p in subject.parameters]
-        return dict.fromkeys((*subject.calibrated, *(n for n in self.per_log or () if n in base)), self.tolerance)
-
 
 @dataclass(frozen=True)
 class Study:
@@ -193,7 +180,15 @@ class Study:
         per_log = tuple(full_name(subject, n) for n in content.per_log or ())
         files = [name for _, name in _entries(content.logs)]
         groups = group_of(self.folder, files, content.groups) if per_log else {}
-        return Settings(content.find_interpolated(subject), content.tolerance_of(subject), per_log, groups)
+        ways, tolerance = content.inputs, content.tolerance
+        if not isinstance(ways, dict):
+            ways = {q.name: ways for q in subject.inputs}
+        if not isinstance(tolerance, dict):
+            base = [p.name for p in subject.parameters]
+            given = [n for n in content.per_log or () if n in base]
+            tolerance = dict.fromkeys((*subject.calibrated, *given), tolerance)
+        interpolated = frozenset(name for name, way in ways.items() if way == "interpolated")
+        return Settings(interpolated, dict(tolerance), per_log, groups)
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the sealed logs; called once, after all decisions."""
@@ -201,7 +196,9 @@ class Study:
         return tuple(
             stretch
             for log in logs
-            for stretch in _usable_stretches(drop_outliers(log, _spikes(log, self.subject)), self.subject.horizon)
+            for stretch in _usable_stretches(
+                drop_outliers(log, find_spikes(log, self.subject.prediction(log))), self.subject.horizon
+            )
         )
 
 
@@ -323,7 +320,15 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
-    content, unit_faults = _in_units(yaml, _in_names_of(subject, content), subject)
+    names = subject.names  # in place of the FMU's variables
+    update: dict[str, Any] = {}
+    for key in ("noise", "start_noise", "tolerance", "inputs"):
+        setting = getattr(content, key)
+        if isinstance(setting, dict):
+            update[key] = {names.get(n, n): value for n, value in setting.items()}
+    if content.candidates is not None:
+        update["candidates"] = [names.get(n, n) for n in content.candidates]
+    content, unit_faults = _in_units(yaml, content.model_copy(update=update), subject)
     subject = content.judged(subject)
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
@@ -340,19 +345,6 @@ def _in_units(yaml: YamlFile, content: StudyFile, subject: Subject) -> tuple[Stu
         update[key], wrong = yaml.in_units((key,), getattr(content, key), units, difference=True)
         faults += wrong
     return content.model_copy(update=update), faults
-
-
-def _in_names_of(subject: FmuSubject, content: StudyFile) -> StudyFile:
-    """Return the study with the names of the subject in place of the FMU's variables."""
-    names = subject.names
-    update: dict[str, Any] = {}
-    for key in ("noise", "start_noise", "tolerance", "inputs"):
-        setting = getattr(content, key)
-        if isinstance(setting, dict):
-            update[key] = {names.get(n, n): value for n, value in setting.items()}
-    if content.candidates is not None:
-        update["candidates"] = [names.get(n, n) for n in content.candidates]
-    return content.model_copy(update=update)
 
 
 @dataclass(frozen=True)
@@ -442,7 +434,7 @@ def _read_logs(
             faults += error.faults
             continue
         digests[name] = _digest(log)
-        spikes = _spikes(log, subject)
+        spikes = find_spikes(log, subject.prediction(log))
         findings = gate(log, subject.rate, traits=subject.traits, spikes=spikes)
         faults += gate_faults(log, findings)
         log = drop_outliers(log, spikes)
@@ -454,7 +446,15 @@ def _read_logs(
             for output, rows in spikes.items()
         ]
         usable = _usable_stretches(log, subject.horizon)
-        faults += [] if usable else [_short_log(log, subject.horizon)]
+        if not usable:
+            longest = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
+            least, better = plain(_min_duration(log, subject.horizon), None), plain(20 * log.slowness)
+            duration = f"{longest} s" if len(stretches(log)) == 1 else f"at most {longest} s without a pause"
+            message = (
+                f"lasts {duration}, too short to be judged: it takes {least} s, and {better} s and more tell more; log "
+                "longer or leave it out"
+            )
+            faults.append(Fault(log.path, 0, 0, message))
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
@@ -505,11 +505,6 @@ def _digest(log: Log) -> str:
     return content.hexdigest()
 
 
-def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
-    """Return outliers of a log."""
-    return find_spikes(log, subject.prediction(log))
-
-
 def _min_duration(log: Log, horizon: float) -> float:
     """Return the least useful duration of a log [s].
 
@@ -522,20 +517,6 @@ def _usable_stretches(log: Log, horizon: float) -> list[Log]:
     """Return the measured stretches of sufficient duration."""
     least = _min_duration(log, horizon) - 0.5 * log.step
     return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
-
-
-def _short_log(log: Log, horizon: float) -> Fault:
-    """Return a log's fault without a usable stretch."""
-    durations = [float(s.time[-1] - s.time[0]) for s in stretches(log)]
-    least, better = plain(_min_duration(log, horizon), None), plain(20 * log.slowness)
-    duration = (
-        f"{plain(max(durations))} s" if len(durations) == 1 else f"at most {plain(max(durations))} s without a pause"
-    )
-    message = (
-        f"lasts {duration}, too short to be judged: it takes {least} s, and {better} s and more tell more; log "
-        "longer or leave it out"
-    )
-    return Fault(log.path, 0, 0, message)
 
 
 def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
@@ -583,11 +564,7 @@ def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iter
         for name in setting if isinstance(setting, dict) else ():
             if name not in names:
                 yield places.fault((key, name), f'no {kind} "{name}"{did_you_mean(name, names)}', key=True)
-    yield from _unknown_candidates(places, content, [c.name for c in subject.candidates(inputs)])
-
-
-def _unknown_candidates(places: Places, content: StudyFile, candidates: Sequence[str]) -> Iterator[Fault]:
-    """Yield faults of unknown candidates and of an empty list."""
+    candidates = [c.name for c in subject.candidates(inputs)]
     if content.candidates == []:
         yield places.fault(("candidates",), "names none; name some, or leave the key out to try all")
     for k, name in enumerate(content.candidates or ()):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.messages import printable_json
-from cosim.report.panels import Panel, Trace, extent
+from cosim.report.panels import Panel, extent
 
 MAX_CELLS = 6_000_000  # values in a page; beyond, every n-th row
 MAX_COUNT = 1e9  # held whole numbers below have no decimals
@@ -122,7 +122,20 @@ class Charts:
 
     def add(self, group: int, panel: Panel, more: Mapping[str, Any]) -> Plot:
         """Add a chart of a drawing."""
-        traces = [self._trace(trace) for trace in panel.traces]
+        traces, words = [], []
+        for trace in panel.traces:
+            common = trace.x is None
+            entry: dict[str, Any] = {"label": trace.label, "style": trace.style, "form": trace.form}
+            entry["y"] = self.column(trace.values, held=trace.held, common=common)
+            entry |= {} if trace.x is None else {"x": self.column(np.asarray(trace.x), common=False)}
+            entry |= {} if trace.upper is None else {"upper": self.column(trace.upper, common=common)}
+            entry |= {"anew": 1} if trace.anew else {}
+            entry |= {"shift": trace.shift} if trace.shift else {}
+            entry |= {"items": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
+            traces.append(entry)
+            span = extent([trace.values] if trace.upper is None else [trace.values, trace.upper])
+            told = f"from {span[0]:.4g} to {span[1]:.4g}" if span else "without values"
+            words.append(f"{trace.label} {told}")
         chart = {"group": group, "title": panel.title, "unit": panel.unit, "traces": traces, **more}
         if panel.limits:
             chart["levels"] = panel.limits
@@ -134,19 +147,7 @@ class Charts:
             chart["band"] = {"label": band.label, "edges": edges}
             chart["band"] |= {} if band.x is None else {"x": self.column(np.asarray(band.x), common=False)}
         self._charts.append(chart)
-        return Plot(len(self._charts) - 1, chart, _summary(panel))
-
-    def _trace(self, trace: Trace) -> dict[str, Any]:
-        common = trace.x is None
-        entry: dict[str, Any] = {"label": trace.label, "style": trace.style, "form": trace.form}
-        entry["y"] = self.column(trace.values, held=trace.held, common=common)
-        entry |= {} if trace.x is None else {"x": self.column(np.asarray(trace.x), common=False)}
-        entry |= {} if trace.upper is None else {"upper": self.column(trace.upper, common=common)}
-        entry |= {"anew": 1} if trace.anew else {}
-        entry |= {"shift": trace.shift} if trace.shift else {}
-        return entry | (
-            {"items": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
-        )
+        return Plot(len(self._charts) - 1, chart, "; ".join(words))
 
     def data(self, more: Mapping[str, Any] = NOTHING) -> str:
         """Return charts, rows and further data as JSON for the page's script, safe inside a script element."""
@@ -192,15 +193,6 @@ def round_values(values: Array, digits: int) -> list[float | None]:
     """Return values rounded for JSON; a value that is not finite becomes null."""
     numbers = [round(value, digits) if math.isfinite(value) else None for value in values.tolist()]
     return [int(n) if n is not None and n == int(n) and abs(n) < MAX_EXACT else n for n in numbers]
-
-
-def _summary(panel: Panel) -> str:
-    """Describe a panel in words."""
-    parts = []
-    for trace in panel.traces:
-        span = extent([trace.values] if trace.upper is None else [trace.values, trace.upper])
-        parts.append(f"{trace.label} from {span[0]:.4g} to {span[1]:.4g}" if span else f"{trace.label} without values")
-    return "; ".join(parts)
 
 
 # -- packing --------------------------------------------------------------------------------------

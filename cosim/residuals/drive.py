@@ -136,7 +136,20 @@ class Drive:
         self.frame = self.traits.planar if self.traits else None
         self.block = RestartableFmu(PLANT, fmu, description, {}, frozenset(log.inputs))
         self.block.await_inputs(always=True)
-        self._check_signals()
+        faults = []
+        sides = (("input", log.inputs, self.block.inputs), ("output", log.outputs, self.block.outputs))
+        for kind, names, signals in sides:
+            units = {s.name: s.unit for s in signals}
+            for name in names:
+                if name not in units:
+                    cure, every = did_you_mean(name, units), ", ".join(units) or "none"
+                    faults.append(f'has no {kind} "{name}", which {log.path.name} holds{cure} (its {kind}s: {every})')
+                elif conversion(log.units[name], units[name]) != Conversion():
+                    faults.append(
+                        f"{name} is in {units[name]} here and in {log.units[name]} in the log as it was read; read the "
+                        "log for this FMU"
+                    )
+        refuse(Fault(fmu, 0, 0, message) for message in faults)
         self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
@@ -343,25 +356,6 @@ class Drive:
         if len(times) == reached.size and np.allclose(times, reached, rtol=0.0, atol=close):
             return table
         return np.column_stack([np.interp(reached, times, column) for column in table.T])
-
-    def _check_signals(self) -> None:
-        """Check that log and FMU signals match."""
-        faults = []
-        sides = (("input", self.log.inputs, self.block.inputs), ("output", self.log.outputs, self.block.outputs))
-        for kind, names, signals in sides:
-            units = {s.name: s.unit for s in signals}
-            for name in names:
-                if name not in units:
-                    cure, every = did_you_mean(name, units), ", ".join(units) or "none"
-                    log = self.log.path.name
-                    faults.append(f'has no {kind} "{name}", which {log} holds{cure} (its {kind}s: {every})')
-                elif conversion(self.log.units[name], units[name]) != Conversion():
-                    other = self.log.units[name]
-                    faults.append(
-                        f"{name} is in {units[name]} here and in {other} in the log as it was read; read the log "
-                        "for this FMU"
-                    )
-        refuse(Fault(self.fmu, 0, 0, message) for message in faults)
 
 
 def rows_of(log: Log, first: int, seconds: float) -> int:

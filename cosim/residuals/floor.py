@@ -41,7 +41,7 @@ class ChannelFloor(NamedTuple):
 def draws(log: Log, horizon: float) -> int:
     """Return the number of random draws that estimate the noise floor of a log; few windows need more draws."""
     runs = [] if horizon == FREE_RUN else chains(log, horizon)
-    count = sum(sum(row >= c.begin for row in c.rows[:-1]) for c in runs)
+    count = sum(sum(row >= begin for row in rows[:-1]) for rows, begin in runs)
     return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
 
 

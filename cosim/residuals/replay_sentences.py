@@ -21,14 +21,16 @@ def verdict(comparison: Comparison) -> str:
     measure = channels[0].measure
     seconds = float(comparison.log.time[-1] - comparison.log.time[0])
     over = f"a free run of {plain(seconds)}\u00a0s" if measure == FREE_RUN else f"{measure:g}\u00a0s"
-    lead = f"Over {over} the model misses {_sizes(channels, measure)} (rms)."
+    sizes = join_names([f"{c.name} by {size(c.scores[measure].rmse, c.unit)}" for c in channels])
+    lead = f"Over {over} the model misses {sizes} (rms)."
     beyond = sorted((c for c in channels if not (c.is_matched or c.lost)), key=lambda c: -c.excess)
     hidden = ""
     if lost := [c for c in channels if c.lost]:
         own = join_names([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
+        free = join_names([f"{c.name} by {size(c.scores[FREE_RUN].rmse, c.unit)}" for c in lost])
         hidden = (
             f"The windows do not measure {join_names([c.name for c in lost])}: this FMU keeps a state that no output "
-            f"shows. Restarted from its own outputs it misses {own}. Its free run misses {_sizes(lost, FREE_RUN)}."
+            f"shows. Restarted from its own outputs it misses {own}. Its free run misses {free}."
         )
     if not beyond:
         if hidden:
@@ -42,10 +44,6 @@ def verdict(comparison: Comparison) -> str:
         return f"{lead} The fit of {worst.name} is {amount(worst.scores[FREE_RUN].fit, '%', 2)}. {cause}"
     times = join_names([f"{plain(c.excess, 2)} times for {c.name}" for c in beyond])
     return f"{lead} That is more than the noise of the sensors explains: {times}. {cause} {hidden}".rstrip()
-
-
-def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
-    return join_names([f"{c.name} by {size(c.scores[horizon].rmse, c.unit)}" for c in channels])
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:

@@ -74,6 +74,13 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         words += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
     for column, name in log.called.items():
         words += ["--column", f"{column}={name}"]
+    residuals = []
+    for c in channels:
+        unit, factor = display(c.unit)
+        error = replays[c.measure].errors(log)[c.name] * factor
+        width = np.full(error.size, 2.0 * factor * (c.noise if np.isfinite(c.noise) else 0.0))
+        traces, band = [Trace("measured − model", error, "error")], Band("±2σ of its noise", -width, width)
+        residuals.append(Panel(f"Residual of {c.name}", unit or "1", traces, band))
     return {
         "name": log.path.name,
         "description": f"Replayed through {about.modelName} ({drive.fmu.name}): the recorded commands "
@@ -90,7 +97,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "basis": "the free run" if basis == FREE_RUN else horizon_name(basis),
         "within": drawing.plots(_pair_panels(comparison, measure)) if measure in replays else [],
         "free": drawing.plots(_pair_panels(comparison, FREE_RUN)),
-        "residual": drawing.plots(_residual_panels(comparison)),
+        "residual": drawing.plots(residuals),
         "commands": drawing.plots(held_panels(log.inputs, log.units)),
         "autocorrelation": _autocorrelation(comparison, charts),
         "inputs": _input_correlation(comparison, charts),
@@ -118,18 +125,6 @@ def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
         unit, factor = display(log.units[name])
         traces = [Trace("measured", measured * factor, "estimate"), Trace(label, outputs[name] * factor, "true")]
         panels.append(Panel(name, unit or "1", traces))
-    return panels
-
-
-def _residual_panels(comparison: Comparison) -> list[Panel]:
-    """Return the residuals, with ±2σ of the measurement noise."""
-    panels = []
-    for c in comparison.channels:
-        unit, factor = display(c.unit)
-        error = comparison.replays[c.measure].errors(comparison.log)[c.name] * factor
-        width = np.full(error.size, 2.0 * factor * (c.noise if np.isfinite(c.noise) else 0.0))
-        traces, band = [Trace("measured − model", error, "error")], Band("±2σ of its noise", -width, width)
-        panels.append(Panel(f"Residual of {c.name}", unit or "1", traces, band))
     return panels
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -71,17 +70,26 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
         is_state = v.causality == "output" and getattr(v, "initial", None) == "exact" and v.start is not None
         if v.type in REALS and not getattr(v, "shape", None) and (v.causality == "parameter" or is_state):
             variables[v.name] = v
-    parameters = {}
+    parameters: dict[str, StartParameter] = {}
     for output in drive.outputs:
         names = (f"{output}_start", f"{output.removesuffix('_actual')}_start", output)
         variable = next((variables[n] for n in names if n in variables), None)
-        if variable is not None and (parameter := _try_parameter(drive, output, variable)) is not None:
-            parameters[output] = parameter
-    return _with_places(drive, parameters)
-
-
-def _with_places(drive: Drive, parameters: dict[str, StartParameter]) -> dict[str, StartParameter]:
-    """Return start parameters with the state indices that each one moves, if readable."""
+        if variable is None:
+            continue
+        default = float(variable.start or 0.0)
+        low = -math.inf if variable.min is None else float(variable.min)
+        high = math.inf if variable.max is None else float(variable.max)
+        width = 0.1 * max(1.0, abs(default))
+        tries = [v for v in (default + share * width for share in (1, 2, -1, -2)) if low <= v <= high][:2]
+        if len(tries) < 2:
+            continue
+        try:
+            one, two = (drive.initial({variable.name: v}, 0)[output] for v in tries)
+        except SimulationError:
+            continue
+        gain = (two - one) / (tries[1] - tries[0])
+        if abs(one - gain * tries[0]) <= 1e-6 * max(abs(one), abs(two)) and not abs(gain) <= 1e-9:
+            parameters[output] = StartParameter(variable.name, gain, low, high, (tries[0], tries[1]))
     if not parameters or not drive.has_readable_state:
         return parameters
     tried = {p.name: p.tried[0] for p in parameters.values()}
@@ -90,30 +98,11 @@ def _with_places(drive: Drive, parameters: dict[str, StartParameter]) -> dict[st
         after = {output: drive.own(tried | {p.name: p.tried[1]})[STATE] for output, p in parameters.items()}
     except (SimulationError, ValueError, KeyError, TypeError):
         return parameters
+    # the indices of the state that each parameter moves
     places = {n: tuple(k for k, a in enumerate(s) if a != before[k]) for n, s in after.items()}
     if not all(places.values()):
         return parameters
     return {n: replace(p, places=places[n]) for n, p in parameters.items()}
-
-
-def _try_parameter(drive: Drive, output: str, variable: Any) -> StartParameter | None:
-    """Return the start parameter of an output, None for a variable without proportional effect."""
-    default = float(variable.start or 0.0)
-    low = -math.inf if variable.min is None else float(variable.min)
-    high = math.inf if variable.max is None else float(variable.max)
-    width = 0.1 * max(1.0, abs(default))
-    tries = [v for v in (default + share * width for share in (1, 2, -1, -2)) if low <= v <= high][:2]
-    if len(tries) < 2:
-        return None
-    try:
-        one, two = (drive.initial({variable.name: v}, 0)[output] for v in tries)
-    except SimulationError:
-        return None
-    gain = (two - one) / (tries[1] - tries[0])
-    proportional = abs(one - gain * tries[0]) <= 1e-6 * max(abs(one), abs(two))
-    if not proportional or abs(gain) <= 1e-9:
-        return None
-    return StartParameter(variable.name, gain, low, high, (tries[0], tries[1]))
 
 
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
@@ -195,22 +184,16 @@ def _corrections(
             if rate is not None:
                 changes[rate] = slope
     corrected = {name: state[name] + change for name, change in changes.items() if name in state}
-    return corrected | _velocity(drive, state, corrected, slopes)
-
-
-def _velocity(
-    drive: Drive, state: Mapping[str, float], corrected: Mapping[str, float], slopes: Mapping[str, float]
-) -> dict[str, float]:
-    """Return the local velocity at the corrected heading, if the position is measured and the velocity is not."""
     frame = drive.frame
-    if frame is None or frame.forward in drive.log.outputs:
-        return {}
+    if frame is None or frame.forward in log.outputs:
+        return corrected
     if not ({frame.x, frame.y} <= slopes.keys() and frame.local <= state.keys()):
-        return {}
+        return corrected
+    # The position is measured and the velocity is not: the local velocity at the corrected heading.
     x, y = world_velocity(SCALAR, state[frame.heading], state[frame.forward], state[frame.right])
     heading = corrected.get(frame.heading, state[frame.heading])
     forward, right = local_vector(SCALAR, heading, x + slopes[frame.x], y + slopes[frame.y])
-    return {frame.forward: forward, frame.right: right}
+    return corrected | {frame.forward: forward, frame.right: right}
 
 
 def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[float | None, float | None]:

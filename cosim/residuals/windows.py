@@ -57,19 +57,11 @@ class Replay:
         return {name: values - self.outputs[name] for name, values in log.outputs.items()}
 
 
-@dataclass(frozen=True)
-class Chain:
-    """Consecutive windows, each from the end of the previous one; `begin` is the first counted row."""
-
-    rows: tuple[int, ...]
-    begin: int
-
-
 def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
     """Return the whole log as one run, with start values of its parameters or those of the first measurements."""
     log, parameters = drive.log, start_parameters(drive)
     chosen = first_start(drive, parameters) if start is None else start
-    rows = {c.rows[0] for span in horizons(log) for c in chains(log, span)} if readable(parameters) else set()
+    rows = {chain[0] for span in horizons(log) for chain, _ in chains(log, span)} if readable(parameters) else set()
     table, states = drive.run_and_keep(0, log.rows - 1, chosen, rows)
     return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units, states)
 
@@ -111,9 +103,9 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
         return None
     table, starts, sigma = np.full((log.rows, len(drive.outputs)), np.nan), {}, noise_levels(log, free.outputs)
     carried = table.copy()
-    for chain in runs:
-        own, carrier, since = free.states.get(chain.rows[0]), free.outputs, 0
-        for first, last in pairwise(chain.rows):
+    for rows, begin in runs:
+        own, carrier, since = free.states.get(rows[0]), free.outputs, 0
+        for first, last in pairwise(rows):
             start = window_start(drive, parameters, sigma, carrier, since, first)
             memory = None
             if own is not None:  # what the start values do not set
@@ -122,7 +114,7 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
                 memory = {place: value for place, value in whole.items() if place not in started}
             carried[first : last + 1] = drive.run(first, last, start, memory)
             own, carrier, since = own and drive.state(), dict(zip(drive.outputs, carried.T, strict=True)), first
-            if first >= chain.begin:
+            if first >= begin:
                 starts[first] = start
                 table[first + 1 : last + 1] = carried[first + 1 : last + 1]
     for j, name in enumerate(drive.outputs):
@@ -138,8 +130,8 @@ def horizons(log: Log) -> tuple[float, ...]:
     return tuple(horizon * log.slowness for horizon in HORIZONS)
 
 
-def chains(log: Log, horizon: float) -> list[Chain]:
-    """Return chains of consecutive windows of a log; a pause in the log begins a new chain.
+def chains(log: Log, horizon: float) -> list[tuple[list[int], int]]:
+    """Return chains of consecutive windows of a log, each with the first row that counts; a pause begins a new one.
 
     At the start of each chain the state settles in short windows, which do not count.
     """
@@ -150,8 +142,8 @@ def chains(log: Log, horizon: float) -> list[Chain]:
             settle = [
                 k for k in window_rows(part, PAST * log.slowness, 0.0 if first else FIRST * log.slowness) if k < rows[0]
             ]
-            edges = (*settle, *rows, rows_of(part, rows[-1], horizon))
-            result.append(Chain(tuple(first + k for k in edges), first + rows[0]))
+            edges = [*settle, *rows, rows_of(part, rows[-1], horizon)]
+            result.append(([first + k for k in edges], first + rows[0]))
     return result
 
 

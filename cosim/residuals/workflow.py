@@ -155,7 +155,22 @@ def write_replay(
         effects = content_of(beside / ANSWER).get("effects") if beside else None
         entries = effects if isinstance(effects, list) else []
         claimed = [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
-        findings = _findings(drive, claimed)
+        traits = drive.traits
+        findings = gate(log, drive.rate, traits=traits, spikes={})
+        if traits is None and drive.description.author == AUTHOR:
+            message = (
+                f"{fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
+                "the log is checked less and windows start worse; build it again"
+            )
+            findings.append(Finding("warning", "older", "", message))
+        if claimed:
+            message = (
+                f"the readings have {join_names(claimed)}, which the refine beside {fmu.name} claims and an FMU "
+                "does not hold; correct the readings, or see error.after in its refine.json"
+            )
+            findings.append(Finding("warning", SENSORS, "", message))
+        findings += input_unit_findings(log, drive.starts, traits.bounds if traits else {})
+        refuse_faults(log, findings)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
         remove_earlier(folder, read=(log.path, fmu))
@@ -187,31 +202,6 @@ def write_replay(
             ended.left = folder
             raise ended from None
     return comparison
-
-
-def _findings(drive: Drive, claimed: Sequence[str]) -> list[Finding]:
-    """Return the findings before a run; raise InputError if the log has faults.
-
-    Args:
-        claimed: Errors of sensors, which the log has and the FMU has not.
-    """
-    log, traits = drive.log, drive.traits
-    findings = gate(log, drive.rate, traits=traits, spikes={})
-    if traits is None and drive.description.author == AUTHOR:
-        message = (
-            f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
-            "the log is checked less and windows start worse; build it again"
-        )
-        findings.append(Finding("warning", "older", "", message))
-    if claimed:
-        message = (
-            f"the readings have {join_names(claimed)}, which the refine beside {drive.fmu.name} claims and an FMU "
-            "does not hold; correct the readings, or see error.after in its refine.json"
-        )
-        findings.append(Finding("warning", SENSORS, "", message))
-    findings += input_unit_findings(log, drive.starts, traits.bounds if traits else {})
-    refuse_faults(log, findings)
-    return findings
 
 
 def _free_run(drive: Drive, file: Path) -> Replay:

@@ -92,9 +92,12 @@ class Signals:
         """Return a matplotlib figure of the signals; signals of one unit share an axis."""
         for name in names:
             self[name]
-        from cosim.simulation.report.figures import figure_of
+        from cosim.simulation.report.figures import sheet
+        from cosim.simulation.report.run_page import drawable_run, signal_panels
 
-        return figure_of(self.results, names or self.results.columns)
+        hidden = frozenset(self.results.columns) - set(names) if names else frozenset[str]()
+        run = drawable_run(self.results, {})
+        return sheet(run.time, signal_panels(run, hidden))
 
     def chart(self, *names: str) -> Chart:
         """Return an interactive chart for a notebook, by default of the first signals.

@@ -179,7 +179,23 @@ class StoppedRun:
                 raise InputError.at(kept / ROWS, ROWS_OF_ANOTHER_RUN)
             start = Continuation(read_table(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
         elif system.recording is None:
-            start = self._from_results(system, scenario, count)
+            # the first rows of the results
+            results, rows = self._results, self.folder / self.rows_file
+            expected = scenario.start_time + scenario.step * np.arange(len(results.time), dtype=np.float64)
+            on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
+            complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
+            count = count or complete
+            if not complete:
+                raise InputError.at(rows, STOPPED_BEFORE_ROWS)
+            if results.columns != system.columns or complete < count:
+                raise InputError.at(rows, ROWS_OF_ANOTHER_RUN)
+            readers: dict[str, Callable[[str], Any]] = {"Binary": bytes.fromhex, "String": str}
+            columns = [
+                [readers.get(system.signals[name].kind, int)(str(value)) for value in results.exact[name][:count]]
+                for name in system.beside
+            ]
+            values = np.ascontiguousarray(results.values[:count])
+            start = Continuation(values, [*zip(*columns, strict=True)], self.state)
         if (
             start is not None
             and self.checkpoint
@@ -192,24 +208,6 @@ class StoppedRun:
                 message = f"its run is finished, at t = {end:g} s; --until T with a later time T extends it"
                 raise InputError.at(self.folder, message)
         return start
-
-    def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
-        """Return the first rows of the results."""
-        results, rows = self._results, self.folder / self.rows_file
-        expected = scenario.start_time + scenario.step * np.arange(len(results.time), dtype=np.float64)
-        on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
-        complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
-        count = count or complete
-        if not complete:
-            raise InputError.at(rows, STOPPED_BEFORE_ROWS)
-        if results.columns != system.columns or complete < count:
-            raise InputError.at(rows, ROWS_OF_ANOTHER_RUN)
-        readers: dict[str, Callable[[str], Any]] = {"Binary": bytes.fromhex, "String": str}
-        columns = [
-            [readers.get(system.signals[name].kind, int)(str(value)) for value in results.exact[name][:count]]
-            for name in system.beside
-        ]
-        return Continuation(np.ascontiguousarray(results.values[:count]), [*zip(*columns, strict=True)], self.state)
 
 
 def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:

@@ -251,7 +251,11 @@ def run(
             record["event_counts"] = stepped.results.event_counts
             record["first_events"] = [list(event) for event in stepped.results.events]
         if (part := system.recording) is not None:
-            stepped = replace(stepped, results=part.thin(stepped.results))
+            results = stepped.results
+            rows = part.rows(len(results.time))
+            exact = {name: [column[k] for k in rows] for name, column in results.exact.items()}
+            results = replace(results, time=results.time[rows], values=results.values[rows], exact=exact)
+            stepped = replace(stepped, results=results)
         if worker is None and scenario_.limits is not None:
             record["warnings"].append("limits are not watched where FMUs run in this process")
         is_kept = keeping.folder is not None
@@ -355,7 +359,26 @@ def _write_files(
     except OSError as error:
         if not is_full(error):
             raise
-        return _write_what_fits(prepared, stepped, record, has_rows=has_rows)
+        # The manifest and the rows that fit are written.
+        time, count = results.time, len(results.time)
+        rows.with_name("report.html").unlink(missing_ok=True)
+        record["status"] = f"failed: {failure or 'the disk is full'}"
+        if not has_rows:
+            del record["rows"]  # unknown until the manifest is written, which then has room
+        try:
+            write_json(rows.with_name(MANIFEST), record)
+        except OSError:
+            (rows.parent / STARTED).replace(rows.with_name(MANIFEST))  # takes no room
+        if not has_rows:
+            try:
+                count = results.write_what_fits(rows)
+            except OSError:
+                count = 0
+        total = prepared.rows if isinstance(failure, DiskFull) else len(time)
+        missing = ", there is no report" if count == total else ""
+        before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
+        at = time[max(0, count - 1)].item() if len(time) else 0.0
+        return DiskFull("the run", at, f"the disk is full: {count} of {total} rows are in {rows.name}{missing}{before}")
     except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
         hold_stops()
         if failure is not None:
@@ -370,31 +393,3 @@ def _write_files(
     finally:
         hold_stops()  # The end must still be reported.
     return failure
-
-
-def _write_what_fits(prepared: _Prepared, stepped: SteppedRun, record: dict[str, Any], *, has_rows: bool) -> DiskFull:
-    """Write the manifest and the rows that fit on a full disk; return the failure to report.
-
-    Args:
-        has_rows: Whether all rows are written.
-    """
-    rows, failure, time = prepared.place / prepared.rows_file, stepped.failure, stepped.results.time
-    count, manifest_ = len(time), rows.with_name(MANIFEST)
-    rows.with_name("report.html").unlink(missing_ok=True)
-    record["status"] = f"failed: {failure or 'the disk is full'}"
-    if not has_rows:
-        del record["rows"]  # unknown until the manifest is written, which then has room
-    try:
-        write_json(manifest_, record)
-    except OSError:
-        (rows.parent / STARTED).replace(manifest_)  # takes no room
-    if not has_rows:
-        try:
-            count = stepped.results.write_what_fits(rows)
-        except OSError:
-            count = 0
-    total = prepared.rows if isinstance(failure, DiskFull) else len(time)
-    missing = ", there is no report" if count == total else ""
-    before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
-    at = time[max(0, count - 1)].item() if len(time) else 0.0
-    return DiskFull("the run", at, f"the disk is full: {count} of {total} rows are in {rows.name}{missing}{before}")

@@ -176,13 +176,11 @@ class Factors:
             self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", warnings[0]))
         return factor
 
-    def _variant(self, *overrides: str) -> ScenarioFile:
-        return ScenarioFile(self.scenario.path, (*self.overrides, *overrides), option="")
-
     def _number_at(self, name: str, text: str) -> float:
         """Return the number of text such as `4 ms` at a scenario path; raise ValueError if none."""
         try:
-            file = self._variant(f"{name}={json.dumps(text)}")
+            varied = f"{name}={json.dumps(text)}"
+            file = ScenarioFile(self.scenario.path, (*self.overrides, varied), option="")
             refuse(f for f in file.faults if f.message.startswith(f"{name} is "))
             number: Any = resolve_defaults(file.scenario)
             for key in keys_of(name):
@@ -198,7 +196,7 @@ class Factors:
     def _test_variant(self, *overrides: str) -> tuple[Sequence[Fault], list[str]]:
         """Return the faults and warnings of a variant of the scenario."""
         try:
-            file = self._variant(*overrides)
+            file = ScenarioFile(self.scenario.path, (*self.overrides, *overrides), option="")
             system = build_system(file)
         except InputError as error:
             return error.faults, []

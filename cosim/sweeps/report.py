@@ -19,7 +19,7 @@ from cosim.report.template import render
 from cosim.sweeps.run_statistics import MIN_RUNS, QUANTILES, Sensitivity, sensitivity
 from cosim.sweeps.sampling import Factor, are_numbers
 from cosim.sweeps.store import TABLE, read_table, signal_of
-from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid, SweepFile
+from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid
 from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
@@ -59,6 +59,12 @@ def page(swept: Swept) -> str:
     if widths and widths[widest] > WIDE:
         reach = f"intervals of its indices reach ±{plain(widths[widest], 2)}"
         warnings.append(f"Too few runs to rank the factors of {widest}: {reach}. Take more runs.")
+    ways = {factor.way for factor in study.file.vary.values()}
+    drawn, listed = not ways.isdisjoint(DISTRIBUTIONS), not ways.isdisjoint({"values", "grid"})
+    note = "Every combination is run." if listed else ""  # how the values of several factors are combined
+    if drawn:
+        note = f"Distributions are sampled together ({study.file.sampling})"
+        note += "; each sample is combined with every listed value." if listed else "."
     context = {
         "name": record["name"],
         "description": study.file.description,
@@ -81,11 +87,22 @@ def page(swept: Swept) -> str:
         "more_sensitivities": [_indices(s) for s in others] if first else [],
         "failures": record["failures"],
         "more_failures": max(0, failed - len(record["failures"])),
-        "sampling_note": _sampling_note(study.file),
+        "sampling_note": note,
         "repeat": f"cosim sweep {shell_path(study.yaml.path)}",
         "version": __version__,
     }
     if criteria:
+        rows, spreads = list[Mapping[str, Any]](), list[Mapping[str, Any]]()
+        for c in criteria:
+            unit, factor = display(c["unit"])
+            share = c["met"] / c["of"] if c["of"] else 0.0
+            row = {"name": c["name"], "max": append_unit(plain(c["max"] * factor, None), unit)}
+            row |= {"met": f"{c['met']} of {c['of']}", "share": percent(share) if c["of"] else "–"}
+            rows.append({**row, "interval": " … ".join(map(percent, c["ci95"])), "bar": _bar(share, *c["ci95"])})
+            good = values[c["name"]][np.isfinite(values[c["name"]])]
+            quantiles = np.quantile(good, QUANTILES) if good.size else np.full(5, np.nan)
+            texts = [append_unit(plain(float(v) * factor, 3), unit) for v in quantiles]
+            spreads.append({"name": c["name"], "quantiles": texts, "never": str(c["of"] - good.size or "–")})
         worst, name = _worst(swept, table, values), hardest(record)["name"]
         equal = bool(worst) and worst[-1]["value"] == NEVER  # none of the listed runs is worse than another
         context |= {
@@ -94,39 +111,16 @@ def page(swept: Swept) -> str:
             "worst_note": "The first of the runs that never settle." if equal else "Farthest from its limit first.",
             "hardest_name": name,
             "tone": "good" if record["met_all"] == record["runs"] else "bad",
-            "criteria": [_criterion(c) for c in criteria],
-            "values": [_spread(c, values[c["name"]]) for c in criteria],
+            "criteria": rows,
+            "values": spreads,
         }
     return render(TEMPLATE, context)
-
-
-def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
-    unit, factor = display(c["unit"])
-    share = c["met"] / c["of"] if c["of"] else 0.0
-    return {
-        "name": c["name"],
-        "max": append_unit(plain(c["max"] * factor, None), unit),
-        "met": f"{c['met']} of {c['of']}",
-        "share": percent(share) if c["of"] else "–",
-        "interval": " … ".join(map(percent, c["ci95"])),
-        "bar": _bar(share, *c["ci95"]),
-    }
 
 
 def _bar(value: float, low: float, high: float) -> Mapping[str, float]:
     """Return a share and its interval in percent."""
     value, low, high = (round(100 * min(1.0, max(0.0, v)), 2) for v in (value, low, high))
     return {"value": value, "low": low, "width": round(high - low, 2)}
-
-
-def _sampling_note(file: SweepFile) -> str:
-    """Return how the values of several factors are combined."""
-    ways = {varied.way for varied in file.vary.values()}
-    drawn, listed = not ways.isdisjoint(DISTRIBUTIONS), not ways.isdisjoint({"values", "grid"})
-    if not drawn:
-        return "Every combination is run." if listed else ""
-    text = f"Distributions are sampled together ({file.sampling})"
-    return f"{text}; each sample is combined with every listed value." if listed else f"{text}."
 
 
 def _worst(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Mapping[str, Any]]:
@@ -175,15 +169,6 @@ def _scatters(
             also = {"run": runs[good][order].astype(float)}
             plots.append(charts.points(panel, ends, (name, x_unit or "1"), also, reach=(low - room, high + room)))
     return plots
-
-
-def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
-    """Return the quantiles of a criterion, and the number of runs without a value."""
-    unit, factor = display(c["unit"])
-    good = values[np.isfinite(values)]
-    rows = np.quantile(good, QUANTILES) if good.size else np.full(5, np.nan)
-    texts = [append_unit(plain(float(v) * factor, 3), unit) for v in rows]
-    return {"name": c["name"], "quantiles": texts, "never": str(c["of"] - good.size or "–")}
 
 
 def _factor(swept: Swept, factor: Factor) -> Mapping[str, str]:

@@ -111,38 +111,33 @@ def write_table(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    design = {name: _of_one_type(values) for name, values in design.items()}
-    types: dict[str, Any] = {"run": pa.int64(), **{name: pa.array(values).type for name, values in design.items()}}
+    table: dict[str, list[Any]] = {}  # columns of a single type: integers mixed with floats become floats
+    for name, values in design.items():
+        kinds = {type(v) for v in values}
+        if len(kinds) == 1 and list not in kinds:
+            table[name] = list(values)
+        else:  # lists and mixtures become text
+            table[name] = [float(v) if kinds == {int, float} else json.dumps(v) for v in values]
+    types: dict[str, Any] = {"run": pa.int64(), **{name: pa.array(values).type for name, values in table.items()}}
     types["status"] = pa.string()
     for name in criteria:
         types |= {name: pa.float64(), f"{name} met": pa.bool_()}
     types |= {name: pa.list_(pa.float64()) for name in signals}
     schema = pa.schema(list(types.items()), {"cosim": json.dumps(about)})
 
-    def row(m: RunResult) -> dict[str, Any]:
-        cells: dict[str, Any] = {"run": m.run, **{name: values[m.run] for name, values in design.items()}}
-        cells["status"] = m.status
-        if m.status == "ok":
-            for name, value, is_met in zip(criteria, m.values, m.met, strict=True):
-                cells |= {name: None if np.isnan(value) else value, f"{name} met": is_met}
-            cells |= zip(signals, m.signals, strict=True)
-        return cells
-
     remaining = iter(runs)
     with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
         while part := list(itertools.islice(remaining, GROUP)):
-            writer.write_table(pa.Table.from_pylist([row(m) for m in part], schema=schema))
-
-
-def _of_one_type(values: Sequence[Any]) -> list[Any]:
-    """Return values of a single type for a column.
-
-    Integers mixed with floats become floats; lists and mixtures become text.
-    """
-    kinds = {type(v) for v in values}
-    if len(kinds) == 1 and list not in kinds:
-        return list(values)
-    return [float(v) for v in values] if kinds == {int, float} else [json.dumps(v) for v in values]
+            rows = []
+            for m in part:
+                cells: dict[str, Any] = {"run": m.run, **{name: values[m.run] for name, values in table.items()}}
+                cells["status"] = m.status
+                if m.status == "ok":
+                    for name, value, is_met in zip(criteria, m.values, m.met, strict=True):
+                        cells |= {name: None if np.isnan(value) else value, f"{name} met": is_met}
+                    cells |= zip(signals, m.signals, strict=True)
+                rows.append(cells)
+            writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
 def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:

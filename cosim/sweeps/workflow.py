@@ -7,7 +7,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -135,7 +135,14 @@ def sweep(
             stored = []
         made, record = 0, _read_completed(folder, study.key)
         if record is None:
-            make_runs = stack.enter_context(_maker(study, workers, dask, in_process=in_process or join))
+            address = study.file.dask if dask is None else dask
+            make_runs: MakeRuns = partial(make_runs_here, study.job, workers)
+            if in_process or join:
+                assemble.cache_clear()  # Files may have changed since an earlier call.
+                make_runs = partial(map, partial(make_run, study.job))
+            elif address is not None:
+                place = partial(study.yaml.fault, ("dask",)) if dask is None else partial(Fault, Path("--dask"), 0, 0)
+                make_runs = stack.enter_context(dask_cluster(study, address, place))
             if part:
                 stored = [home / DATABASE]
             elif not join:
@@ -210,21 +217,6 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
         cure = "give another folder as --out, or begin anew by --force"
         raise InputError.at(folder / TABLE, f"holds another sweep, or one of other FMUs; {cure}")
     return record
-
-
-@contextmanager
-def _maker(study: Sweep, workers: int | None, dask: str | None, *, in_process: bool) -> Iterator[MakeRuns]:
-    """Yield the function that makes the runs."""
-    address = study.file.dask if dask is None else dask
-    if in_process:
-        assemble.cache_clear()  # Files may have changed since an earlier call.
-        yield partial(map, partial(make_run, study.job))
-    elif address is None:
-        yield partial(make_runs_here, study.job, workers)
-    else:
-        place = partial(study.yaml.fault, ("dask",)) if dask is None else partial(Fault, Path("--dask"), 0, 0)
-        with dask_cluster(study, address, place) as make_runs:
-            yield make_runs
 
 
 def _all_runs(databases: Sequence[Database]) -> Iterator[RunResult]:

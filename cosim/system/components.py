@@ -36,8 +36,8 @@ def build_components(file: ScenarioFile, diagnosis: Diagnosis) -> dict[str, Comp
             elif isinstance(component, PlaybackComponent):
                 names = _variables_of(name, [connection.source for connection in scenario.connections])
                 linear = component.interpolation == "linear"
-                recording, exact = file.resolve(component.file), _exact(file, name, read)
-                block = playback(name, recording, names, exact, step=scenario.step, linear=linear)
+                exact = _exact(file, name, read)
+                block = playback(name, file.resolve(component.file), names, exact, step=scenario.step, linear=linear)
             elif isinstance(component, FixComponent):
                 block = _fixes(scenario, name, component, diagnosis)
             else:

@@ -11,7 +11,7 @@ from cosim.blocks.sources import SourceBlock
 from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.description import takes_any_step
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.scenario import FixComponent, Scenario, StepControl
+from cosim.scenario.scenario import FixComponent, Scenario
 from cosim.scenario.scenario_file import Diagnosis
 from cosim.system.wiring import Components, RowLayout, Transfer
 
@@ -91,37 +91,6 @@ def control_of(
         real = (s.name for s in component.outputs if not (s.local or s.is_whole))
         if name in controlled and isinstance(component, FmuBlock) and variable in real:
             outputs.append(k)
-    bonds = _bonds(settings, layout, transfers, nominal, diagnosis)
-    estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
-    limits = settings.tolerance, settings.min, settings.max
-    return Control(estimator, *limits, tuple(nominal), tuple(outputs), tuple(bonds), at_rows)
-
-
-def courses_of(scenario: Scenario, components: Components) -> tuple[int, int]:
-    """Return the degrees of extrapolation and interpolation; with event mode, inputs are held."""
-    return (0, 0) if any(isinstance(c, EventFmu) for c in components.values()) else scenario.courses
-
-
-def rollback_obstacle(components: Components) -> str:
-    """Return the reason against taking steps of components back, or ""."""
-    for name, component in components.items():
-        if isinstance(component, EventFmu):
-            return f"steps of {name} end at its events"
-        if isinstance(component, FmuBlock) and not component.instance.rolls_back:
-            return f"{name} saves no state, or takes steps of one length only"
-        if not isinstance(component, FmuBlock | SourceBlock):
-            return f"{name} cannot be taken back"
-    return ""
-
-
-def _bonds(
-    settings: StepControl,
-    layout: RowLayout,
-    transfers: Sequence[Transfer],
-    nominal: Sequence[float],
-    diagnosis: Diagnosis,
-) -> list[PowerBond]:
-    """Return the power bonds; note faults."""
     by_source: dict[str, list[Transfer]] = {}
     for transfer in transfers:
         by_source.setdefault(layout.columns[transfer.source] if not transfer.beside[0] else "", []).append(transfer)
@@ -145,4 +114,18 @@ def _bonds(
         if len(ends) == 2:
             power = nominal[ends[0][0]] * nominal[ends[1][0]]
             bonds.append(PowerBond(ends[0], ends[1], f"{bond.effort}·{bond.flow}", power))
-    return bonds
+    estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
+    limits = settings.tolerance, settings.min, settings.max
+    return Control(estimator, *limits, tuple(nominal), tuple(outputs), tuple(bonds), at_rows)
+
+
+def rollback_obstacle(components: Components) -> str:
+    """Return the reason against taking steps of components back, or ""."""
+    for name, component in components.items():
+        if isinstance(component, EventFmu):
+            return f"steps of {name} end at its events"
+        if isinstance(component, FmuBlock) and not component.instance.rolls_back:
+            return f"{name} saves no state, or takes steps of one length only"
+        if not isinstance(component, FmuBlock | SourceBlock):
+            return f"{name} cannot be taken back"
+    return ""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.clocks import PERIODIC, Clock, Timing, read_clocks
+from cosim.blocks.clocks import PERIODIC, Timing, read_clocks
 from cosim.blocks.component import Component
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
@@ -55,7 +55,28 @@ def event_block(
                 message = f"{name} ticks no clocks without event mode; leave out event_mode: false"
             diagnosis.note(("components", name, "clocks"), message)
         return FmuBlock
-    timings = _timings(file, name, component, clocks, diagnosis)
+    timings = {}
+    for clock_name, timing in component.clocks.items():
+        clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
+        if clock is None or clock.causality != "input":
+            hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
+            message = f'{name} has no input clock "{clock_name}"{hint}'
+        elif full_name in file.scenario.targets:
+            message = f"{full_name} has times in the scenario and a connection; keep one"
+        elif clock.kind == "constant" or (clock.kind != "triggered" and clock.interval is None):
+            what = f"{full_name} is a {clock.kind} clock, whose FMU gives its times"
+            message = f"{what}; leave out its times in the scenario"
+        elif clock.kind in PERIODIC and (timing.at or timing.shift is not None):
+            what = f"{full_name} is a {clock.kind} clock: give its interval only"
+            message = f"{what}; only triggered clocks have shift: and at:"
+        elif bool(timing.at) == (timing.interval is not None):
+            message = f"{full_name} needs either interval: or at:"
+        elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < file.scenario.start_time):
+            message = f"the times of {full_name} are not in order, from the start of the run on"
+        else:
+            timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
+            continue
+        diagnosis.note(("components", name, "clocks", clock_name), message)
     jumping = set()  # inputs whose sources jump
     for connection in file.scenario.connections:
         owner, _, variable = connection.target.partition(".")
@@ -85,35 +106,6 @@ def default_block(path: Path, description: Any) -> type[FmuBlock]:
 def has_event_mode(description: Any, way: Way) -> bool:
     """Return whether an FMU has event mode."""
     return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
-
-
-def _timings(
-    file: ScenarioFile, name: str, component: FmuComponent, clocks: Mapping[str, Clock], diagnosis: Diagnosis
-) -> dict[str, Timing]:
-    """Return the scenario's times of clocks; note faults."""
-    timings = {}
-    for clock_name, timing in component.clocks.items():
-        clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
-        if clock is None or clock.causality != "input":
-            hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
-            message = f'{name} has no input clock "{clock_name}"{hint}'
-        elif full_name in file.scenario.targets:
-            message = f"{full_name} has times in the scenario and a connection; keep one"
-        elif clock.kind == "constant" or (clock.is_time_based and clock.interval is None):
-            kind = f"{full_name} is a {clock.kind} clock, whose FMU gives its times"
-            message = f"{kind}; leave out its times in the scenario"
-        elif clock.kind in PERIODIC and (timing.at or timing.shift is not None):
-            kind = f"{full_name} is a {clock.kind} clock: give its interval only"
-            message = f"{kind}; only triggered clocks have shift: and at:"
-        elif bool(timing.at) == (timing.interval is not None):
-            message = f"{full_name} needs either interval: or at:"
-        elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < file.scenario.start_time):
-            message = f"the times of {full_name} are not in order, from the start of the run on"
-        else:
-            timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
-            continue
-        diagnosis.note(("components", name, "clocks", clock_name), message)
-    return timings
 
 
 def is_exchange(component: Component) -> bool:

@@ -37,12 +37,6 @@ class RecordedPart:
         rows = np.arange(0, count, self.every)
         return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
-    def thin(self, results: Results) -> Results:
-        """Return the recorded rows."""
-        rows = self.rows(len(results.time))
-        exact = {name: [column[k] for k in rows] for name, column in results.exact.items()}
-        return replace(results, time=results.time[rows], values=results.values[rows], exact=exact)
-
 
 def take_signals(part: RecordedPart | None, results: Results) -> Results:
     """Return the recorded signals of results that have all signals of the row and beside it."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from cosim.blocks.component import Component, Signal
-from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm, Assumption, Edge, Plan, algorithms
+from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Assumption, Edge, Plan, algorithms
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
@@ -229,8 +229,37 @@ def schedule(
     graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
     order = scenario.order if algorithm.sequential else None
-    plan = _plan(scenario, algorithm, order, graph, diagnosis)
-    if plan is None:
+    if order is not None:  # It names each component with inputs exactly once.
+        missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
+        unknown = [name for name in order if name not in components]
+        for name in unknown:
+            diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
+        if is_wrong := missing or len(set(order)) != len(order):
+            left_out = ", ".join(missing) or "none"
+            diagnosis.note(("order",), f"order names every component with inputs once; missing: {left_out}")
+        if unknown or is_wrong:
+            return Schedule()
+    if scenario.loops is not None and not algorithm.solves_loops:
+        message = f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"
+        diagnosis.note(("loops",), message)
+        return Schedule()
+    if scenario.loops is not None and order is not None:
+        message = "order states which values are of the last step, loops solves for all of the same time; leave one out"
+        diagnosis.note(("order",), message)
+        return Schedule()
+    try:
+        plan = algorithm.plan_with_loops(components, graph.edges, order, undeclared=scenario.loops is not None)
+    except AlgebraicLoop as error:
+        message = (
+            f"algebraic loop under {algorithm.name}: {' → '.join(error.cycle)}; each needs the other's value of the "
+            f"same time. State their order (order: [{', '.join(sorted(set(error.cycle)))}]) or algorithm: "
+            f"{WITHOUT_ORDER.name}"
+        )
+        diagnosis.note(("connections",), message)
+        return Schedule()
+    if sorted(plan.order) != sorted(components):
+        message = f"{algorithm.name} steps {', '.join(plan.order)}; it must step each component once"
+        diagnosis.note(("algorithm",), message)
         return Schedule()
     diagnosis.warnings += plan.notes
     held, stages, loops = graph.sort_transfers(plan)
@@ -254,46 +283,6 @@ def schedule(
                 )
     clock_wires = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
     return Schedule(stages, held, clock_wires, loops, opened, bool(assumptions), graph.functions_of_time)
-
-
-def _plan(
-    scenario: Scenario, algorithm: Algorithm, order: Sequence[str] | None, graph: _Graph, diagnosis: Diagnosis
-) -> Plan | None:
-    """Return the plan of an algorithm; note faults and return None if there is none."""
-    components = graph.components
-    if order is not None:  # It names each component with inputs exactly once.
-        missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
-        unknown = [name for name in order if name not in components]
-        for name in unknown:
-            diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
-        if is_wrong := missing or len(set(order)) != len(order):
-            names = ", ".join(missing) or "none"
-            diagnosis.note(("order",), f"order names every component with inputs once; missing: {names}")
-        if unknown or is_wrong:
-            return None
-    if scenario.loops is not None and not algorithm.solves_loops:
-        message = f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"
-        diagnosis.note(("loops",), message)
-        return None
-    if scenario.loops is not None and order is not None:
-        message = "order states which values are of the last step, loops solves for all of the same time; leave one out"
-        diagnosis.note(("order",), message)
-        return None
-    try:
-        plan = algorithm.plan_with_loops(components, graph.edges, order, undeclared=scenario.loops is not None)
-    except AlgebraicLoop as loop:
-        message = (
-            f"algebraic loop under {algorithm.name}: {' → '.join(loop.cycle)}; each needs the other's value of the "
-            f"same time. State their order (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: "
-            f"{WITHOUT_ORDER.name}"
-        )
-        diagnosis.note(("connections",), message)
-        return None
-    if sorted(plan.order) != sorted(components):
-        message = f"{algorithm.name} steps {', '.join(plan.order)}; it must step each component once"
-        diagnosis.note(("algorithm",), message)
-        return None
-    return plan
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:

@@ -5,7 +5,7 @@ All checks that need model descriptions are made here, and all faults are report
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import chain
@@ -20,10 +20,10 @@ from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.scenario import LoopSettings, Scenario
+from cosim.scenario.scenario import LoopSettings
 from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
 from cosim.system.components import build_components
-from cosim.system.control import Control, control_of, courses_of
+from cosim.system.control import Control, control_of
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, changes_of
 from cosim.system.recording import RecordedPart, recorded_part
@@ -140,9 +140,19 @@ def build_system(file: ScenarioFile) -> System:
     _check_sampling(components.values(), diagnosis)
     recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
-        _check_criteria(scenario, layout.columns, recording, diagnosis)
+        recorded = layout.columns if recording is None else {layout.columns[k] for k in recording.columns}
+        for kind, k, criterion in scenario.goals:
+            where: Place = ("criteria", kind, *(() if k is None else (k,)))
+            for key, signal in (("of", criterion.of), ("to", criterion.to)):
+                if not isinstance(signal, str) or signal in recorded:
+                    continue
+                message = f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
+                if signal not in layout.columns:
+                    message = f'no signal "{signal}"{did_you_mean(signal, layout.columns)}'
+                diagnosis.note((*where, key), message)
     is_connected = is_whole and all(transfers)
-    courses = courses_of(scenario, components)
+    has_events = any(isinstance(component, EventFmu) for component in components.values())
+    courses = (0, 0) if has_events else scenario.courses  # With event mode, inputs are held.
     plan = schedule(scenario, components, transfers, diagnosis, courses[1] > 0) if is_connected else Schedule()
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     separated, notes = separate([(name, block.path) for name, block in blocks.items()], scenario.isolated)
@@ -195,22 +205,6 @@ def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagn
             diagnosis.warnings.append(
                 f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
             )
-
-
-def _check_criteria(
-    scenario: Scenario, columns: Sequence[str], recording: RecordedPart | None, diagnosis: Diagnosis
-) -> None:
-    """Note faults of criteria on unknown signals and on signals that are not recorded."""
-    recorded = columns if recording is None else {columns[k] for k in recording.columns}
-    for kind, k, criterion in scenario.goals:
-        where: Place = ("criteria", kind, *(() if k is None else (k,)))
-        for key, signal in (("of", criterion.of), ("to", criterion.to)):
-            if not isinstance(signal, str) or signal in recorded:
-                continue
-            message = f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
-            if signal not in columns:
-                message = f'no signal "{signal}"{did_you_mean(signal, columns)}'
-            diagnosis.note((*where, key), message)
 
 
 def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:

@@ -49,13 +49,6 @@ def contains(rich: str, simple: str) -> bool:
     return place == other_place and SPECIAL_CASES.get(other) == kind
 
 
-def are_alike(one: str, other: str) -> bool:
-    """Return True if two terms, named `kind_at_place`, of one place are in a class; a delay has no place."""
-    (kind, _, place), (other_kind, _, other_place) = one.partition("_at_"), other.partition("_at_")
-    is_one_place = place == other_place or not (place and other_place)
-    return is_one_place and any({kind, other_kind} <= kinds for kinds, _ in ALIKE)
-
-
 def experiments_for(names: Iterable[str]) -> dict[frozenset[str], str]:
     """Return names of terms that look alike → experiment that tells them apart.
 

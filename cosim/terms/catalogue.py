@@ -146,23 +146,18 @@ class SecondOrderLag(RememberingTerm):
         """Return the mean over the substep, and both values at its end; exact for an input held over the substep."""
         acts, time = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
         position, speed = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
-        swing, wave = _swung(m, h / time, self.damping)
-        at_end = position * swing + (self.damping * position + speed) * wave
-        speed_at_end = speed * swing - (self.damping * speed + position) * wave
-        mean = value + (speed - speed_at_end + 2.0 * self.damping * (position - at_end)) * time / h
+        damping, r, least = self.damping, h / time, 1e-6
+        square = 1.0 - damping * damping  # above a damping of 1, w is imaginary
+        w, v = m.sqrt(m.maximum(square, least)), m.sqrt(m.maximum(-square, least))
+        fades, slow, fast = m.exp(-damping * r), m.exp((v - damping) * r), m.exp(-(v + damping) * r)
+        swings = square > 0.0
+        swing = m.where(swings, fades * m.cos(w * r), 0.5 * (slow + fast))
+        wave = m.where(swings, fades * m.sin(w * r) / w, 0.5 * (slow - fast) / v)
+        at_end = position * swing + (damping * position + speed) * wave
+        speed_at_end = speed * swing - (damping * speed + position) * wave
+        mean = value + (speed - speed_at_end + 2.0 * damping * (position - at_end)) * time / h
         end = value + at_end
         return m.where(acts, mean, value), (m.where(acts, end, value), m.where(acts, end + speed_at_end, value))
-
-
-def _swung(m: Namespace, r: Number, damping: Number) -> tuple[Number, Number]:
-    """Return exp(−ζ·r)·cos(w·r) and exp(−ζ·r)·sin(w·r)/w for w² = 1 − ζ²; above a damping of 1, w is imaginary."""
-    least = 1e-6
-    square = 1.0 - damping * damping
-    w, v = m.sqrt(m.maximum(square, least)), m.sqrt(m.maximum(-square, least))
-    fades, slow, fast = m.exp(-damping * r), m.exp((v - damping) * r), m.exp(-(v + damping) * r)
-    swings = square > 0.0
-    swing = m.where(swings, fades * m.cos(w * r), 0.5 * (slow + fast))
-    return swing, m.where(swings, fades * m.sin(w * r) / w, 0.5 * (slow - fast) / v)
 
 
 # -- at a pair of position and velocity ------------------------------------------------------------

@@ -103,7 +103,10 @@ class FmuModel(Model):
                     continue
                 additions[term.place.state] += force
                 if (other := term.place.opposite) is not None:
-                    additions[other.state] -= other.ratio_of(self) * force
+                    ratio: Number = other.ratio
+                    for factor in other.factors:
+                        ratio = ratio * factor.at(getattr(self, factor.parameter))
+                    additions[other.state] -= ratio * force
             elif isinstance(term, RateTerm) and term.place.input < 0:
                 additions[term.place.state] += term.rate(m, state[term.place.state])
         return tuple(additions)

@@ -51,13 +51,6 @@ class Opposite:
     ratio: float
     factors: tuple[RatioFactor, ...] = ()
 
-    def ratio_of(self, model: object) -> Number:
-        """Return the ratio with the parameter values of a model."""
-        ratio: Number = self.ratio
-        for factor in self.factors:
-            ratio = ratio * factor.at(getattr(model, factor.parameter))
-        return ratio
-
 
 @dataclass(frozen=True)
 class Direction:

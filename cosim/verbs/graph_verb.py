@@ -55,8 +55,19 @@ def command(
         raise InputError.at(path, "its folder is not there; make it first")
     if path.suffix.lower() not in (".svg", ".mmd"):
         raise InputError.at(path, "name an .svg or .mmd file")
-    if not force:
-        _check_picture(path, graph)
+    if path.exists() and not force:
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            head = stream.read(HEAD)
+        if path.suffix.lower() == ".mmd":
+            is_earlier = head.startswith(MERMAID)
+        else:
+            titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
+            is_earlier = titles[0] != [] and titles[0] == titles[1]
+        if not is_earlier:
+            reason = (
+                f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
+            )
+            raise InputError.at(path, reason)
     write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
     say(f"graph: {path}")
     if json:
@@ -88,20 +99,3 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
     arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
     held = {transfer.name for transfer in system.held if not transfer.of}
     return graph_from(resolve_defaults(file.scenario), system.names, held, {**arrays, **units})
-
-
-def _check_picture(path: Path, graph: Graph) -> None:
-    """Raise InputError for an existing file that is no diagram."""
-    if not path.exists():
-        return
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        head = stream.read(HEAD)
-    if path.suffix.lower() == ".mmd":
-        is_earlier = head.startswith(MERMAID)
-    else:
-        titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
-        is_earlier = titles[0] != [] and titles[0] == titles[1]
-    if not is_earlier:
-        raise InputError.at(
-            path, f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
-        )

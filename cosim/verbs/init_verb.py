@@ -23,8 +23,7 @@ def command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: bool =
     from cosim.core.text import counted
     from cosim.files.kinds import shell_path
 
-    draft = write_draft(out, fmus)
-    matches = draft.matches
+    matches, algorithm, warnings = write_draft(out, fmus)
     if json:
         connections = [
             {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others}
@@ -34,7 +33,7 @@ def command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: bool =
         say_json(
             {
                 "scenario": str(out),
-                "algorithm": draft.algorithm,
+                "algorithm": algorithm,
                 "connections": connections,
                 "not_connected": unconnected,
                 "choices": dict(matches.choices),
@@ -47,7 +46,7 @@ def command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: bool =
             say(f"      or {other}")
     for name, sources in matches.choices.items():
         say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
-    warn(*draft.warnings)
+    warn(*warnings)
     guesses, choices = sum(bool(m.guess) for m in matches.connections), matches.choices
     parts = [counted(len(fmus), "FMU"), counted(len(matches.connections), "connection")]
     parts += [f"{guesses} guessed (marked in the file)"] if guesses else []

@@ -87,7 +87,7 @@ def command(
     Example: cosim refine study.yaml --out results/refine
     """
     from cosim.probing.fmu_structure import Structure
-    from cosim.refinement.report.error_tables import error_tables, second_sentence
+    from cosim.refinement.report.errors import error_tables, second_sentence
     from cosim.refinement.stages import stage_number
 
     study = given["study"]
@@ -105,20 +105,21 @@ def command(
     say(" ".join(s for s in (str(record["sentence"]), second_sentence(result)) if s))
     for errors in error_tables(result)[-1:]:
         has_claim = result.verdict.claimed is not None
-        header = ("channel", "before", "recalibrated", "refined" if has_claim else "", "nearest", "noise floor")
-        rows = []
-        for r in errors.rows:
-            after, nearest = r.after if has_claim else "", r.nearest if errors.nearest else ""
-            rows.append((r.channel, r.before, r.recalibrated, after, nearest, r.floor))
-        say(f"\n{errors.title}, root mean square error:", *table(header, rows), "")
+        keys = ["channel", "before", "recalibrated", *(["after"] if has_claim else [])]
+        keys += ["nearest", "floor"] if errors["nearest"] else ["floor"]
+        header = [{"after": "refined", "floor": "noise floor"}.get(key, key) for key in keys]
+        say(
+            f"\n{errors['title']}, root mean square error:",
+            *table(header, [[r[k] for k in keys] for r in errors["rows"]]),
+            "",
+        )
     for name, file in FILES.items():
         if file != "report.html" or given["report"]:
             say(*([f"{name + ':':9}{place / file}"] if (place / file).is_file() else []))
     if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
         say(f"The FMU holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
     if json:
-        keys = ("verdict", "sentence", "effects", "rivals", "error")
-        answer = {key: record[key] for key in keys if key in record}
+        answer = {key: record[key] for key in ("verdict", "sentence", "effects", "rivals", "error") if key in record}
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     show(place / "report.html", open and given["report"])
     if refined.verdict == "ambiguous":

@@ -43,28 +43,23 @@ def schema_of(name: str) -> dict[str, Any]:
     model: type[BaseModel] = resolve(kinds[name].schema)
     schema = model.model_json_schema(by_alias=True)
     for part in (schema, *schema.get("$defs", {}).values()):
-        _move_descriptions(part)
+        keys: dict[str, Any] = part.get("properties", {})
+        rest, last = [], ""
+        for line in str(part.get("description", "")).splitlines():  # `key: meaning` goes to the key
+            match = KEY.match(line)
+            if match and match[1] in keys:
+                last = match[1]
+                keys[last]["description"] = match[2]
+            elif last and line.strip():
+                keys[last]["description"] += f" {line.strip()}"
+            elif not last:
+                rest.append(line)
+        if rest:
+            part["description"] = "\n".join(rest).strip()
     limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
     for key, content in limits.items():  # 10 s, 2 GB
         limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}
     return {"$schema": DIALECT, **_allow_on_and_off(schema), "title": kinds[name].title}
-
-
-def _move_descriptions(part: dict[str, Any]) -> None:
-    """Move the meaning of each key from the docstring (`key: meaning`) to the key."""
-    keys: dict[str, Any] = part.get("properties", {})
-    rest, last = [], ""
-    for line in str(part.get("description", "")).splitlines():
-        match = KEY.match(line)
-        if match and match[1] in keys:
-            last = match[1]
-            keys[last]["description"] = match[2]
-        elif last and line.strip():
-            keys[last]["description"] += f" {line.strip()}"
-        elif not last:
-            rest.append(line)
-    if rest:
-        part["description"] = "\n".join(rest).strip()
 
 
 def _allow_on_and_off(node: Any) -> Any:

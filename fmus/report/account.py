@@ -170,24 +170,22 @@ def response_rows(craft: Craft) -> list[dict[str, str]]:
     return rows
 
 
-def error_grid(craft: Craft) -> Grid | None:
-    """Return the RMS errors of control and estimation."""
-    rows = []
+def grids(craft: Craft) -> list[Grid]:
+    """Return the RMS errors of control and estimation, and effort and saturation of the tilts, as far as recorded."""
+    errors, efforts = [], []
     for quantity in QUANTITIES:
         true, unit = craft.signal(quantity.name), SI[quantity.name]
         tracking = error_rms(true, craft.reference(quantity.name))
         estimation = error_rms(craft.estimate(f"{quantity.name}_hat"), true)
         if math.isfinite(tracking) or math.isfinite(estimation):
-            rows.append((quantity.symbol, amount(tracking, unit), amount(estimation, unit)))
-    return Grid("RMS errors", ("craft − reference", "estimate − craft"), tuple(rows)) if rows else None
-
-
-def tilt_grid(craft: Craft) -> Grid | None:
-    """Return effort and saturation of the tilts."""
-    rows = []
+            errors.append((quantity.symbol, amount(tracking, unit), amount(estimation, unit)))
     for side in SIDES:
         good, command = finite(craft.command(f"tilt_{side}"))
         if command.size:
             used = amount(criteria.effort(craft.run.time[good], command), "rad.s")
-            rows.append((side, used, amount(float(np.abs(command).max()), "rad"), percent(saturation(craft, side))))
-    return Grid("Tilt commands", ("effort ∫|α| dt", "largest", "at its limit"), tuple(rows)) if rows else None
+            efforts.append((side, used, amount(float(np.abs(command).max()), "rad"), percent(saturation(craft, side))))
+    found = (
+        Grid("RMS errors", ("craft − reference", "estimate − craft"), tuple(errors)),
+        Grid("Tilt commands", ("effort ∫|α| dt", "largest", "at its limit"), tuple(efforts)),
+    )
+    return [grid for grid in found if grid.rows]

@@ -58,7 +58,7 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> Mapping[str, Any]
         "tilt": account.tilt_sentence(craft),
         "readouts": [readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],
         "responses": account.response_rows(craft),
-        "grids": [grid for grid in (account.error_grid(craft), account.tilt_grid(craft)) if grid],
+        "grids": account.grids(craft),
     }
 
 

@@ -55,41 +55,6 @@ class Track:
         return -DEGREES * self.psi
 
 
-@dataclass(frozen=True)
-class Body:
-    """A craft in the picture: paths, poses without a script, and size [mm]."""
-
-    name: str
-    path: str
-    estimate: str
-    reference: str
-    start: str
-    pose: str
-    ghost: str
-    arm: int
-    radius: int
-    right: float
-    left: float
-    arrows: tuple[str, str]
-    limit: float
-    marks: tuple[tuple[int, int], ...]
-
-
-@dataclass(frozen=True)
-class View:
-    """The whole picture: its box [mm], grid, scale bar and bodies."""
-
-    box: tuple[int, int, int, int]
-    across: tuple[dict[str, Any], ...]
-    up: tuple[dict[str, Any], ...]
-    bar_share: float
-    bar_label: str
-    magnified: float
-    thrust_note: str
-    mark_note: str
-    bodies: tuple[Body, ...]
-
-
 def make_track(x: Array, y: Array, psi: Array) -> Track:
     """Return a track with NaN for poses beyond MAX_COORDINATE."""
     far = ~(np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(psi)) < MAX_COORDINATE)
@@ -194,26 +159,44 @@ def _ticks(low: float, high: float, count: int) -> tuple[dict[str, Any], ...]:
     )
 
 
-def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
-    """Return the picture of all crafts with drawable poses."""
+def make_view(crafts: Sequence[Craft], rows: Rows) -> dict[str, Any] | None:
+    """Return the picture of all crafts with drawable poses for the template: box [mm], grid, scale bar and bodies."""
     crafts = [craft for craft in crafts if last_row(true_track(craft)) is not None]
     if not crafts:
         return None
-    box = _box([track for craft in crafts for track in (true_track(craft), *_companions(craft)) if track is not None])
-    left, top, width, height = box
+    tracks = [track for craft in crafts for track in (true_track(craft), *_companions(craft)) if track is not None]
+    nowhere = (0.0, 0.0)
+    x, y = extent([track.x for track in tracks]) or nowhere, extent([track.y for track in tracks]) or nowhere
+    tall, wide = x[1] - x[0] + 2 * MARGIN, y[1] - y[0] + 2 * MARGIN
+    room = 0.03 * max(wide, tall) if max(wide, tall) > 4 else 0.0
+    tall, wide = tall + 2 * room, wide + 2 * room
+    wide, tall = max(wide, MIN_RATIO * tall), max(tall, wide / MAX_RATIO)
+    left, top = (math.floor(1000 * middle) for middle in (-(y[0] + y[1]) / 2 - wide / 2, -(x[0] + x[1]) / 2 - tall / 2))
+    width, height = math.ceil(1000 * wide), math.ceil(1000 * tall)
+    box = left, top, width, height  # of all tracks [mm]
     across = _ticks(-(left + width) / 1000, -left / 1000, 6)
     up = _ticks(-(top + height) / 1000, -top / 1000, 4)
     bar = _round_up(width / 1000 / 8)
     magnified = max(1.0, MIN_SIZE * width / (2000 * (ARM + RADIUS)))
     first, last = extent([crafts[0].run.time]) or (0.0, 1.0)
     every = _round_up(max(last - first, 1e-6) / 24)
-    bodies = tuple(_body(craft, rows, every) for craft in crafts)
-    note, marks = "", f"a dot every {every:g} s" if bodies[0].marks else ""
+    bodies = [_body(craft, rows, every) for craft in crafts]
+    note, marks = "", f"a dot every {every:g} s" if bodies[0]["marks"] else ""
     if horizontal_thrust(crafts[0], "right") is not None:
         recorded = crafts[0].signal("thrust_right") is not None
         scale = f"10 cm = {newtons_per_decimetre(crafts[0]):g} N"
         note = f"arrows: horizontal thrust, {scale}" if recorded else "arrows: sine of the tilt"
-    return View(box, across, up, 100 * bar * 1000 / width, f"{bar:g} m", magnified, note, marks, bodies)
+    return {
+        "box": box,
+        "across": across,
+        "up": up,
+        "bar_share": 100 * bar * 1000 / width,
+        "bar_label": f"{bar:g} m",
+        "magnified": magnified,
+        "thrust_note": note,
+        "mark_note": marks,
+        "bodies": bodies,
+    }
 
 
 def _companions(craft: Craft) -> list[Track | None]:
@@ -229,22 +212,8 @@ def _companions(craft: Craft) -> list[Track | None]:
     return tracks
 
 
-def _box(tracks: Sequence[Track]) -> tuple[int, int, int, int]:
-    """Return the box of a picture of all tracks.
-
-    Left, top, width and height are in mm. The ratio of width to height is between MIN_RATIO and MAX_RATIO.
-    """
-    nowhere = (0.0, 0.0)
-    x, y = extent([track.x for track in tracks]) or nowhere, extent([track.y for track in tracks]) or nowhere
-    height, width = x[1] - x[0] + 2 * MARGIN, y[1] - y[0] + 2 * MARGIN
-    room = 0.03 * max(width, height) if max(width, height) > 4 else 0.0
-    height, width = height + 2 * room, width + 2 * room
-    width, height = max(width, MIN_RATIO * height), max(height, width / MAX_RATIO)
-    left, top = -(y[0] + y[1]) / 2 - width / 2, -(x[0] + x[1]) / 2 - height / 2
-    return math.floor(1000 * left), math.floor(1000 * top), math.ceil(1000 * width), math.ceil(1000 * height)
-
-
-def _body(craft: Craft, rows: Rows, every: float) -> Body:
+def _body(craft: Craft, rows: Rows, every: float) -> dict[str, Any]:
+    """Return a craft in the picture: paths, poses without a script, and size [mm]."""
     true, (estimate, reference) = true_track(craft), _companions(craft)
     last, start = last_row(true) or 0, craft.run.start(craft.name)
     forces = [horizontal_thrust(craft, side) for side in SIDES]
@@ -254,22 +223,22 @@ def _body(craft: Craft, rows: Rows, every: float) -> Body:
     sizes = [(number(start.get(name), usual), usual) for name, usual in (("arm", ARM), ("propeller_radius", RADIUS))]
     arm, radius = (round(1000 * (size if 0 < size < 100 else usual)) for size, usual in sizes)
     arrows = tuple("" if force is None else arrow(float(force[last]), scale) for force in forces)
-    return Body(
-        craft.name,
-        path(true, rows),
-        path(estimate, rows),
-        path(reference, rows),
-        pose(true, 0),
-        pose(true, last),
-        pose(estimate, last) if estimate else "",
-        arm,
-        radius,
-        right if math.isfinite(right) else 0.0,
-        left if math.isfinite(left) else 0.0,
-        (arrows[0], arrows[1]),
-        (craft.tilt_limit or 0.0) * DEGREES,
-        _marks(true, craft.run.time, every),
-    )
+    return {
+        "name": craft.name,
+        "path": path(true, rows),
+        "estimate": path(estimate, rows),
+        "reference": path(reference, rows),
+        "start": pose(true, 0),
+        "pose": pose(true, last),
+        "ghost": pose(estimate, last) if estimate else "",
+        "arm": arm,
+        "radius": radius,
+        "right": right if math.isfinite(right) else 0.0,
+        "left": left if math.isfinite(left) else 0.0,
+        "arrows": arrows,
+        "limit": (craft.tilt_limit or 0.0) * DEGREES,
+        "marks": _marks(true, craft.run.time, every),
+    }
 
 
 def _marks(track: Track, time: Array, every: float) -> tuple[tuple[int, int], ...]:

@@ -184,7 +184,7 @@ def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recordi
         if count < MIN_REPETITIONS:
             text = f"{count} recordings at {place} are too few; record {MIN_REPETITIONS} at least"
             faults.append(yaml.fault(("tests", name), text))
-    line = rows_with_thrust(m).delayed if name == "thrust_line" else ()
+    line = rows_with_thrust(m)[3] if name == "thrust_line" else ()  # duty of each repetition
     if any(d.size < MIN_LINE_ROWS or np.ptp(d) < MIN_LINE_RANGE for d in line):
         text = "the ramp has too few readings with thrust within the range of the cell; give a window with more"
         faults.append(yaml.fault(("tests", name, "window"), text))

@@ -58,10 +58,6 @@ class Recording:
         rows: Flags = (self.time >= window[0] - slack) & (self.time <= window[1] + slack)
         return rows
 
-    def with_volts(self, volts: Array) -> Recording:
-        """Return the run with its voltages, shape (rows, cells)."""
-        return replace(self, volts=dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True)))
-
 
 # -- simulated runs -----------------------------------------------------------------------
 
@@ -185,7 +181,7 @@ def play_on_fmu(
                 if not k:
                     block.start()
                 volts[k] = [row[j] for j in read]
-            recordings.append(run.with_volts(volts))
+            recordings.append(replace(run, volts=dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True))))
             rows += time.size
             if progress is not None:
                 progress(rows)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -29,29 +28,15 @@ MIDDLE_DUTY = 6.0  # [%] origin of polynomials in the duty
 CHEESEMAN_BENNETT = 2.0
 
 
-class LineReadings(NamedTuple):
-    """Readings of a line fit.
-
-    Attributes:
-        end: Highest duty within the range of the cells [%].
-        begins: Highest duty of zero thrust [%].
-        chosen: Rows of each repetition.
-        delayed: Duty in these rows after lag and low pass [%].
-        whole: Number of rows within the range, with or without thrust.
-    """
-
-    end: float
-    begins: float
-    chosen: Sequence[Flags]
-    delayed: Sequence[Array]
-    whole: int
-
-
-def rows_with_thrust(m: Measurement) -> LineReadings:
+def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Array], int]:
     """Return rows in the window and the cell's range where T = max(0, a + b·δ), eq 4.20, is positive.
 
     Selection is by command only, equal for all: selection by value would bias the line. Zero thrust ends at the kink of
     the equation fitted to all readings.
+
+    Returns:
+        Highest duty within the range of the cells [%], and highest duty of zero thrust [%]; of each repetition the
+        rows, and the duty in them after lag and low pass [%]; number of rows within the range, with or without thrust.
     """
     cell, recent, tops, end = m.cells["z"], list[Array](), list[float](), np.inf
     for r in m.recordings:
@@ -68,12 +53,12 @@ def rows_with_thrust(m: Measurement) -> LineReadings:
     delayed = [_delayed_duty(m, r, -np.inf)[k] for r, k in zip(m.recordings, inside, strict=True)]
     whole = sum(d.size for d in delayed)
     if min(d.size for d in delayed) < MIN_LINE_ROWS:
-        return LineReadings(end, -np.inf, inside, delayed, whole)
+        return end, -np.inf, inside, delayed, whole
     thrust = [_thrust(m, r)[k] for r, k in zip(m.recordings, inside, strict=True)]
     begins = zero_thrust(np.concatenate(delayed), np.concatenate(thrust))
     following = [_delayed_duty(m, r, begins) for r in m.recordings]
     above = [k & (d > begins + MARGIN) for k, d in zip(inside, following, strict=True)]
-    return LineReadings(end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], whole)
+    return end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], whole
 
 
 def zero_thrust(duty: Array, thrust: Array) -> float:

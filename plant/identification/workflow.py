@@ -156,7 +156,7 @@ def check_protocol(path: Path, checking: Checking) -> list[str]:
     if read_craft(path) is not None:
         return []
     protocol, _, measured = prepare(path)
-    if not measured or not _is_measured(protocol):
+    if not measured or not all(cell.points for cell in protocol.file.cells.values()):
         return []
     outcome = Outcome(analyse(protocol, calibrate(protocol, {}), measured), "")
     refuse(result_faults(protocol, outcome.results))
@@ -164,11 +164,6 @@ def check_protocol(path: Path, checking: Checking) -> list[str]:
 
 
 # -- input ----------------------------------------------------------------------------------
-
-
-def _is_measured(protocol: Protocol) -> bool:
-    """Return True if every cell has measured points."""
-    return all(cell.points for cell in protocol.file.cells.values())
 
 
 def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
@@ -179,7 +174,8 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
     """
     protocol = read_protocol(path)
     refuse(planned_faults(protocol))
-    cells = calibrate(protocol, {}) if _is_measured(protocol) else None
+    is_measured = all(cell.points for cell in protocol.file.cells.values())
+    cells = calibrate(protocol, {}) if is_measured else None
     measured, faults = dict[str, list[Recording]](), list[Fault]()
     for name, test in protocol.file.tests.named_tests():
         unread = list[Fault]()

@@ -187,12 +187,6 @@ Inputs = tuple[Data, Array, Array, Array, Array, Array]  # arguments of `Kernel.
 Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
 
 
-def run_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
-    """Filter several logs, in one call if the kernel offers it."""
-    together: Any = getattr(kernel, "call_all", None)
-    return together("run", inputs) if together else [kernel.run(*each) for each in inputs]
-
-
 def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:
     """Simulate several times, in one call if the kernel offers it."""
     together: Any = getattr(kernel, "call_all", None)

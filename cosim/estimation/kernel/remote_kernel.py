@@ -59,7 +59,7 @@ class _Workers:
 
     def __init__(self) -> None:
         self._idle: queue.LifoQueue[tuple[Worker, dict[int, Remote], dict[tuple[int, int], Data]]] = queue.LifoQueue()
-        self.spent, self._numbers = 0.0, itertools.count()
+        self._numbers = itertools.count()
 
     def call(
         self, kernel: RemoteLibraryKernel, method: str, passes: Sequence[tuple[Any, ...]], **options: Any
@@ -69,18 +69,15 @@ class _Workers:
             worker, kernels, known = self._idle.get_nowait()
         except queue.Empty:
             worker, kernels, known = Worker(*MODULES), {}, {}
-        begin = time.perf_counter()
         try:
             watch = Watch((NAME,), limits=kernel.limits_of(len(passes)))
             remote = kernels.setdefault(kernel.number, Remote(worker, HostedKernel, *kernel.recipe))
             remote.make(watch)
             sent = [(self._sent(log, worker, known), *rest) for log, *rest in passes]
             results, spent = remote.call("call", method, sent, options, watch=watch)
-            self.spent += spent
             kernel.longest[kernel.path] = max(kernel.longest.get(kernel.path, 0.0), spent)
             return list(results)
         except TimedOut:
-            self.spent += time.perf_counter() - begin  # It may sleep, and a fit must end in time all the same.
             kernel.hung.add(kernel.path)
             raise
         finally:
@@ -105,11 +102,6 @@ class _Workers:
 
 workers = _Workers()
 atexit.register(workers.end)
-
-
-def processor_time() -> float:
-    """Return the processor time of this process and of its filters in worker processes, and of their hangs [s]."""
-    return time.process_time() + workers.spent
 
 
 class RemoteLibraryKernel:

@@ -50,7 +50,7 @@ MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and 
 def make_model(kind: type[Model], source: ModelText) -> Model:
     """Return a model with default parameters; raise InputError with all faults of its class."""
     refuse(source.fault(*fault) for fault in _form_faults(kind))
-    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind)]
+    declared = [*_effect_faults(kind)]
     values = [*_parameter_faults(kind)]
     faults = [source.fault(*f) for f in (*declared, *_name_faults(kind), *_number_faults(kind), *values)]
     if not values:
@@ -226,7 +226,7 @@ def _unknown(sort: str, name: str, names: Iterable[str]) -> str:
 
 
 def _effect_faults(kind: type[Model]) -> Faults:
-    """Yield faults of neutral values, starts and names of effects. An effect must be dormant at its default values."""
+    """Yield faults of effects, sensor errors and delays. An effect must be dormant at its default values."""
     for owner in (*kind.catalogue, *kind.sensors):
         switches = [p for p in parameters_of(owner) if p.neutral is not None]
         if not switches:
@@ -245,10 +245,6 @@ def _effect_faults(kind: type[Model]) -> Faults:
     for effect in kind.catalogue:
         if issubclass(effect, Gain) and (name := getattr(effect, "input", "")) not in inputs:
             yield effect, "input", f"{effect.name}: {_unknown('input', name, inputs)}"
-
-
-def _sensor_faults(kind: type[Model]) -> Faults:
-    """Yield faults of sensor errors' parameters and outputs."""
     outputs = [q.name for q in kind.outputs]
     for owner in kind.sensors:
         names = [p.name for p in parameters_of(owner)]
@@ -267,13 +263,7 @@ def _sensor_faults(kind: type[Model]) -> Faults:
             for name in (value,) if isinstance(value, str) else value or ("",):
                 if name not in outputs:
                     yield owner, attribute, f"{owner.name}: {_unknown('output', name, outputs)}"
-
-
-def _delay_faults(kind: type[Model]) -> Faults:
-    """Yield faults of delays.
-
-    At most one effect delays the command. It comes before all shaping effects and stores every input.
-    """
+    # At most one effect delays the command. It comes before all shaping effects and stores every input.
     shaping = overrides(tuple(object.__new__(k) for k in kind.catalogue), "shape", Effect)  # uninitialized instances
     order = [type(e) for e in shaping]
     delays: list[Any] = [k for k in kind.catalogue if k.delay is not None]

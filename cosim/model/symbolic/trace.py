@@ -92,7 +92,14 @@ class Trace:
                     self.derivative[place] = symbol
                     place += 1
             self.outputs = s.evaluate(output)
-            self._check_delays()
+            if any(e.delay for e in overrides(self.effects, "shape", Effect)[1:]):
+                raise Untraceable("a delay comes first in the catalogue, and there is one at most")
+            for late in (e for e in self.effects if e.delay):
+                for hook in INTEGRATOR_HOOKS:
+                    if getattr(type(late), hook) is not getattr(Delay, hook):
+                        text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
+                        cure = "take that as it is, or build it without --native"
+                        raise Untraceable(text, type(late), hook, cure)
             self.step, self.shaped = sympy.Symbol("h", real=True), [*s.command]
             self.memory, self.remembered, self.started = list[Any](), list[Any](), list[Any]()
             for stage in s.shaping(self.step, only_changes=True):
@@ -122,16 +129,6 @@ class Trace:
             self._symbols[expression] = sympy.Symbol(f"a{len(self._symbols)}", real=True)
             self.blocks.append(Block({self._symbols[expression]: expression}))
         return self._symbols[expression]
-
-    def _check_delays(self) -> None:
-        """Check that at most one effect delays the command, comes first, and acts like `Delay`."""
-        if any(e.delay for e in overrides(self.effects, "shape", Effect)[1:]):
-            raise Untraceable("a delay comes first in the catalogue, and there is one at most")
-        for late in (e for e in self.effects if e.delay):
-            for hook in INTEGRATOR_HOOKS:
-                if getattr(type(late), hook) is not getattr(Delay, hook):
-                    text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
-                    raise Untraceable(text, type(late), hook, "take that as it is, or build it without --native")
 
     def _watch(self, kind: type[Any], place: int) -> type[Any]:
         """Return the effect's class with each hook recorded that it overrides and a base effect class defines."""

@@ -7,7 +7,7 @@ base parameters within their tolerances, adapt to the predictions of the other. 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,28 +20,14 @@ from cosim.estimation.problem import Problem
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
 
-NIL = 1e-3  # share of an effect's response below which a difference is that of rounding and integration
-PULL = 0.1  # share of NIL that one standard deviation of a prior weighs
+EQUIVALENT = 1e-3  # share of an effect's response below which a difference is that of rounding and integration
+PULL = 0.1  # share of EQUIVALENT that one standard deviation of a prior weighs
 WITHIN = 2.0  # standard deviations, one tolerance, by which base parameters may go further to adapt
 ENLARGED = 3.0  # factor on the ranges of inputs, and least factor on the sizes of effects, beyond those of the logs
 MOST_ROWS = 2000
 LONGEST_HOLD = 0.1  # share of the rows for which a level of an input is held at most
 EVALUATIONS = 30
 SEED = 26  # fixed for reproducible results
-
-
-def split_alike(
-    search: Search, best: Hypothesis, rivals: Sequence[Hypothesis]
-) -> tuple[tuple[Hypothesis, ...], dict[tuple[str, ...], Hypothesis]]:
-    """Return the distinct rivals, and for the other ones their names → distinct hypothesis with the same action."""
-    apart, like = [best], dict[tuple[str, ...], Hypothesis]()
-    for h in rivals:
-        other = next((other for other in apart if act_alike(search, other, h)), None)
-        if other is None:
-            apart.append(h)
-        else:
-            like[h.names] = other
-    return tuple(apart[1:]), like
 
 
 def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
@@ -53,7 +39,10 @@ def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
     if not problem.late.keys().isdisjoint(_own(one) + _own(other)):
         return False
     truth, adapted = sorted((one, other), key=lambda h: -len(_own(h)))
-    return all(_is_imitated(search, truth, adapted, times) for times in (1.0, _enlargement(truth, problem)))
+    free = [f for c in truth.candidates if c.kind != "parameter" for f in c.free if f.neutral is not None]
+    distances = ((f, abs(truth.fit.values[f.name] - problem.values[f.name])) for f in free)
+    usual = min((f.size / distance for f, distance in distances if distance), default=ENLARGED)
+    return all(_is_imitated(search, truth, adapted, times) for times in (1.0, max(ENLARGED, usual)))
 
 
 def _own(h: Hypothesis) -> tuple[str, ...]:
@@ -73,7 +62,7 @@ def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: 
     if not 0.0 < effect < np.inf:
         return False
     free = search.free(adapted.candidates)
-    scale = course.sigma * effect * NIL
+    scale = course.sigma * effect * EQUIVALENT
     priors = [(k, *f.prior) for k, f in enumerate(free) if f.prior]
     start = given | _enlarged(adapted, search.problem, times)
 
@@ -93,13 +82,6 @@ def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: 
     errors, pulls = np.split(done.fun, [wanted.size])
     before = sum((given[free[k].name] - mean) ** 2 / sigma**2 for k, mean, sigma in priors)
     return bool(np.linalg.norm(errors) < 1.0 and pulls @ pulls < PULL**2 * (before + WITHIN**2))
-
-
-def _enlargement(h: Hypothesis, problem: Problem) -> float:
-    """Return the factor that brings the effects of a hypothesis beyond the sizes of the logs, and to usual sizes."""
-    free = [f for c in h.candidates if c.kind != "parameter" for f in c.free if f.neutral is not None]
-    distances = ((f, abs(h.fit.values[f.name] - problem.values[f.name])) for f in free)
-    return max(ENLARGED, min((f.size / distance for f, distance in distances if distance), default=ENLARGED))
 
 
 def _enlarged(h: Hypothesis, problem: Problem, times: float) -> dict[str, float]:

@@ -5,9 +5,8 @@ estimate is therefore computed from blocks of time longer than the correlation o
 
     z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
 
-(Vuong 1989; White 1982), for a part of a hypothesis as in `gain_per_chance`, for a rival as in `deviations_from`. On a
-held-out log, what the other logs say of a parameter is its prior. Each hypothesis predicts in open loop from its own
-filtered state.
+(Vuong 1989; White 1982), for a part of a hypothesis as in `gain_per_chance`. On a held-out log, what the other logs say
+of a parameter is its prior. Each hypothesis predicts in open loop from its own filtered state.
 """
 
 from __future__ import annotations
@@ -70,26 +69,11 @@ def correlation_length(scored: Scored) -> float:
 
 def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
     """Return the likelihood gain of a fit over a fit that it contains, divided by the scatter of the gain by chance."""
-    block, scored, others = _scored_in_blocks(problem, better, worse)
-    return gain_per_chance(block, others, scored, worse.penalty - better.penalty) if block.size else math.inf
-
-
-def refutation(problem: Problem, better: Fit, worse: Fit, costs: float) -> float:
-    """Return the standard deviations by which the logs refute a fit that another fit does not contain.
-
-    Args:
-        costs: Additional cost of `worse` relative to `better`.
-    """
-    block, scored, others = _scored_in_blocks(problem, better, worse)
-    return deviations_from(block, others, scored, costs + worse.penalty - better.penalty) if block.size else math.inf
-
-
-def _scored_in_blocks(problem: Problem, better: Fit, worse: Fit) -> tuple[Rows, Scored, Scored]:
-    """Return the time block of each measurement, and both scores; no blocks if one filter scores fewer measurements."""
     scored, others = (problem.score(f.values, f.noise) for f in (better, worse))
     if scored.errors.size != others.errors.size:
-        return np.zeros(0, np.intp), scored, others
-    return blocks_of(problem, scored, math.exp(better.noise.memory)), scored, others
+        return math.inf
+    block = blocks_of(problem, scored, math.exp(better.noise.memory))
+    return gain_per_chance(block, others, scored, worse.penalty - better.penalty) if block.size else math.inf
 
 
 def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float = 0.0) -> float:
@@ -103,27 +87,11 @@ def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float 
     The factor 1/(1 − h_b) is that of the jackknife over blocks; a gain in a single block would have no scatter without
     it (CV3 of MacKinnon, Nielsen and Webb 2023, J. Appl. Econometrics 38:671).
     """
-    total = constant + float(np.sum(_terms(worse) - _terms(better)))
-    return _ratio(total, _chance(block, worse, better))
-
-
-def deviations_from(block: Rows, worse: Scored, better: Scored, constant: float = 0.0) -> float:
-    """Return the standard deviations by which a likelihood gain exceeds its expectation if the worse fit is true.
-
-    A true fit would gain the divergence k' of the other predictions from its own (Cox 1961, Proc. 4th Berkeley Symp.
-    1:105): z = (Σ g + Σ k')/s with the scatter s by chance, as in `gain_per_chance`.
-    """
-    total = constant + float(np.sum(_terms(worse) - _terms(better)) + np.sum(_divergences(block, worse, better)))
-    return _ratio(total, _chance(block, worse, better))
-
-
-def _chance(block: Rows, worse: Scored, better: Scored) -> float:
-    """Return the scatter of a gain about the gain that the better fit expects."""
-    gains = sum_by_block(block, _terms(worse) - _terms(better))
+    gains = _terms(worse) - _terms(better)
     expected = _divergences(block, better, worse)
     share = expected / (np.sum(expected) or 1.0)
-    chance = (gains - expected) / np.maximum(1.0 - share, np.finfo(float).eps)
-    return math.sqrt(float(np.sum(chance**2)))
+    chance = (sum_by_block(block, gains) - expected) / np.maximum(1.0 - share, np.finfo(float).eps)
+    return _ratio(constant + float(np.sum(gains)), math.sqrt(float(np.sum(chance**2))))
 
 
 def _divergences(block: Rows, true: Scored, other: Scored) -> Array:
@@ -146,11 +114,7 @@ def sum_by_block(block: Rows, numbers: Array) -> Array:
 
 def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
     """Return a likelihood gain per scatter over time blocks, for hypotheses of which none contains the other."""
-    return sum_per_scatter(sum_by_block(block, _terms(worse) - _terms(better)), constant)
-
-
-def sum_per_scatter(gains: Array, constant: float = 0.0) -> float:
-    """Return a sum divided by its standard deviation, estimated from the scatter of the terms."""
+    gains = sum_by_block(block, _terms(worse) - _terms(better))
     return _ratio(constant + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size))
 
 
@@ -158,115 +122,14 @@ def _ratio(total: float, spread: float) -> float:
     return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
 
 
-def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, float]:
-    """Return the gains on held-out logs: of the likelihood, and of open-loop predictions per scatter.
-
-    The remaining logs give the parameters of a single hypothesis a normal distribution, with their estimates and
-    standard deviations. The likelihood is the mean over it (Laplace's approximation; Geisser and Eddy 1979, J. Am.
-    Stat. Assoc. 74:153): alone, the estimate of an effect that the remaining logs do not excite is worthless. Further
-    parameters and the noise are refitted on the held-out log for both hypotheses, because a log with little excitation
-    does not determine them. Predictions use the same fits. A single log is halved.
-    """
-    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
-    both = set(better.names) & set(worse.names)
-    names = {f.name for c in (*better.candidates, *worse.candidates) if c.name not in both for f in c.free}
-    shared = tuple(c for c in better.candidates if c.name in both)
-    settling = [f for f in search.free(shared) if f.name not in names]
-
-    def compare(log: int) -> tuple[float, list[Array]]:
-        objectives, errors = [], []
-        for h in (worse, better):
-            others = fit_without(search, problem, h, log)
-            own = [_with_prior_of(others, f, problem.scatter) for c in h.candidates for f in c.free if f.name in names]
-            values = {
-                **h.fit.values,
-                **{n: problem.values[n] for n in names},
-                **{f.name: others.values[f.name] for f in own},
-            }
-            refit = fit(problem, [*settling, *own], values, h.fit.noise, [log], SCREEN_ITERATIONS, sensing=False)
-            objectives.append(refit.objective + _log_width(refit, own, problem.scatter))
-            errors.append(open_loop(problem, search.subject.horizon, refit, log))
-        return objectives[0] - objectives[1], errors
-
-    gains, errors = zip(*in_parallel(compare, list(range(len(problem.logs)))), strict=True)
-    return sum(gains), sum_per_scatter(error_decreases(errors))
-
-
-def _with_prior_of(others: Fit, f: Free, scatter: float) -> Free:
-    """Return a parameter with its estimate from the other logs as prior; without an estimate, with its usual size."""
-    sigma = others.sigma(f.name) * math.sqrt(scatter)
-    return replace(f, prior=(others.values[f.name], sigma or f.size))
-
-
-def _log_width(f: Fit, own: Sequence[Free], scatter: float) -> float:
-    """Return ln of the ratio of the prior's to the posterior's volume, the rest of Laplace's approximation."""
-    if not own:
-        return 0.0
-    sigmas = np.array([x.prior[1] for x in own if x.prior])
-    information = f.marginal([x.name for x in own]) * np.outer(sigmas, sigmas) / scatter
-    return 0.5 * scatter * max(0.0, float(np.linalg.slogdet(information)[1]))
-
-
-def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) -> float:
-    """Return the decrease of open-loop errors on held-out logs, divided by its scatter over replays."""
-    problem = problem if len(problem.logs) > 1 else halve_log(problem)
-    logs = list(range(len(problem.logs)))
-
-    def errors(log: int) -> list[Array]:
-        others = [k for k in logs if k != log]
-        fits = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
-        return [open_loop(problem, horizon, fit_for_held_out(problem, f, log), log) for f in fits]
-
-    return sum_per_scatter(error_decreases(in_parallel(errors, logs)))
-
-
 def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Iterable[int] | None = None) -> float:
     """Return the logarithm of the open-loop RMSE, mean over the outputs, with a fit for each log, by default all."""
     logs = range(len(problem.logs)) if logs is None else logs
-    errors = [open_loop(problem, horizon, f, k) for f, k in zip(fits, logs, strict=False)]
+    errors = [Replays(problem, horizon, f, k).residuals(f.values) for f, k in zip(fits, logs, strict=False)]
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
     sums, counts = np.nansum(rows**2, axis=0), np.isfinite(rows).sum(axis=0)
     seen = (counts > 0) & (sums > 0.0)  # not an output without readings in these logs
     return float(np.mean(0.5 * np.log(sums[seen] / counts[seen]))) if seen.any() else math.inf
-
-
-def required_scatters(scatters: float, tried: int) -> float:
-    """Return the gain per scatter that is required of the best of several candidates.
-
-    The probability that the best of n ineffective candidates passes z is at most n·(1 − Φ(z)) (Bonferroni).
-    """
-    from scipy.special import ndtr, ndtri
-
-    return float(-ndtri(ndtr(-scatters) / max(1, tried)))
-
-
-def deviations_by_chance(tried: int) -> float:
-    """Return the standard deviations from neutral that the best of several candidates exceeds by chance in 1 %."""
-    from scipy.special import ndtri
-
-    return float(-ndtri(0.5 * BY_CHANCE / max(1, tried)))
-
-
-def refuting_deviations(parts: int) -> float:
-    """Return the deviation at which logs refute a rival.
-
-    In 1 % of all true hypotheses, one of so many parts is refuted by chance (Bonferroni).
-    """
-    from scipy.special import ndtri
-
-    return float(-ndtri(BY_CHANCE / max(1, parts)))
-
-
-def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
-    """Return the least gain per scatter beyond chance.
-
-    An estimate of t standard deviations gains ½·t², which is ½·|t| times the scatter of the gain. t follows Student's
-    distribution over the time blocks, with Bonferroni's correction for `tried` candidates.
-    """
-    from scipy.special import stdtrit
-
-    blocks = blocks_of(problem, problem.score(f.values, f.noise), math.exp(f.noise.memory))
-    return 0.5 * float(stdtrit(max(1, np.unique(blocks).size - 1), 1.0 - 0.5 * BY_CHANCE / max(1, tried)))
 
 
 def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fit:
@@ -277,41 +140,6 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
         refit = fit(problem, search.free(h.candidates), h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
         search.cross_fits[key] = fit_for_held_out(problem, refit, log)
     return search.cross_fits[key]
-
-
-def error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
-    """Return the scaled decrease of squared errors per replay.
-
-    Args:
-        errors: Open-loop errors of the worse and of the better fit on each log.
-    """
-    longest = max(e.shape[1] for e, _ in errors)  # Rows of the longest replay: logs may differ in length.
-
-    def join(k: int) -> Array:
-        widths = [((0, 0), (0, longest - pair[k].shape[1]), (0, 0)) for pair in errors]
-        return np.concatenate([np.pad(p[k], w, constant_values=np.nan) for p, w in zip(errors, widths, strict=True)])
-
-    worse, better = join(0), join(1)
-    both = np.isfinite(worse) & np.isfinite(better)
-    counts = np.maximum(1, both.sum(axis=1))
-    squares = [np.where(both, e, 0.0) ** 2 for e in (worse, better)]
-    size = 0.5 * sum(s.sum(axis=(0, 1)) for s in squares) / np.maximum(1, both.sum(axis=(0, 1)))
-    size = np.where(size > 0.0, size, 1.0)
-    per_replay = ((squares[0] - squares[1]).sum(axis=1) / counts / size).sum(axis=1)
-    return np.asarray(per_replay[both.any(axis=(1, 2))])
-
-
-def open_loop(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
-    """Return the open-loop residuals of a log, shape (replays, rows, outputs)."""
-    return Replays(problem, horizon, f, index).residuals(f.values)
-
-
-def rows_of_replay(problem: Problem, horizon: float, index: int) -> int:
-    """Return the number of rows that a prediction of a log lasts."""
-    data = problem.logs[index]
-    rows = len(data.u)
-    length = rows // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
-    return max(2, min(length, (rows - count_unscored(data)) // 2))
 
 
 class Replays:
@@ -328,8 +156,10 @@ class Replays:
         """
         self.problem, self.index = problem, index
         self.data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
-        self.length = rows_of_replay(problem, horizon, index)
-        self.rows = range(first, len(self.data.u) - self.length, self.length) if rows is None else rows
+        every = len(self.data.u)
+        length = every // PREDICTED if math.isinf(horizon) else round(horizon / self.data.step)
+        self.length = max(2, min(length, (every - first) // 2))
+        self.rows = range(first, every - self.length, self.length) if rows is None else rows
         run = problem.run(f.values, f.noise, index, states=True)
         self.starts = [(problem.begin_replay(run, k), run.memory[k]) for k in self.rows]
 
@@ -353,6 +183,18 @@ class Replays:
             back, end, predicted = of_row[-1], row + self.length + 1, run.outputs
             replay[:] = data.y[row + 1 : end] - lagged_table(predicted[back:], data.lags, data.y[row])[1:]
         return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
+
+
+def noise_gains(problem: Problem, f: Fit) -> list[float]:
+    """Return the log-likelihood gain of each unknown input."""
+    smallest = problem.noise.smallest
+    without = np.where(np.eye(len(smallest), dtype=bool), smallest, f.noise.power)
+    return [problem.score(f.values, replace(f.noise, power=power)).nll - f.nll for power in without]
+
+
+def unknown_input_gain(problem: Problem) -> float:
+    """Return the log-likelihood gain from which an equation has an unknown input, ½ ln N (half of BIC)."""
+    return 0.5 * math.log(max(2, problem.samples))
 
 
 def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:

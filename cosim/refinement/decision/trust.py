@@ -18,11 +18,10 @@ from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.evidence import log_error
-from cosim.refinement.decision.judgement import noise_gain
+from cosim.refinement.decision.evidence import log_error, noise_gains, unknown_input_gain
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Progress, Search, SearchResult
-from cosim.refinement.search.hypotheses import NOISE, Hypothesis
+from cosim.refinement.search.hypotheses import Hypothesis
 
 MOST_TERMS = 2  # candidates that free runs of an FMU may name; more imitate together what no term describes
 CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better
@@ -53,7 +52,7 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
         return log_error(search.problem, subject.horizon, repeat(h.fit))
 
     result = Attributor(subject, problem, candidates, progress).run()
-    if not any(gain > NOISE for gain in noise_gain(result.search.problem, result.best.fit)):
+    if not any(gain > unknown_input_gain(problem) for gain in noise_gains(result.search.problem, result.best.fit)):
         return result
     progress("predicting with the equations trusted", 0.0)
     trusted = with_equations_trusted(subject, problem)

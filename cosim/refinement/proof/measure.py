@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.linear_algebra import square_roots
 from cosim.estimation.data import data_of, start_state
-from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, Data, Filtered, simulate_all
@@ -38,7 +36,7 @@ from cosim.residuals.windows import Replay, window_rows
 
 FLOOR_SEED = 20121
 
-DRAWS, DRAWS_OF_VALUES = 20, 8
+DRAWS = 20
 PARTS = 8  # parts of a free run, each counted as one replay
 CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, from which a floor is too high
 
@@ -99,15 +97,9 @@ def replay_logs(
 def _starts(
     variant: Variant, problem: Problem, log: Log, index: int, horizon: float
 ) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Return row → start of replay, and parameters per log.
-
-    A fit that trusts the equations has a filter that hardly follows the readings. Replays over another horizon than
-    that of the fit begin where a filter that does follow them has arrived.
-    """
+    """Return row → start of replay, and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
-    data, noise = problem.data(variant.values, index), variant.noise
-    if variant.free_noise is not None and horizon != variant.subject.horizon:
-        noise = variant.free_noise
+    data, noise = problem.data(variant.values, index), variant.noise_of_starts(horizon)
     filtered = problem.filter_causally(data, variant.values, noise, index, log.grid[rows].tolist())
     starts = {}
     for k in rows:
@@ -198,19 +190,6 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
     return _root_mean_squares(problem, [replay.errors() for replay in replays])
 
 
-def errors_by_replay(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Array:
-    """Return the root mean square of each kernel replay, or of each part of a free run, shape (replays, outputs)."""
-    problem, found = _begun(variant, problem, logs), list[Array]()
-    for k, log in enumerate(logs):
-        replays = _KernelReplays.of(variant, problem, log, k, problem.data(variant.values, k))
-        errors, rows = replays.errors(), [row + 1 for row in replays.rows]
-        edges = [*rows, len(errors)] if len(rows) > 1 else np.linspace(0, len(errors), PARTS + 1).astype(int).tolist()
-        for part in (errors[slice(*ends)] for ends in pairwise(edges)):
-            counts = np.isfinite(part).sum(axis=0)
-            found.append(np.sqrt(np.nansum(part**2, axis=0) / np.where(counts, counts, np.nan)))
-    return np.array(found)
-
-
 @dataclass(frozen=True)
 class Floor:
     """Noise floor of the replay error by channel, and its scatter over draws.
@@ -218,19 +197,17 @@ class Floor:
     Attributes:
         level: Channel → root mean square error of the model against itself.
         scatter: Channel → standard deviation of the logarithm; channels with a single draw are omitted.
-        largest: Channel → largest error of a draw.
     """
 
     level: Mapping[str, float]
     scatter: Mapping[str, float]
-    largest: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, level: Mapping[str, float], draws: Sequence[Mapping[str, float]]) -> Floor:
         """Return the floor with the scatter of draws."""
         sizes = {name: [size for draw in draws if (size := draw[name]) > 0.0] for name in level}
         scatter = {name: float(np.std(np.log(s), ddof=1)) for name, s in sizes.items() if len(s) > 1}
-        return cls(level, scatter, {name: max(s, default=0.0) for name, s in sizes.items()})
+        return cls(level, scatter)
 
     def channels_above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         """Return channel → floor and error, for floors clearly above the error."""
@@ -256,32 +233,6 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     return Floor.of(level, [_root_mean_squares(problem, draw) for draw in draws])
 
 
-def predicted_floor(
-    floor: Floor, variant: Variant, problem: Problem, logs: Sequence[Log], fit: Fit, rng: np.random.Generator
-) -> dict[str, float]:
-    """Return the highest noise floor that is no surprise, of uncertain estimates.
-
-    It is UNLIKE scatters above the mean of the draws. The change of the replays by random errors of the estimates adds.
-    Where a motion divides, for example where a pendulum may pass over the top, estimates within their intervals predict
-    quite other motions. A floor above the standard deviation of its channel is omitted, as in `noise_floor`.
-    """
-    problem, count = _begun(variant, problem, logs), len(fit.free)
-    covariance = inverse(fit.information)[:count, :count] if fit.scattered is None else fit.scattered
-    random = rng.standard_normal((DRAWS_OF_VALUES, count)) @ square_roots(covariance[None])[0].T
-    moved = [
-        {f.name: min(max(fit.values[f.name] + by, f.low), f.high) for f, by in zip(fit.free, draw, strict=True)}
-        for draw in random
-    ]
-    changes = []
-    for index, log in enumerate(logs):
-        replays = _KernelReplays.of(variant, problem, log, index, problem.data(variant.values, index))
-        changes += [replays.change(values) for values in moved]
-    sizes = _root_mean_squares(problem, changes)
-    highest = {name: size * math.exp(UNLIKE * floor.scatter.get(name, 0.0)) for name, size in floor.level.items()}
-    level = {name: math.hypot(size, sizes[name]) for name, size in highest.items()}
-    return {name: size for name, size in level.items() if not size > _standard_deviation(logs, name)}
-
-
 def _standard_deviation(logs: Sequence[Log], name: str) -> float:
     """Return the standard deviation of an output over all logs; infinite with fewer than two readings."""
     readings = [log.outputs[name][np.isfinite(log.outputs[name])] for log in logs if name in log.outputs]
@@ -293,28 +244,12 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
     """Return the last filtered values of parameters per log."""
     if not logs or not problem.layout.constants:
         return {}
-    problem = filter_problem(problem, variant.subject, logs)
-    ends = [_final_parameters(variant, problem, index) for index in range(len(logs))]
-    return {name: value for end in ends for name, value in end.items()}
-
-
-def _final_parameters(variant: Variant, problem: Problem, index: int) -> dict[str, float]:
-    """Return filtered parameters at the end of a log."""
-    if not (constants := problem.layout.constants):
-        return {}
-    last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index, states=True).states[-1])
-    group = problem.origins[index].group
-    values = {own(name, group): float(last[place]) for name, place in constants.items()}
-    return values | {spread(name, group): 0.0 for name in constants}
-
-
-def _shift(outputs: Array, late: Array | None) -> Array:
-    """Return outputs shifted in time.
-
-    Args:
-        late: Age of each reading in rows.
-    """
-    return outputs if late is None else outputs - np.nan_to_num(late) * np.diff(outputs, axis=0, prepend=outputs[:1])
+    problem, ends = filter_problem(problem, variant.subject, logs), dict[str, float]()
+    for index, origin in enumerate(problem.origins):
+        last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index, states=True).states[-1])
+        for name, place in problem.layout.constants.items():
+            ends |= {own(name, origin.group): float(last[place]), spread(name, origin.group): 0.0}
+    return ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,7 +275,8 @@ class _KernelReplays:
         """Return the replays of a log from filtered starts."""
         gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
         rows = log.grid[first_rows(log, variant.subject.horizon)].tolist()
-        filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
+        noise = variant.noise_of_starts(variant.subject.horizon)
+        filtered = problem.filter_causally(data, variant.values, noise, index, rows)
         starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
         per_log = _parameters_at_starts(problem, filtered, starts, every_row)
         for sensor in _sensors(variant, per_log):
@@ -351,12 +287,6 @@ class _KernelReplays:
     def errors(self) -> Array:
         """Return corrected measurement − model, shape (rows, outputs)."""
         return np.asarray((self.data.y - self._predict()) / self.gains)
-
-    def change(self, values: Mapping[str, float]) -> Array:
-        """Return the change of the replays, from the same starts, with other parameter values."""
-        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
-        other = self._simulate({**self.variant.values, **values}, starts)
-        return np.asarray(np.where(np.isnan(self.data.y), np.nan, other - self._predict()) / self.gains)
 
     def random_errors(self, rng: np.random.Generator) -> Array:
         """Return the errors against a simulation with random noise and random deviations of the starts."""
@@ -410,7 +340,10 @@ class _KernelReplays:
         begins: list[Begin] = [(part, p, starts[k], self.filtered.memory[k], kicks, k) for k, part in parts.items()]
         for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
             end = len(part.u) - 1
-            outputs[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
+            read = run.outputs[k:]
+            if part.late is not None:  # by the age of each reading in rows
+                read = read - np.nan_to_num(part.late[k:]) * np.diff(read, axis=0, prepend=read[:1])
+            outputs[k + 1 : end + 1] = read[1:]
         rows = np.arange(len(outputs), dtype=np.float64)
         for j, lag in enumerate(data.lags if data.lags is not None else ()):
             if lag:

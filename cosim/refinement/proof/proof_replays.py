@@ -7,8 +7,7 @@ object replays every log, and the record states this.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -24,59 +23,45 @@ from cosim.residuals.windows import Replay
 
 EQUAL = 1e-9  # largest difference of fast replays from those of the delivered object, relative to max(1, largest value)
 LogSets = Mapping[Part, Sequence[Log]]
-Way = Callable[[Subject], Replayer]
 
 
-@dataclass(frozen=True)
-class Proof:
-    """Logs for the replays of variants, the fitting problem, and the workplace of the replayers."""
+def replay_variants(
+    variants: Mapping[str, Variant], problem: Problem, sets: LogSets, place: Workplace
+) -> tuple[Replayed, Replays]:
+    """Replay every variant on every set of logs; return the replays and the FMU used."""
 
-    problem: Problem
-    sets: LogSets
-    place: Workplace
-
-    def replay(self, variants: Mapping[str, Variant]) -> tuple[Replayed, Replays]:
-        """Replay every variant; return the replays and the FMU used."""
-
-        def build_replayer(subject: Subject) -> Replayer:
-            return subject.replayer(self.place)
-
-        after = variants["after"]
-        own = build_replayer(after.subject)
-        try:
-            quick = {id(v.subject): v.subject.quick_replayer(self.place) for v in variants.values()}
-        except InputError as error:
-            return self.replay_all(variants, build_replayer), Replays(through=own.through, why=error.faults[0].message)
-        ways = {key: way for key, way in quick.items() if way is not None}
-        if len(ways) < len(quick):
-            return self.replay_all(variants, build_replayer), Replays(through=own.through)
-        played = self.replay_all(variants, lambda subject: ways[id(subject)])
-        part: Part = "validation" if "validation" in self.sets else "estimation"
-        k, log = min(enumerate(self.sets[part]), key=lambda entry: entry[1].rows)
-        horizon, name = after.subject.horizon, log.path.name
-        replay = replay_logs(after, own, self.problem, [log])[horizon][0][1]
-        apart = difference(played["after"][part][horizon][k][1], replay)
-        if apart <= EQUAL:
-            return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
-        why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
-        return self.replay_all(variants, build_replayer), Replays(
-            through=own.through, why=why, log=name, apart=keep_one(apart)
-        )
-
-    def replay_all(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
-        """Replay every distinct variant on every set."""
-        horizons = list(OTHER_HORIZONS.values())
+    def replay_all(replayer_of: Callable[[Subject], Replayer]) -> Replayed:
         done: dict[int, dict[Part, dict[float, Evidence]]] = {}
         for variant in variants.values():
-            if id(variant) not in done:
-                source = variant, way(variant.subject), self.problem
-                done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in self.sets.items()}
+            if id(variant) not in done:  # one that stands twice is replayed once
+                source = variant, replayer_of(variant.subject), problem
+                horizons = list(OTHER_HORIZONS.values())
+                done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in sets.items()}
         return {name: done[id(variant)] for name, variant in variants.items()}
 
+    def replay_delivered() -> Replayed:
+        return replay_all(lambda subject: subject.replayer(place))
 
-def keep_one(apart: float) -> float | None:
-    """Return a finite difference, else None."""
-    return apart if math.isfinite(apart) else None
+    after = variants["after"]
+    own = after.subject.replayer(place)
+    try:
+        quick = {id(v.subject): v.subject.quick_replayer(place) for v in variants.values()}
+    except InputError as error:
+        return replay_delivered(), Replays(through=own.through, why=error.faults[0].message)
+    ways = {key: way for key, way in quick.items() if way is not None}
+    if len(ways) < len(quick):
+        return replay_delivered(), Replays(through=own.through)
+    played = replay_all(lambda subject: ways[id(subject)])
+    part: Part = "validation" if "validation" in sets else "estimation"
+    k, log = min(enumerate(sets[part]), key=lambda entry: entry[1].rows)
+    horizon, name = after.subject.horizon, log.path.name
+    replay = replay_logs(after, own, problem, [log])[horizon][0][1]
+    apart = difference(played["after"][part][horizon][k][1], replay)
+    if apart <= EQUAL:
+        return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
+    why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
+    finite = apart if math.isfinite(apart) else None
+    return replay_delivered(), Replays(through=own.through, why=why, log=name, apart=finite)
 
 
 def difference(one: Replay, other: Replay) -> float:
@@ -89,9 +74,3 @@ def difference(one: Replay, other: Replay) -> float:
         apart = np.max(np.abs(values[rows] - others[rows]), initial=0.0)
         largest = max(largest, float(apart) / float(np.max(np.abs(others[rows]), initial=1.0)))
     return largest
-
-
-def warnings_of(way: Replays) -> Iterator[str]:
-    """Yield a warning if native and Python FMU differ."""
-    if way.through == "python" and way.log:
-        yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"

@@ -10,7 +10,8 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Settings
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.residuals.residual_statistics import FREE_RUN
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,14 @@ class Variant:
     noise: Noise
     free_noise: Noise | None = None
 
+    def noise_of_starts(self, horizon: float) -> Noise:
+        """Return the noise of the filter from which replays over a horizon start.
+
+        A fit that trusts the equations has a filter that hardly follows the readings; replays within a log begin where
+        one that does follow them has arrived. A free run begins with the log.
+        """
+        return self.noise if self.free_noise is None or horizon == FREE_RUN else self.free_noise
+
 
 def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | None) -> Subject:
     """Return the subject with the fitted values of a claim; unchanged without a claim.
@@ -39,26 +48,9 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | 
     fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
     stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
     unchanged = {n for n in fitted if n not in subject.sensor_parameters and n not in stated and claimed.is_of_sensors}
-    return _with_values(subject, {n: v for n, v in fitted.items() if n not in unchanged})
-
-
-def _with_values(subject: Subject, values: Mapping[str, float]) -> Subject:
-    """Return the subject with other parameter values and the same horizon."""
-    other = subject.refined(values)
-    other.horizon = subject.horizon
-    return other
-
-
-def variants_of(
-    subject: Subject, settings: Settings, a: Attribution, claimed: Hypothesis | None, refined: Subject
-) -> dict[str, Variant]:
-    """Return the variants before, recalibrated and after."""
-    base = a.base.fit
-    recalibrated = _with_values(subject, {f.name: float(base.values[f.name]) for f in base.free if not f.group})
-    before = after = variant_of(subject, settings, a.unfitted)
-    if claimed:
-        after = variant_of(refined, settings, claimed.fit)
-    return {"before": before, "recalibrated": variant_of(recalibrated, settings, base), "after": after}
+    refined = subject.refined({n: v for n, v in fitted.items() if n not in unchanged})
+    refined.horizon = subject.horizon
+    return refined
 
 
 def log_noise(fitted: Noise, free: Noise | None) -> Noise:

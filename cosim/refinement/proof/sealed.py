@@ -10,10 +10,8 @@ import numpy as np
 
 from cosim.core.text import percent
 from cosim.logs.log import Log
-from cosim.refinement.decision.claims import Claims, Improvement, baseline_of
 from cosim.refinement.proof.measure import PARTS, Evidence, rmse
 from cosim.residuals.residual_statistics import remaining_excess
-from cosim.residuals.windows import Replay
 
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
 SAME = 0.01  # difference of two logs, relative to the spread of an output, below which the motion is the same
@@ -75,55 +73,11 @@ def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
     return mean * math.sqrt(count) > float(stdtrit(count - 1, 1.0 - chance)) * scatter
 
 
-def sealed_improvement(
-    claims: Claims, sealed: Mapping[str, Evidence], floor: Mapping[str, float]
-) -> Improvement | None:
-    """Return the share of the squared error on sealed logs that remains with the claim, or else with the nearest model.
-
-    It is the error above the noise floor. If no channel has twice its floor, which may include what is missing, the
-    whole error counts, but not for a complete claim. The given model is the reference of the nearest model, if
-    recalibration alone makes most channels worse; a claim then has none.
-
-    Args:
-        sealed: Variant → replays of the sealed logs.
-        floor: Channel → noise floor.
-    """
-    name, candidates = "after", claims.claimed_candidates
-    if not candidates:
-        name, h = "nearest", claims.nearest_hypothesis
-        if claims.name == "no_effect" or h is None or name not in sealed:
-            return None
-        candidates = h.candidates
-    baseline = baseline_of(candidates)
-    given, before, after = (_finite(rmse(sealed[variant])) for variant in ("before", baseline, name))
-    if _is_worse_in_most(before, given):
-        if name == "after":
-            return None
-        baseline, before = "before", given
-    excess = _remaining_shares(before, after, floor)
-    remaining = excess or _remaining_shares(before, after, {})
-    if not remaining or (claims.grade == "claimed" and not excess):
-        return None
-    falls, rises = (find_rises(*pair) for pair in ((sealed[name], sealed[baseline]), (sealed[baseline], sealed[name])))
-    return Improvement(remaining, baseline, is_excess=bool(excess), is_clear=bool(falls) and not rises)
-
-
-def _is_worse_in_most(error: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    """Return True if an error is above another one in most channels."""
-    return sum(size > other[n] for n, size in error.items() if n in other) > 0.5 * len(error)
-
-
-def _remaining_shares(
-    before: Mapping[str, float], after: Mapping[str, float], floor: Mapping[str, float]
-) -> dict[str, float]:
-    """Return channel → remaining share of the squared error above a floor, for channels with such an error."""
-    shares = {n: remaining_excess(size, after[n], floor.get(n, 0.0)) for n, size in before.items() if n in after}
-    return {name: max(0.0, share) for name, share in shares.items() if not math.isnan(share)}
-
-
-def _finite(errors: Mapping[str, float]) -> dict[str, float]:
-    """Return the channels with finite errors."""
-    return {name: size for name, size in errors.items() if math.isfinite(size)}
+def remaining_on_sealed_logs(before: Evidence, after: Evidence, floor: Mapping[str, float]) -> dict[str, float]:
+    """Return channel → share of the squared error above the noise floor that remains, of those that have such error."""
+    old, new = rmse(before), rmse(after)
+    shares = {n: remaining_excess(old[n], new[n], f) for n, f in floor.items() if n in old and n in new}
+    return {n: max(0.0, share) for n, share in shares.items() if math.isfinite(share)}
 
 
 def _log_ratios(before: Evidence, after: Evidence, name: str) -> list[float]:
@@ -135,18 +89,10 @@ def _log_ratios(before: Evidence, after: Evidence, name: str) -> list[float]:
         with np.errstate(over="ignore"):  # A diverging model overflows.
             a, b = ((x.outputs[name] - replay.outputs[name]) ** 2 for x, replay in ((log, first), (corrected, second)))
         both = np.isfinite(a) & np.isfinite(b)
-        parts = [slice(x, y) for x, y in pairwise(_edges(first))]
+        edges = [*(k + 1 for k in sorted(first.starts)), first.time.size]  # a start row belongs to the previous replay
+        if math.isinf(first.horizon):
+            edges = [round(k * first.time.size / PARTS) for k in range(PARTS + 1)]
+        parts = [slice(x, y) for x, y in pairwise(edges)]
         sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
         ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
     return ratios
-
-
-def _edges(replay: Replay) -> list[int]:
-    """Return the first row of each replay, and the end of the last replay.
-
-    The start row of a replay belongs to the previous replay.
-    """
-    rows, starts = replay.time.size, sorted(replay.starts)
-    if math.isinf(replay.horizon):
-        return [round(k * rows / PARTS) for k in range(PARTS + 1)]
-    return [*(k + 1 for k in starts), rows]

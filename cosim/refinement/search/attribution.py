@@ -18,18 +18,17 @@ import numpy as np
 from cosim.estimation.fit import Fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import coarsen
+from cosim.estimation.posing import coarsen, with_finer_steps
 from cosim.estimation.problem import Problem
-from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
+from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.evidence import scatter_ratio
-from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
-from cosim.refinement.search.fits import SCREEN_ITERATIONS, Parts, Progress, Search, SearchResult, Trial, key_of
+from cosim.refinement.search.around import fit_neighbours
+from cosim.refinement.search.fits import Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
-from cosim.terms.alike import are_alike
 
 FITTED = 6  # sets fitted in each round
 AMONG = 10  # most promising candidates from which pairs and larger sets are formed
@@ -38,13 +37,11 @@ NEAR = 12.0  # score difference within which a set is worth a fit, and a hypothe
 DONE = 1.0  # score improvement below which a round has found nothing better
 ROUNDS = 10
 STARTS = 20  # fits in turn with start states
+SIGNIFICANT = 3.0  # standard deviations of a usual size, below which logs would not show it
 HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
 SETTLING = 15  # iterations
-MOST_REPLACED, REPLACING = 6, 2  # parts of a hypothesis replaced in turn, and candidates tried for each
 SILENT = 0.1  # distance of ln variance from the lower limit of a sensor
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
-MOST_ENLARGED = 2
-FINALISTS = 4  # hypotheses besides the best fitted to convergence
 
 
 class Attributor:
@@ -72,7 +69,7 @@ class Attributor:
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_likely_starts(search.from_first_rows(search.hypothesis((), None)))
-        base = self._with_stamp_errors(self._with_stated_noise(base))
+        base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
         result = self._search_from(base)
         settled = search.tried[()]
         better, reached = (self._better_base(settled, result.best), settled) if result.best.names else (settled, base)
@@ -103,7 +100,14 @@ class Attributor:
                     break
             else:
                 idle = 0
-                best = self._leader(self._with_own_noise(best))
+                (settled,) = search.fit_again([best], SETTLING)
+                settled = self._with_stamp_errors(settled)
+                further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
+                search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
+                search.tried[settled.names] = settled
+                best = self._rescore(settled)
+                if search.problem.trusted:  # the costs have changed
+                    best = best_hypothesis((best, *search.tried.values()))
         return self._finish(base, best)
 
     def _start_from(self, base: Hypothesis) -> Hypothesis:
@@ -127,19 +131,6 @@ class Attributor:
         other = self.search.hypothesis((), replace(best.fit, values={**best.fit.values, **values}), loosen=False)
         return other if other.fit.objective < base.fit.objective - DONE else base
 
-    def _with_own_noise(self, h: Hypothesis) -> Hypothesis:
-        """Refit the best hypothesis with its own noise.
-
-        Hypotheses fitted with the previous noise are assumed to gain as much.
-        """
-        search = self.search
-        (settled,) = search.fit_again([h], SETTLING)
-        settled = self._with_stamp_errors(settled)
-        further = h.score - settled.score
-        search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
-        search.tried[settled.names] = settled
-        return self._rescore(settled)
-
     def _rescore(self, h: Hypothesis) -> Hypothesis:
         """Update all scores for a non-white residual of trusted equations."""
         search = self.search
@@ -150,10 +141,6 @@ class Attributor:
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
         return replace(h, score=h.fit.objective + search.cost(h.candidates))
-
-    def _leader(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis at changed costs."""
-        return best_hypothesis((best, *self.search.tried.values())) if self.search.problem.trusted else best
 
     def _with_likely_starts(self, base: Hypothesis) -> Hypothesis:
         """Return the base model, fitted in turn with start states.
@@ -189,6 +176,18 @@ class Attributor:
         start = replace(base.fit, noise=replace(base.fit.noise, sensors=sensors))
         return search.hypothesis((), start)
 
+    def _with_enough_substeps(self, h: Hypothesis) -> Hypothesis:
+        """Return a hypothesis, refitted with more substeps while the likelihood at its fit depends on them.
+
+        With too few, an integrator may imitate what the model lacks; the fit begins at the given values too.
+        """
+        search = self.search
+        while (posed := with_finer_steps(search.problem, h.fit.values, h.fit.noise)) is not search.problem:
+            self.fine = with_finer_steps(self.fine, h.fit.values, h.fit.noise)
+            search.problem = posed
+            h = best_hypothesis(search.hypothesis(h.candidates, start, loosen=False) for start in (h.fit, None))
+        return h
+
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
         """Refit with errors of time stamps, if indicated."""
         search = self.search
@@ -206,7 +205,14 @@ class Attributor:
     def _proposals(self, best: Hypothesis) -> list[Trial]:
         """Return promising untried sets of candidates with start values."""
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
-        self._choose_periods(test, best)
+        search, chosen = self.search, {c.name: c for c in self.candidates if c.name in best.names}
+        every = [chosen.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
+        self.candidates, periods = with_likely_periods(test, every, best.names, lambda c: search.cost([c]) / HOPE)
+        if periods:
+            self.periods |= periods
+            self.fine, search.problem = (
+                p.with_same_range(values={**p.values, **periods}) for p in (self.fine, search.problem)
+            )
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
         for t in terms:
@@ -219,17 +225,6 @@ class Attributor:
         known = {key_of(parts) for parts, _ in whole}
         likely = [trial for _, trial in ranking[:FITTED] if key_of(trial[0]) not in known]
         return [*likely, *(((*best.candidates, c), None) for c in switched.values()), *whole]
-
-    def _choose_periods(self, test: ScoreTest, best: Hypothesis) -> None:
-        """Let candidates that repeat along a position begin with the period that promises most."""
-        search, own = self.search, {c.name: c for c in self.candidates if c.name in best.names}
-        every = [own.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
-        self.candidates, periods = with_likely_periods(test, every, best.names, lambda c: search.cost([c]) / HOPE)
-        if periods:
-            self.periods |= periods
-            self.fine, self.search.problem = (
-                p.with_same_range(values={**p.values, **periods}) for p in (self.fine, self.search.problem)
-            )
 
     def _complete_errors(self) -> Iterator[Trial]:
         """Yield complete errors with the given parameters, as the base fit may have gone where they promise nothing.
@@ -276,46 +271,33 @@ class Attributor:
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
             neutral = self.search.problem.values
-            parts = tuple(c for c in h.candidates if loss_without(h, c, neutral) > self.search.cost([c]))
+            parts = tuple(c for c in h.candidates if h.loss_without(c, neutral) > self.search.cost([c]))
             if parts and len(parts) < len(h.candidates):
                 sets[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
         return list(sets.values())
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> SearchResult:
-        """Fit the best hypotheses to convergence with full substeps."""
+        """Fit the best hypotheses, and those around them, to convergence with full substeps."""
         search = self.search
         self.progress("fitting the best to the end", 0.0)
-        search.problem = replace(self._fine_enough(best), sensing=best.fit.noise, scatter=search.problem.scatter)
+        enough = zip(search.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
+        logs = [replace(log, substeps=max(base.substeps, other.substeps)) for base, other, log in enough]
+        search.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=search.problem.scatter)
         if best.candidates:
             (refit,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
         else:
             (refit,) = (best,) = search.fit_again([best])
-        best = self._rescore(best)
-        if (ahead := self._leader(best)) is not best:
-            best = best_hypothesis((best, *search.fit_again([ahead])))
-        best = self._with_replacement(self._with_addition(best))
-        best = best_hypothesis((best, *search.fit_again(self._beyond_special_cases(best))))
+        best = self._rescore(self._with_enough_substeps(best))
         search.bound = refit.fit.objective
-        for _ in range(2):  # A new best hypothesis has its own rivals.
-            rivals = [h for h in self._finalists(best) if h.names and not h.ended]
-            before, best = best, best_hypothesis((refit, best, *search.fit_alike(rivals, best)))
-            if best is before:
-                break
+        search.fit_to_the_end(self._beyond_special_cases(best))
+        fit_neighbours(search, self.candidates)
+        best = best_hypothesis(h for h in search.tried.values() if h.ended)
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
         hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < SIGNIFICANT**2)
         return SearchResult(search, best, hidden, tuple(self.candidates))
 
-    def _with_addition(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis, possibly with additional candidates.
-
-        Unknown inputs with the correlation time of the best hypothesis hide the gain of another slow effect.
-        """
-        tried = sorted(self.search.tried.values(), key=lambda h: h.score)
-        larger = [h for h in tried if set(h.names) > set(best.names) and h.score - best.score < NEAR]
-        return best_hypothesis((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
-
-    def _beyond_special_cases(self, best: Hypothesis) -> list[Hypothesis]:
-        """Return hypotheses near the best with an effect in place of its special case, from the values of these."""
+    def _beyond_special_cases(self, best: Hypothesis) -> list[tuple[Parts, Fit]]:
+        """Return sets near the best with an effect in place of its special case, starting from the values of that."""
         search, starts = self.search, dict[tuple[str, ...], tuple[Parts, Fit]]()
         near = sorted((h for h in search.tried.values() if h.score - best.score < NEAR), key=lambda h: h.score)
         for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
@@ -324,85 +306,4 @@ class Attributor:
                 parts = (*(c for c in h.candidates if c is not simple), rich)
                 free = (*h.fit.free, *rich.free)
                 starts.setdefault(key_of(parts), (parts, replace(h.fit, values={**h.fit.values, **values}, free=free)))
-        fitted = in_parallel(lambda start: search.hypothesis(*start, loosen=False), [*starts.values()])
-        return [h for h in fitted if h.names not in search.tried or h.score < search.tried[h.names].score]
-
-    def _fine_enough(self, best: Hypothesis) -> Problem:
-        """Return the problem with enough substeps for a hypothesis."""
-        enough = zip(self.search.problem.logs, coarsen(self.fine, best.fit.values).logs, strict=True)
-        substeps = [max(base.substeps, other.substeps) for base, other in enough]
-        logs = [replace(log, substeps=n) for log, n in zip(self.fine.logs, substeps, strict=True)]
-        return replace(self.fine, logs=logs)
-
-    def _with_replacement(self, best: Hypothesis) -> Hypothesis:
-        """Return the best hypothesis, possibly with a replaced candidate."""
-        search = self.search
-        if len(best.candidates) > MOST_REPLACED:
-            return best
-        sets = {key_of(trial[0]): trial for trial in self._replacements(best)}
-        stuck = [trial for trial in sets.values() if self._is_stuck(trial[0], best)]
-        ended = self._continued(best, [search.tried[k] for k in sets if k in search.tried])
-        untried = [trial for k, trial in sets.items() if k not in search.tried]
-        fitted = search.fit_all([*untried, *stuck], best, "replacing each part", NEAR, again=True)
-        nearest = best_hypothesis((best, *ended, *fitted))
-        if nearest is best:
-            return best
-        better = best_hypothesis((best, *search.fit_again([nearest])))
-        if search.subject.probed and better is not best:  # its values may suit what was the best, too
-            search.fit_all([(best.candidates, None)], better, "replacing each part", NEAR, again=True)
-        return better
-
-    def _continued(self, best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Continue interrupted fits, as a fit along a ridge shared with a base parameter is slow."""
-        if all(c.kind != "parameter" for c in best.candidates):
-            return []
-        base = self.search.tried[()].score
-        return self.search.fit_again([h for h in tried if not h.ended and h.score - best.score < base - h.score])
-
-    def _is_stuck(self, parts: Parts, best: Hypothesis) -> bool:
-        """Return True if a set that looks like the best hypothesis was fitted from elsewhere, and far worse.
-
-        Many optima of the unknown inputs are local. From the values of the best, it may come near.
-        """
-        tried = self.search.tried.get(key_of(parts))
-        if tried is None or tried.ended or tried.score - best.score < NEAR:
-            return False
-        new = [c for c in parts if c.name not in best.names]
-        old = [c for c in best.candidates if c.name not in tried.names]
-        return len(new) == len(old) == 1 and self._is_twin(old[0], new[0])
-
-    def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
-        """Yield promising replacements of each candidate.
-
-        Each score test starts from a fit without the candidate, because a test with it misjudges simpler replacements.
-        A term that looks alike leaves all other values as they are, so that its fit starts from those of the best.
-        """
-        search = self.search
-        others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]
-        for part in best.candidates:
-            rest = tuple(c for c in best.candidates if c is not part)
-            without = search.hypothesis(rest, best.fit, SCREEN_ITERATIONS, sensing=False)
-            promises = self._promises(without, others)
-            likely = [name for name in promises if promises[name].within][:REPLACING]
-            for c in others:
-                is_twin, promised = self._is_twin(part, c), promises.get(c.name)
-                if is_twin or c.name in likely:
-                    others_at = {} if is_twin else without.fit.values
-                    yield (*rest, c), {**others_at, **promised.values} if promised else None
-
-    def _promises(self, h: Hypothesis, others: Sequence[Candidate]) -> dict[str, Promise]:
-        """Return what each of other candidates promises beside a hypothesis, best first."""
-        problem, names = self.search.problem, {c.name for c in others}
-        test = ScoreTest(problem, h.fit)
-        test.values |= {name: value for name, value in self.periods.items() if name.partition(".")[0] in names}
-        terms = [t for t in in_parallel(test.terms, others) if not t.switched]
-        return Choice(test, terms, (), problem.values).extensions(())
-
-    def _is_twin(self, part: Candidate, other: Candidate) -> bool:
-        """Return True if two terms of an FMU look alike."""
-        return self.search.subject.probed and are_alike(part.name, other.name)
-
-    def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
-        """Return hypotheses close to the best that neither contain it nor are contained in it."""
-        near = [h for h in self.search.tried.values() if h.score - best.score < NEAR and h.is_apart(best)]
-        return sorted(near, key=lambda h: h.score)[:FINALISTS]
+        return [*starts.values()]

@@ -14,13 +14,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit, values_beside_plateaus
+from cosim.estimation.fit import CONVERGED, FAIR, Fit, Patience, fit, initial_fit, values_beside_plateaus
 from cosim.estimation.free_runs import fit_growing, leaves_the_motion
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
+from cosim.refinement.decision.posterior import Evidence
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
 
@@ -83,6 +84,7 @@ class Search:
         entry: Additional score cost of each candidate.
         tried: Names → hypothesis.
         cross_fits, prediction_fits: Names and held-out log → fit to the remaining logs, and to their predictions.
+        evidences: Names → hypothesis and its evidence.
         bound: Objective of the recalibrated base model, an upper bound for every hypothesis.
     """
 
@@ -94,6 +96,7 @@ class Search:
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
         self.prediction_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
+        self.evidences: dict[tuple[str, ...], tuple[Hypothesis, Evidence]] = {}
         self.bound = np.inf
 
     def hypothesis(
@@ -121,10 +124,18 @@ class Search:
         moved = {f.name for f in start.free} & {f.name for f in free}
         base = {**problem.values, **{name: start.values[name] for name in moved}}
         begins = [{**base, **values} for values in starts_of(parts, moved)]
-        noise = self._noise_at_start(start.noise, loosen=loosen)
+        noise = start.noise
+        if problem.trusted:
+            noise = replace(problem.plain, sensors=noise.sensors, timing=noise.timing)
+        elif loosen:
+            noise = replace(noise, power=np.maximum(noise.power, problem.noise.quiet))
         if promised:
             begins = [self._toward(promised, base, free, noise, start.nll), *(begins if len(begins) > 1 else ())]
-        bound = self.bound_within(parts) if patient else np.inf
+        bound = np.inf
+        if patient:
+            names = {c.name for c in parts}
+            within = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
+            bound = min(within, default=self.bound)
         fits = []
         for values in begins:
             patience = Patience(goal, 1 if values == base else FAIR, bound)
@@ -157,12 +168,6 @@ class Search:
             if found[-1][1] <= nll:
                 break
         return min(found, key=lambda pair: pair[1])[0]
-
-    def _noise_at_start(self, noise: Noise, *, loosen: bool) -> Noise:
-        """Return the noise at the start of a fit."""
-        if self.problem.trusted:
-            return replace(self.problem.plain, sensors=noise.sensors, timing=noise.timing)
-        return replace(noise, power=np.maximum(noise.power, self.problem.noise.quiet)) if loosen else noise
 
     def free(self, parts: Parts) -> list[Free]:
         """Return the free parameters for a fit of candidates."""
@@ -210,14 +215,17 @@ class Search:
 
         return self._fit_each("fitting the best further", refit, hypotheses)
 
-    def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
-        """Refit hypotheses from the noise of the hypothesis `like`."""
+    def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
+        """Fit sets of parts from given values; a better fit of an earlier start counts."""
 
-        def refit(h: Hypothesis) -> Hypothesis:
-            start = replace(h.fit, noise=like.fit.noise)
-            return self._beside_plateaus(self.hypothesis(h.candidates, start, loosen=False))
+        def refit(start: tuple[Parts, Fit]) -> Hypothesis:
+            fitted = self._beside_plateaus(self.hypothesis(*start, loosen=False))
+            earlier = self.tried.get(fitted.names)
+            if earlier is not None and earlier.fit.objective < fitted.fit.objective - CONVERGED:
+                fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
+            return fitted
 
-        return self._fit_each("fitting what comes near the best", refit, hypotheses)
+        return self._fit_each("fitting what comes near the best", refit, starts)
 
     def _fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
         """Fit items in parallel and report progress."""
@@ -266,9 +274,3 @@ class Search:
         """Return the score cost of candidates."""
         each = (self.entry + float(np.log(c.among)) + self.price * len(c.free) for c in parts)
         return self.problem.scatter * float(sum(each))
-
-    def bound_within(self, parts: Parts) -> float:
-        """Return the best objective of fitted subsets of candidates."""
-        names = {c.name for c in parts}
-        fitted = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
-        return min(fitted, default=self.bound)

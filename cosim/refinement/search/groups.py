@@ -65,8 +65,13 @@ def per_log_faults(
         return
     if not names:
         yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
-    alone = _sealed_alone(places.path.parent, groups, logs)
-    allowed, full_names = _per_log_parameters(subject), set[str]()
+    folder = places.path.parent
+    group = group_of(folder, files, groups)
+    estimated = {group[folder / f] for f in logs["estimation"]}
+    alone = [f for f in logs["validation"] if group[folder / f] not in estimated]
+    base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
+    of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
+    allowed, full_names = [*base, *of_effects, *subject.sensor_parameters], set[str]()
     for k, name in enumerate(names):
         place, full = ("per_log", k), full_name(subject, name)
         if full not in allowed:
@@ -84,18 +89,11 @@ def per_log_faults(
             )
         full_names.add(full)
     for k, name in enumerate(on_trial):
-        if _parameters_of(subject, name) <= full_names:
+        if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
             yield places.fault(
                 ("candidates", k),
                 f"{name} is per log too; one per log is free in every hypothesis; name it in one place",
             )
-
-
-def _sealed_alone(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the sealed logs whose group has no estimation log."""
-    group = group_of(folder, [*logs["estimation"], *logs["validation"]], groups)
-    estimated = {group[folder / f] for f in logs["estimation"]}
-    return [f for f in logs["validation"] if group[folder / f] not in estimated]
 
 
 def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Iterator[Fault]:
@@ -117,18 +115,6 @@ def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Itera
                 where = "twice" if owner[path] == group else f"in {owner[path]} too"
                 yield places.fault(place, f"{name} stands {where}; a log has one group, keep one")
             owner.setdefault(path, group)
-
-
-def _per_log_parameters(subject: Subject) -> list[str]:
-    """Return the parameters allowed in `per_log`."""
-    base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
-    of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
-    return [*base, *of_effects, *subject.sensor_parameters]
-
-
-def _parameters_of(subject: Subject, name: str) -> set[str]:
-    """Return the parameters of a candidate."""
-    return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}
 
 
 def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> str:

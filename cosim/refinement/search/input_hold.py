@@ -119,18 +119,13 @@ def late_input(problem: Problem, best: Hypothesis) -> Late | None:
         if not any(np.ptp(data.u[:, column]) for data in problem.logs):
             continue
         for rows in EARLIER:
-            moved = Late(name, rows, *_gain_of(problem, best, _with_earlier(problem, column, rows)))
+            logs = []
+            for data in problem.logs:
+                u = data.u.copy()
+                u[:-rows, column], u[-rows:, column] = u[rows:, column].copy(), u[-1, column]
+                logs.append(replace(data, u=u))
+            moved = Late(name, rows, *_gain_of(problem, best, replace(problem, logs=logs)))
             if not (moved.gain > max(LIKELIER, late.gain if late else 0.0) and moved.steady > STEADILY):
                 break
             late = moved
     return late
-
-
-def _with_earlier(problem: Problem, column: int, rows: int) -> Problem:
-    """Return the problem with an input some rows earlier than recorded."""
-    logs = []
-    for data in problem.logs:
-        u = data.u.copy()
-        u[:-rows, column], u[-rows:, column] = u[rows:, column].copy(), u[-1, column]
-        logs.append(replace(data, u=u))
-    return replace(problem, logs=logs)

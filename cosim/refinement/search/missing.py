@@ -211,9 +211,7 @@ def _stacked(parts: Smoothed) -> tuple[Smoothed, Array, Array]:
     return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
-def unknown_inputs(
-    problem: Problem, at: Fit, has_unknown_input: Sequence[bool], units: Mapping[str, str]
-) -> dict[str, float]:
+def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[str, float]:
     """Return forced state → size of its unknown input relative to the derivatives of states with the same unit.
 
     Args:
@@ -221,7 +219,10 @@ def unknown_inputs(
     """
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
     largest: dict[tuple[str, int], float] = {}  # unit and order → range of the derivatives
-    orders = _orders(problem)
+    orders = [1] * len(problem.layout.noisy)
+    if problem.layout.is_free_run:  # 2 for an output whose velocity is hidden
+        matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
+        orders = [1 + bool(matrix[:, :, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
@@ -231,20 +232,7 @@ def unknown_inputs(
         ]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
         largest[kinds[name]] = max(largest.get(kinds[name], 1e-300), float(high - low))
-    return {
-        n: float(p) / largest[kinds[n]]
-        for n, p, is_noisy in zip(names, powers, has_unknown_input, strict=True)
-        if is_noisy
-    }
-
-
-def _orders(problem: Problem) -> list[int]:
-    """Return the order of the derivative that each unknown input changes: 2 for an output whose velocity is hidden."""
-    count = len(problem.layout.noisy)
-    if not problem.layout.is_free_run:
-        return [1] * count
-    matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
-    return [1 + bool(matrix[:, :, j].any()) for j in range(count, 2 * count)]
+    return {n: float(p) / largest[kinds[n]] for n, p in zip(names, powers, strict=True)}
 
 
 def loosen_noise(problem: Problem, noise: Noise) -> Noise:
@@ -345,7 +333,11 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
     after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)
     for k in range(rows - 1):
         ahead[k], spread[k] = x, P
-        x, P = _update(x, P, model.C[k], y[k] - model.g[k], r[k])
+        e, wide = y[k] - model.g[k], np.zeros((y.shape[1], n))
+        measured = np.isfinite(e)
+        wide[:, : model.C.shape[2]] = model.C[k]
+        K, P = _gain(P, wide, measured, r[k])
+        x = x + K[:, measured] @ (e[measured] - wide[measured] @ x)
         after[k], spread_after[k] = x, P
         x, P = model.F[k] @ x + model.b[k], model.F[k] @ P @ model.F[k].T + Q
     last = rows - 2
@@ -355,14 +347,6 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
         spread_after[k] += gain @ (spread_after[k + 1] - spread[k + 1]) @ gain.T
     deviation = np.sqrt(np.maximum(np.diagonal(spread_after, axis1=1, axis2=2)[:, places], 0.0))
     return states[:rows][:, layout.noise_places] + after[:, places], deviation
-
-
-def _update(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
-    """Return state and covariance after a row's measurements."""
-    measured, wide = np.isfinite(e), np.zeros((len(e), len(x)))
-    wide[:, : C.shape[1]] = C
-    K, P = _gain(P, wide, measured, r)
-    return x + K[:, measured] @ (e[measured] - wide[measured] @ x), P
 
 
 def _gain(P: Array, C: Array, measured: Flags, r: Array) -> tuple[Array, Array]:

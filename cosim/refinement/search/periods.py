@@ -65,7 +65,8 @@ def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], 
     def row(value: float, f: Free) -> Array:
         return test.row({name: value - test.values[name], f.name: SHARE * f.size})
 
-    probes = _probes(positions, period)
+    apart = float(np.median(np.abs(np.concatenate([np.diff(q) for q in positions]))))  # from row to row
+    probes = [min(max(times * apart, period.low), period.high) for times in PROBES]
     responses = in_parallel(lambda value: _by_row(test, row(value, sizes[0])), probes)
     response = _response(positions, probes, responses)
     usual = [start[name] for start in c.starts]
@@ -128,12 +129,6 @@ def _by_row(test: ScoreTest, numbers: Array) -> list[Array]:
     for table, part, readings in zip(tables, parts, test.problem.readings, strict=True):
         table.put(readings.places, part)
     return [table[1:] for table in tables]
-
-
-def _probes(positions: Sequence[Array], period: Free) -> list[float]:
-    """Return periods of forces that change fast from row to row."""
-    apart = float(np.median(np.abs(np.concatenate([np.diff(q) for q in positions]))))
-    return [min(max(times * apart, period.low), period.high) for times in PROBES]
 
 
 def _response(positions: Sequence[Array], periods: Sequence[float], answers: Sequence[Sequence[Array]]) -> Array:

@@ -157,19 +157,12 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     time, named = np.concatenate([m.time for _, m in parts]), dict(zip(layout.states, states.T, strict=True))
     own = {n: z for n, z in named.items() if not n.startswith((DISTURBANCE, CONSTANT))}
     if layout.is_free_run:
-        own = _outputs_and_rates(problem, parts, named)
+        own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
+        ends, steps = np.cumsum([len(m.time) for _, m in parts])[:-1], [problem.logs[k].step for k, _ in parts]
+        for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
+            each = zip(np.split(own[rate.removeprefix(RATE)], ends), steps, strict=True)
+            own[rate] = np.concatenate([np.diff(z, prepend=z[:1]) / step for z, step in each])
     return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
-
-
-def _outputs_and_rates(problem: Problem, parts: Smoothed, named: Signals) -> dict[str, Array]:
-    """Return the outputs of a free run with their rates."""
-    layout = problem.layout
-    own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
-    ends, steps = np.cumsum([len(m.time) for _, m in parts])[:-1], [problem.logs[k].step for k, _ in parts]
-    for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
-        each = zip(np.split(own[rate.removeprefix(RATE)], ends), steps, strict=True)
-        own[rate] = np.concatenate([np.diff(z, prepend=z[:1]) / step for z, step in each])
-    return own
 
 
 def promising_shapes(test: ScoreTest, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
@@ -217,19 +210,16 @@ class _Comparison:
 def _compared(test: ScoreTest) -> _Comparison:
     """Return the data and regressors for this kind of fit."""
     with np.errstate(invalid="ignore", over="ignore"):
-        return _of_free_run(test) if test.problem.layout.is_free_run else _of_missing_input(test)
+        if test.problem.layout.is_free_run:
+            return _of_free_run(test)
+        parts, lacking, sigma = smooth_logs(test.problem, test.at, EVERY)
+        weights = 1.0 / np.sqrt(np.mean(sigma**2, axis=0))
 
+        def plain(column: int, own: Array | None) -> Array:
+            return np.column_stack([np.ones(len(lacking)), *([] if own is None else [own])])
 
-def _of_missing_input(test: ScoreTest) -> _Comparison:
-    """Return the regression of a smoothed missing input."""
-    parts, lacking, sigma = smooth_logs(test.problem, test.at, EVERY)
-    weights = 1.0 / np.sqrt(np.mean(sigma**2, axis=0))
-
-    def plain(column: int, own: Array | None) -> Array:
-        return np.column_stack([np.ones(len(lacking)), *([] if own is None else [own])])
-
-    signals = signals_of(test.problem, parts)
-    return _Comparison(signals, [*(lacking * weights).T], plain, lambda column, columns: columns)
+        signals = signals_of(test.problem, parts)
+        return _Comparison(signals, [*(lacking * weights).T], plain, lambda column, columns: columns)
 
 
 def _of_free_run(test: ScoreTest) -> _Comparison:
@@ -307,7 +297,11 @@ class _Ground:
     def shapes(self) -> Iterator[Shape]:
         """Yield every shape to test on the signal."""
         if len(self.flat.of) == 1 and self.flat.unit == "rad" and self.high - self.low > TURN:
-            yield from self._turning_shapes()
+            for width in WIDTHS:
+                for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
+                    shape = replace(self.flat, place=float(place), width=width * TURN, turned=True)
+                    yield shape
+                    yield from self._products(shape)
             return
         span = self.high - self.low
         for place in np.linspace(self.low, self.high, STEPS + 2)[1:-1]:
@@ -324,14 +318,6 @@ class _Ground:
                     yield shape
                     yield replace(shape, well=True)
                     yield from self._products(shape)
-
-    def _turning_shapes(self) -> Iterator[Shape]:
-        """Yield the shapes over a turning angle."""
-        for width in WIDTHS:
-            for place in np.arange(round(2 / width)) * 0.5 * width * TURN:
-                shape = replace(self.flat, place=float(place), width=width * TURN, turned=True)
-                yield shape
-                yield from self._products(shape)
 
     def _products(self, shape: Shape) -> Iterator[Shape]:
         """Yield the products of a shape with each factor."""

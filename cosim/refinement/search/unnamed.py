@@ -76,11 +76,6 @@ class UnnamedTerm:
         return dict(zip(self.names, self.sizes or (self.coefficient,), strict=True))
 
     @property
-    def kernel_settings(self) -> dict[str, float]:
-        """Return the kernel parameters that set the shape."""
-        return self.shape.settings(self.slot) if self.shape else {}
-
-    @property
     def entry(self) -> dict[str, Any]:
         """Return the term as an entry of refine.json."""
         entry = {name: getattr(self, name) for name in ("equation", "signal", "gain", "coefficient")}
@@ -123,11 +118,6 @@ class Leftover:
         """Return the most promising term."""
         return self.terms[0] if self.terms else None
 
-    @property
-    def stable_first(self) -> UnnamedTerm | None:
-        """Return the most promising term if it is stable."""
-        return self.first if self.is_stable else None
-
 
 def find_unnamed_terms(
     problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
@@ -142,20 +132,38 @@ def find_unnamed_terms(
     """
     test = _Terms(problem, at, price)
     terms = sorted(test.select(test.simple(), test.local(units)), key=test.net, reverse=True)
-    chosen = _with_slots([u for u in terms if test.net(u) > 0.0][:FITTED])
+    chosen: list[UnnamedTerm] = []
+    for u in [u for u in terms if test.net(u) > 0.0][:FITTED]:  # each local shape has a slot of the kernel
+        slot = 1 + sum(other.shape is not None for other in chosen)
+        if slot <= SLOTS:
+            chosen.append(replace(u, slot=slot) if u.shape else u)
     if not chosen:
         return Leftover((), None, 0.0, test.cost)
     without = fit(problem, at.free, at.values, at.noise, iterations=SCREEN_ITERATIONS)
     while chosen:
-        fitted = _fit_terms(problem, at, chosen)
-        refitted = [_with_coefficients(u, fitted) for u in chosen]
+        sizes = {name: abs(value) or 1.0 for u in chosen for name, value in u.coefficients.items()}
+        settings = {name: value for u in chosen if u.shape for name, value in u.shape.settings(u.slot).items()}
+        free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes.items())]
+        # Terms start at zero, so the objective can only decrease.
+        fitted = fit(problem, free, {**at.values, **settings}, at.noise, iterations=SCREEN_ITERATIONS)
+        refitted = []
+        for u in chosen:
+            found = tuple(fitted.values[name] for name in u.names)
+            gain = 0.5 * float(np.array(found) @ fitted.marginal(u.names) @ np.array(found))  # beside all other terms
+            most = max(found, key=abs)
+            refitted.append(replace(u, gain=gain, most=gain, coefficient=most, sizes=found if u.shape else ()))
         if all(test.net(u) > 0.0 for u in refitted):
             refitted.sort(key=test.net, reverse=True)
             refitted[0] = replace(refitted[0], share=_share(problem, at, refitted[0], fitted))
             gain = without.objective - fitted.objective
-            tried = test.number_tried(refitted)
+            tried = len(test.names) + (test.tried if any(u.shape for u in refitted) else 0)
             first, leaders = refitted[0], test.leaders(refitted[0])
-            refitted[0] = _with_law(problem, at, first, refitted)
+            if first.shape is not None:
+                place = first.equation, first.signal
+                shapes = [(u.shape, u.sizes) for u in refitted if u.shape and (u.equation, u.signal) == place]
+                parts, *_ = smooth_unknown_inputs(problem, at, EVERY)
+                is_rate = {*problem.layout.rates.values()}.issuperset(first.shape.of)
+                refitted[0] = replace(first, like=law_of(shapes, signals_of(problem, parts), is_rate=is_rate))
             steady = all(signal == first.signal for _, signal, _ in leaders)
             placed = all(equation == first.equation for equation, _, _ in leaders)
             return Leftover(tuple(refitted), fitted, gain, test.cost, tried, steady, placed)
@@ -191,10 +199,6 @@ class _Terms:
         """Return the gain required of a local shape with this number of coefficients."""
         tried = max(1, len(self.names) + self.tried)
         return self.problem.scatter * (self.price * count + ENTRY + math.log(tried))
-
-    def number_tried(self, terms: Sequence[UnnamedTerm]) -> int:
-        """Return the number of terms tried."""
-        return len(self.names) + (self.tried if any(u.shape for u in terms) else 0)
 
     def simple(self) -> list[UnnamedTerm]:
         """Return the distinct simple terms of each equation."""
@@ -294,42 +298,6 @@ def _leader(
     return own if leader[0] == first.equation and is_alike else leader
 
 
-def _with_slots(terms: Sequence[UnnamedTerm]) -> list[UnnamedTerm]:
-    """Return terms with a separate kernel slot for each local shape; surplus shapes are dropped."""
-    placed: list[UnnamedTerm] = []
-    for u in terms:
-        slot = 1 + sum(p.shape is not None for p in placed)
-        if slot <= SLOTS:
-            placed.append(replace(u, slot=slot) if u.shape else u)
-    return placed
-
-
-def _fit_terms(problem: Problem, at: Fit, terms: Sequence[UnnamedTerm]) -> Fit:
-    """Return the fit with additional free terms."""
-    sizes = {name: abs(value) or 1.0 for u in terms for name, value in u.coefficients.items()}
-    settings = {name: value for u in terms for name, value in u.kernel_settings.items()}
-    free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes.items())]
-    # Terms start at zero, so the objective can only decrease.
-    return fit(problem, free, {**at.values, **settings}, at.noise, iterations=SCREEN_ITERATIONS)
-
-
-def _with_coefficients(u: UnnamedTerm, fitted: Fit) -> UnnamedTerm:
-    """Return the term with its fitted coefficients and its likelihood gain in addition to all other terms."""
-    sizes = [fitted.values[name] for name in u.names]
-    gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))
-    return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=tuple(sizes) if u.shape else ())
-
-
-def _with_law(problem: Problem, at: Fit, first: UnnamedTerm, terms: Sequence[UnnamedTerm]) -> UnnamedTerm:
-    """Return the first term with the law that its local shape resembles, with all shapes of its equation and signal."""
-    shapes = [(u.shape, u.sizes) for u in terms if u.shape and (u.equation, u.signal) == (first.equation, first.signal)]
-    if first.shape is None:
-        return first
-    parts, *_ = smooth_unknown_inputs(problem, at, EVERY)
-    is_rate = {*problem.layout.rates.values()}.issuperset(first.shape.of)
-    return replace(first, like=law_of(shapes, signals_of(problem, parts), is_rate=is_rate))
-
-
 def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[UnnamedTerm]:
     """Return the simplest of each group of equivalent terms."""
     rest = [(u, row / np.linalg.norm(row)) for u, row in terms]
@@ -356,7 +324,8 @@ def _share(problem: Problem, at: Fit, u: UnnamedTerm, fitted: Fit) -> float | No
     if problem.layout.is_free_run:
         column = problem.layout.forced.index(u.equation)
         return 1.0 - math.exp(float(fitted.noise.power[column] - at.noise.power[column]))
-    with_term = replace(at, values={**at.values, **u.kernel_settings, **u.coefficients})
+    settings = u.shape.settings(u.slot) if u.shape else {}
+    with_term = replace(at, values={**at.values, **settings, **u.coefficients})
     with np.errstate(invalid="ignore", over="ignore"):
         parts, value, _ = smooth_logs(problem, at)
         column = parts[0][1].equations.index(u.equation)

@@ -7,10 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.core import registry
-from cosim.report.charts import Drawing
 from cosim.report.html_tables import Row
-from cosim.simulation.report.recorded import Run
 
 
 @dataclass(frozen=True)
@@ -30,17 +27,3 @@ class ComponentPage:
     tiles: Sequence[Row] = ()
     shown: frozenset[str] = frozenset()
     data: Mapping[str, Any] = field(default_factory=dict)
-
-
-def component_page(run: Run, drawing: Drawing) -> ComponentPage | None:
-    """Return the sections registered for the run's components, None without any."""
-    entry = registry.page_for(run.variables.values())
-    page: ComponentPage | None = registry.resolve(entry.subject)(run, drawing) if entry else None
-    return page
-
-
-def figures_of(run: Run, folder: Path) -> list[Path]:
-    """Draw the figures registered for the run's components."""
-    entry = registry.page_for(run.variables.values())
-    paths: list[Path] = registry.resolve(entry.figures)(run, folder) if entry and entry.figures else []
-    return paths

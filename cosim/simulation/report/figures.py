@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cosim.core import registry
 from cosim.core.arrays import Array
 from cosim.core.drafts import draft_of
 from cosim.files.results import Results
 from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
-from cosim.simulation.report.component_page import figures_of
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import drawable_run, signal_panels
 
@@ -51,11 +51,10 @@ def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -
     if run.time.size == 0:
         return []
     folder.mkdir(parents=True, exist_ok=True)
-    return figures_of(run, folder) or _signals(folder, run)
-
-
-def _signals(folder: Path, run: Run) -> list[Path]:
-    """Draw all signals by unit, for runs without figures of their own."""
+    page = registry.page_for(run.variables.values())
+    drawn: list[Path] = registry.resolve(page.figures)(run, folder) if page and page.figures else []
+    if drawn:
+        return drawn
     panels = signal_panels(run)
     sheets = [panels[first : first + PANELS_A_FIGURE] for first in range(0, len(panels), PANELS_A_FIGURE)]
     names = ["signals.png"] if len(sheets) == 1 else [f"signals-{i + 1}.png" for i in range(len(sheets))]
@@ -65,12 +64,6 @@ def _signals(folder: Path, run: Run) -> list[Path]:
 def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:
     """Draw panels over time into a file."""
     return save(sheet(run.time, panels), path)
-
-
-def figure_of(results: Results, names: Sequence[str]) -> Figure:
-    """Return a matplotlib figure of some signals; signals of the same unit share a panel."""
-    run = drawable_run(results, {})
-    return sheet(run.time, signal_panels(run, frozenset(results.columns) - set(names)))
 
 
 def sheet(time: Array, panels: Sequence[Panel]) -> Figure:

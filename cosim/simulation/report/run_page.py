@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.core import registry
 from cosim.core.arrays import far_beyond
 from cosim.files.files import write_text
 from cosim.files.results import Results
@@ -18,7 +19,7 @@ from cosim.report.charts import Charts
 from cosim.report.html_tables import Row
 from cosim.report.panels import Band, Panel, Trace, by_unit, display_unit, extent
 from cosim.report.template import render
-from cosim.simulation.report.component_page import ComponentPage, component_page
+from cosim.simulation.report.component_page import ComponentPage
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 from cosim.simulation.report.run_rows import (
     badges,
@@ -57,7 +58,10 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
     for c in sorted(goals, key=lambda c: bool(c["met"]))[:MAX_TILES]:
         allowed = f", allowed {c['allowed']}" if c["allowed"] else ""
         tiles.append(Row(c["title"], c["value"], f"{'met' if c['met'] else 'missed'}{allowed}"))
-    page = component_page(run, drawing) or ComponentPage(TEMPLATE, tiles=tiles)
+    page: ComponentPage | None = None  # of the run's components
+    if entry := registry.page_for(run.variables.values()):
+        page = registry.resolve(entry.subject)(run, drawing)
+    page = page or ComponentPage(TEMPLATE, tiles=tiles)
     connected, kinds, shown = connections(run), fmi_kinds(run), page.shown
     judged = judged_panels(run) if run.time.size and not shown else []
     links = connection_panels(run, connected, shown) if run.time.size else {}

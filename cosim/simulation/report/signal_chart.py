@@ -26,15 +26,12 @@ def results_cell(results: Results, names: Sequence[str], title: str) -> str:
     run = drawable_run(replace(results, time=results.time[rows], columns=shown, values=values, exact={}), {})
     omitted = len(names) - len(shown)
     page = cell_of(run.time, signal_panels(run), title, rows=results.time.size, omitted=omitted)
-    return page + _note(results, shown)
-
-
-def _note(results: Results, shown: Sequence[str]) -> str:
     texts = [name for name in results.exact if name not in results]
     rounded = [name for name in shown if name in results.exact and is_rounded(results[name])]
     parts = [f"{_names(texts)} not drawn: texts"] if texts else []
     parts += [f"{_names(rounded)} above 2⁵³ drawn as the nearest doubles"] if rounded else []
-    return f"<p><small>{escape('; '.join(parts))}.</small></p>" if parts else ""
+    note = f"<p><small>{escape('; '.join(parts))}.</small></p>" if parts else ""
+    return page + note
 
 
 def _names(names: Sequence[str]) -> str:

@@ -128,7 +128,26 @@ class Graph:
             box.left = x
             x += box.width + SLOT * (3 + len(gaps[number]))
         bottom = top + max(box.height for box in boxes.values()) + 12
-        parts = [_drawn_box(box, top) for box in boxes.values()]
+        parts = []
+        for box in boxes.values():
+            left, width = box.left, box.width
+            parts += [
+                f'<rect class="box" x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{box.height:.1f}" '
+                f'rx="{RADIUS}"/>',
+                f'<path class="head" d="M{left:.1f} {top + HEAD:.1f}h{width:.1f}"/>',
+                f'<text class="name" x="{left + 12:.1f}" y="{top + 20:.1f}">{escape(box.name)}</text>',
+                f'<text class="about" x="{left + 12:.1f}" y="{top + 37:.1f}">{escape(box.about)}</text>',
+            ]
+            for ports, at, where in zip(box.ports, (left + 12, left + width - 12), ("", " right"), strict=True):
+                down = top + HEAD + 21
+                for port in ports.values():
+                    unit = f' <tspan class="unit">[{escape(port.unit)}]</tspan>' if port.unit else ""
+                    text = f"{escape(port.name)}{unit}"
+                    parts.append(f'<text class="port{where}" x="{at:.1f}" y="{down:.1f}">{text}</text>')
+                    for k, note in enumerate(port.notes, 1):
+                        look, note_y = f"note-{'bad' if note.startswith('fault') else 'warn'}{where}", down + NOTE * k
+                        parts.append(f'<text class="{look}" x="{at:.1f}" y="{note_y:.1f}">{escape(note)}</text>')
+                    down += port.height
         for number, (link, (before, after)) in enumerate(zip(self.links, wires, strict=True)):
             (out_name, _, output), (in_name, _, variable) = link.source.partition("."), link.target.partition(".")
             source, target = boxes[out_name], boxes[in_name]
@@ -247,26 +266,6 @@ def _order(gap: int, wires: Sequence[tuple[int, int]]) -> list[tuple[int, str]]:
     left = out["on"] + out["near"] + out["back"][::-1]
     right = into["from the right"] + into["from the left"][::-1]
     return [*((number, "out") for number in left), *((number, "in") for number in right)]
-
-
-def _drawn_box(box: _Box, y: float) -> str:
-    x, w = box.left, box.width
-    parts = [
-        f'<rect class="box" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{box.height:.1f}" rx="{RADIUS}"/>',
-        f'<path class="head" d="M{x:.1f} {y + HEAD:.1f}h{w:.1f}"/>',
-        f'<text class="name" x="{x + 12:.1f}" y="{y + 20:.1f}">{escape(box.name)}</text>',
-        f'<text class="about" x="{x + 12:.1f}" y="{y + 37:.1f}">{escape(box.about)}</text>',
-    ]
-    for ports, at, side in zip(box.ports, (x + 12, x + w - 12), ("", " right"), strict=True):
-        down = y + HEAD + 21
-        for port in ports.values():
-            unit = f' <tspan class="unit">[{escape(port.unit)}]</tspan>' if port.unit else ""
-            parts.append(f'<text class="port{side}" x="{at:.1f}" y="{down:.1f}">{escape(port.name)}{unit}</text>')
-            for k, text in enumerate(port.notes, 1):
-                tone, note_y = "bad" if text.startswith("fault") else "warn", down + NOTE * k
-                parts.append(f'<text class="note-{tone}{side}" x="{at:.1f}" y="{note_y:.1f}">{escape(text)}</text>')
-            down += port.height
-    return "".join(parts)
 
 
 def _rounded_path(points: Sequence[tuple[float, float]]) -> str:

@@ -1,0 +1,234 @@
+"""What a verdict depends on, from the fitted hypotheses of a search: their evidence, equivalences and lack of fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from scipy.special import expit, logsumexp
+from scipy.stats import chi2, norm
+
+from cosim.core.arrays import Rows
+from cosim.core.linear_algebra import least_squares
+from cosim.estimation.fit import Fit, inverse, slopes
+from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import (
+    WIDTHS,
+    Candidate,
+    Free,
+    kind_within,
+    spread_of_base,
+    values_of_special_case,
+)
+from cosim.refinement.decision.equivalence import act_alike
+from cosim.refinement.decision.evidence import steadiness
+from cosim.refinement.decision.posterior import (
+    CERTAIN,
+    EXCESS,
+    MIXTURE,
+    TOLERANCE,
+    Bundle,
+    Evidence,
+    Misfit,
+    Parameter,
+    folded,
+    log_prior,
+    posterior,
+)
+from cosim.refinement.search.fits import Search
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.unnamed import Leftover
+from cosim.terms.alike import contains
+
+BLOCKS = 20  # blocks of time of a study
+COMPARED = 5  # classes of which equivalences are sought
+WIDER = 3.0  # tolerances, as one standard deviation of a base number on trial of usual size
+POSSIBLE = 1.0 - CERTAIN  # probability of a class from which it is compared with others
+
+
+def evidence(search: Search, h: Hypothesis) -> Evidence:
+    """Return the evidence of a hypothesis, from the cache if possible."""
+    known = search.evidences.get(h.names)
+    if known is None or known[0] is not h:
+        known = search.evidences[h.names] = h, evidence_of(search, h)
+    return known[1]
+
+
+def evidence_of(search: Search, h: Hypothesis) -> Evidence:
+    """Return the evidence of a fitted hypothesis.
+
+    Noise levels are integrated out by Schur complement; a level that the likelihood pushes beyond its limit is fixed.
+    """
+    problem, count = search.problem, len(h.fit.free)
+    at = slopes(problem, h.fit)
+    gradients, s = at.gradients, at.scored.variances
+    ends = np.cumsum(at.scored.counts)[:-1]
+    by_log = zip(*(np.split(rows, ends, axis=1) for rows in (at.errors / np.sqrt(s), at.log_variances)), strict=True)
+    informations = np.array([e @ e.T + 0.5 * v @ v.T for e, v in by_log])
+    free, total = problem.limits.free, gradients.sum(axis=1)[count:]
+    noise, low, high = (values[free] for values in (h.fit.noise.vector, problem.limits.low, problem.limits.high))
+    pinned = ((noise <= low) & (total > 0.0)) | ((noise >= high) & (total < 0.0))
+    nuisance, own = count + np.flatnonzero(~pinned), np.arange(count)
+    F = informations.sum(axis=0)
+    across = least_squares(F[np.ix_(nuisance, nuisance)], F[np.ix_(nuisance, own)])
+    marginal = informations[:, :count, :count] - across.T @ informations[:, nuisance, :count]
+    block, logs = blocks_of_time(at.scored.of_each_log(at.scored.rows))
+    moved = gradients[own] - across.T @ gradients[nuisance]
+    return Evidence(
+        parts=frozenset(h.names),
+        parameters=tuple(prior_of(search, h, f) for f in h.fit.free),
+        log_likelihoods=-np.bincount(block, at.scored.terms, len(logs)).astype(np.float64),
+        gradients=np.stack([np.bincount(block, row, len(logs)) for row in moved], axis=1)
+        if count
+        else np.zeros((len(logs), 0)),
+        informations=0.5 * (marginal + marginal.transpose(0, 2, 1)),
+        logs=logs,
+    )
+
+
+def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
+    """Return the block of each measurement, and the log of each block; blocks last about equally long.
+
+    Args:
+        rows: Row of each measurement, log by log.
+    """
+    lengths = [int(np.ptp(r)) + 1 if r.size else 0 for r in rows]
+    numbers, logs = [], list[int]()
+    for log, (r, length) in enumerate(zip(rows, lengths, strict=True)):
+        parts = max(1, round(BLOCKS * length / sum(lengths)))
+        numbers.append(len(logs) + (r - r[:1]) * parts // max(1, length))
+        logs += [log] * parts
+    return np.concatenate(numbers), np.array(logs)
+
+
+def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
+    """Return a free parameter of a fit with its prior."""
+    subject, problem = search.subject, search.problem
+    value, low = float(h.fit.values[f.name]), max(f.low, h.fit.values.get(f.above, f.low))
+    if f.group:
+        return Parameter(f.name, "", value, value, np.inf)
+    if f.prior:
+        return Parameter(f.name, "", value, *f.prior, low=low, high=f.high)
+    part = next((c.name for c in h.candidates if f.name in c.parameters), "")
+    given = float(problem.values[f.name])
+    if f.name in {p.name for p in subject.parameters}:
+        p, stated = subject.declared[f.name], problem.settings.tolerance
+        tolerance = stated.get(f.name, TOLERANCE if p.tolerance is None else p.tolerance)
+        width = WIDER * WIDTHS * spread_of_base(p, given, tolerance)
+        return Parameter(f.name, part, value, given, width, is_size=True, low=low, high=f.high)
+    centre = f.neutral if f.neutral is not None and part not in subject.present else given
+    return Parameter(f.name, part, value, centre, f.size, is_size=f.neutral is not None, low=low, high=f.high)
+
+
+def families(candidates: Sequence[Candidate]) -> dict[str, str]:
+    """Return rich candidate → its special case; terms of an FMU have it at the same place."""
+    found = {}
+    for rich in candidates:
+        for simple in candidates:
+            same = dict.fromkeys(simple.parameters, 1.0)
+            is_own = not simple.name.rpartition("_at_")[1] and rich is not simple
+            if contains(rich.name, simple.name) or (is_own and values_of_special_case(rich, simple, same)):
+                found[rich.name] = simple.name
+    return found
+
+
+def optima(search: Search) -> list[Hypothesis]:
+    """Return the hypotheses that were fitted to the end and to an optimum.
+
+    A fit that is worse than that of a subset of its parts has stopped far from its optimum. An expansion there promises
+    any gain.
+    """
+    ended = [h for h in search.tried.values() if h.ended]
+    bounds = {h.names: [o.fit.objective for o in ended if set(o.names) < set(h.names)] for h in ended}
+    return [h for h in ended if h.fit.objective < min(bounds[h.names], default=math.inf) + 1.0]
+
+
+def bundle_of(search: Search, candidates: Sequence[Candidate], hidden: Sequence[str]) -> Bundle:
+    """Return the bundle of a search's hypotheses, without lack of fit.
+
+    Equivalent are hypotheses that act alike for every input, of those that are probable.
+    """
+    evidences = [evidence(search, h) for h in optima(search)]
+    sets, _ = posterior(evidences, len(candidates))
+    probable = [parts for parts, p in folded(sets, ()).items() if p > POSSIBLE][:COMPARED]
+    of = {frozenset(h.names): h for h in search.tried.values()}
+    apart = [(one, other) for one, other in combinations(probable, 2) if not (one <= other or other <= one)]
+    return Bundle(
+        hypotheses=evidences,
+        kinds={c.name: kind_within(c, search.subject) for c in candidates},
+        equivalent=[pair for pair in apart if act_alike(search, *(of[parts] for parts in pair))],
+        families=families(candidates),
+        hidden=frozenset(hidden),
+    )
+
+
+def beside_unnamed_terms(search: Search, h: Hypothesis, together: Fit, kappa: float, count: int) -> dict[str, float]:
+    """Return part → its probability beside unnamed terms, by the ratio of densities at its neutral value.
+
+    The Bayes factor of a nested hypothesis is the density of the prior there over that of the posterior (Dickey 1971,
+    Annals of Mathematical Statistics 42:204).
+
+    Args:
+        together: Fit of the hypothesis with the terms.
+        count: Number of parts on trial.
+    """
+    covariance, names = kappa * inverse(together.information), [f.name for f in together.free]
+    size = len(h.candidates)
+    odds = log_prior(frozenset(map(str, range(size))), count) - log_prior(frozenset(map(str, range(size - 1))), count)
+    found = {}
+    for c in h.candidates:
+        sizes = [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
+        places = [names.index(p.name) for p in sizes]
+        away = np.array([together.values[p.name] - p.centre for p in sizes])
+        block = covariance[np.ix_(places, places)]
+        spread = 0.5 * float(away @ inverse(block) @ away) + 0.5 * float(np.linalg.slogdet(block)[1])
+        widths = np.array([p.width for p in sizes])
+        prior = float(logsumexp([-np.sum(np.log(times * widths)) for times in MIXTURE])) - math.log(len(MIXTURE))
+        found[c.name] = float(expit(prior + spread + odds))
+    return found
+
+
+def chance_of(problem: Problem, leftover: Leftover, alone: Fit) -> float:
+    """Return the probability that unnamed terms improve a fit as much by chance.
+
+    It is that of χ² for the best of all terms tried (Bonferroni), or that of as steady a gain over blocks of time.
+
+    Args:
+        problem: With unnamed terms.
+        alone: Fit without these terms.
+    """
+    if leftover.fit is None:
+        return 1.0
+    of_gain = leftover.among * float(chi2.sf(2.0 * leftover.gain, sum(len(u.names) for u in leftover.terms)))
+    return min(1.0, max(of_gain, float(norm.sf(steadiness(problem, leftover.fit, alone)))))
+
+
+def misfit_of(
+    by_chance: float,
+    moves: Mapping[str, float],
+    errors: Mapping[str, Mapping[str, float]],
+    floor: Mapping[str, float],
+    beside: Mapping[str, float],
+) -> Misfit:
+    """Return the lack of fit of a hypothesis.
+
+    Args:
+        by_chance: Probability of the gain of unnamed terms.
+        moves: Forced state → size of its unknown input relative to its derivative.
+        errors: `before` and `after`: channel → error of replays with the given model, and with the hypothesis.
+        floor: Channel → noise floor of the hypothesis.
+        beside: Part → its probability beside unnamed terms.
+    """
+    before, after = errors["before"], errors["after"]
+    errors_of = {n: (before.get(n, np.nan), after.get(n, np.nan)) for n in floor}
+    known = {n: f for n, f in floor.items() if f > 0.0 and np.isfinite(errors_of[n]).all()}
+    excess = {n: f for n, f in known.items() if before[n] > EXCESS * f}
+    return Misfit(
+        probability=by_chance,
+        beside=beside,
+        unknown_share=max(moves.values(), default=0.0),
+        remaining={n: max(0.0, after[n] ** 2 - f**2) / (before[n] ** 2 - f**2) for n, f in excess.items()},
+        over_floor={n: after[n] / f for n, f in known.items()},
+    )

@@ -1,0 +1,191 @@
+"""From the hypotheses of a search to claims: bundle, lack of fit, decision, and what is delivered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cosim.core.arrays import Array
+from cosim.core.units import unit_of_rate
+from cosim.estimation.fit import Fit
+from cosim.estimation.kernel.nameless import RATE
+from cosim.estimation.posing import build_problem, coarsen, halve_log
+from cosim.estimation.problem import Problem
+from cosim.estimation.sensor_noise import at_rest
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, chance_of, evidence, misfit_of, prior_of
+from cosim.refinement.decision.claims import (
+    Claims,
+    equivalent_groups,
+    experiment_for,
+)
+from cosim.refinement.decision.evidence import (
+    fit_given_model,
+    fit_without,
+    log_error,
+    noise_gains,
+    unknown_input_gain,
+    with_intervals,
+)
+from cosim.refinement.decision.posterior import CERTAIN, Bundle, Decision, decide, log_evidence, log_prior
+from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
+from cosim.refinement.proof.refined_models import log_noise, refined_subject, variant_of
+from cosim.refinement.search.fits import Progress, Search, SearchResult
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.missing import unknown_inputs
+from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
+from cosim.refinement.study import Study
+
+SHOWN = 3  # classes on the ladder of predictions
+
+
+def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
+    """Return the claims of a study."""
+    subject, search = study.subject, result.search
+    bundle = bundle_of(search, result.candidates, result.hidden)
+    first = decide(bundle)
+    hypotheses = {frozenset(h.names): h for h in search.tried.values()}
+    base, best = hypotheses[frozenset()], hypotheses[first.nearest]
+    units = {"time": "s", **{q.name: q.unit for q in subject.states}}
+    units |= {f"{RATE}{q.name}": unit_of_rate(q.unit) for q in subject.states}
+    units |= {f"command {q.name}": q.unit for q in subject.inputs}
+    progress("looking for what has no name", 0.0)
+    posed = build_problem(subject, study.logs, True, study.content.noise, study.settings)
+    if posed.layout.is_free_run:
+        posed = replace(search.problem, kernel=posed.kernel, values={**posed.values, **search.problem.values})
+    coarse = coarsen(posed, best.fit.values)
+    nameless = replace(coarse, sensing=best.fit.noise, trusted=search.problem.trusted, scatter=search.problem.scatter)
+    leftover = find_unnamed_terms(nameless, best.fit, search.price, units)
+    residual = _residual(search.problem, base.fit, best.fit, leftover)
+    inflated = [name for name, entry in residual["process_noise"].items() if entry["inflated"]]
+    moves = {n: share for n, share in unknown_inputs(search.problem, best.fit, units).items() if n in inflated}
+    progress("replaying with the claim and without", 0.0)
+    beside = {}
+    if leftover.fit is not None:
+        beside = beside_unnamed_terms(search, best, leftover.fit, first.dispersion, len(bundle.kinds))
+    settings = study.settings
+    after = variant_of(refined_subject(subject, settings, best), settings, best.fit)
+    given = variant_of(subject, settings, fit_given_model(search.problem, base.fit))
+    variants = {name: replace(v, free_noise=result.free_noise) for name, v in (("before", given), ("after", after))}
+    errors = {name: predicted_errors(variant, search.problem, study.logs) for name, variant in variants.items()}
+    quiet = replace(variants["after"], noise=log_noise(best.fit.noise, result.free_noise))
+    floor = noise_floor(quiet, search.problem, study.logs, np.random.default_rng(FLOOR_SEED))
+    misfit = misfit_of(chance_of(nameless, leftover, best.fit), moves, errors, floor.level, beside)
+    claimed = None
+    if max(first.inclusion.values(), default=0.0) >= CERTAIN:
+        claimed = with_intervals(search, best)
+        bundle = replace(bundle, unsure=frozenset(_unsure(search, claimed, bundle.families)))
+    decision = decide(replace(bundle, misfit=misfit))
+    delivered = _delivered(decision, hypotheses)
+    if claimed is None or delivered is None or delivered.names != claimed.names:
+        claimed = with_intervals(search, delivered) if delivered else None
+    shown = [hypotheses[parts] for parts in [*decision.classes][:SHOWN] if parts]
+    ladder = _ladder(search, base, [*shown, *([claimed] if claimed else [])])
+    nearest = None
+    if decision.grade != "claimed":  # the most probable class that predicts logs left out no worse than the given model
+        most = float(np.mean(ladder[0][1]))
+        better = {frozenset(h.names): h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
+        nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))
+    rivals = tuple(decision.rivals)
+    return Claims(
+        decision=decision,
+        base=base,
+        claimed=claimed,
+        nearest=nearest,
+        tried=_ranked(search, bundle, decision.dispersion),
+        experiment=experiment_for(subject, rivals) if rivals else "",
+        equivalent=equivalent_groups(bundle.equivalent),
+        residual=residual,
+        moves=moves,
+        hidden=[name for name in result.hidden if name not in decision.claimed],
+        still=at_rest(search.problem),
+        ladder=ladder,
+    )
+
+
+def _delivered(decision: Decision, hypotheses: Mapping[frozenset[str], Hypothesis]) -> Hypothesis | None:
+    """Return the most probable hypothesis with all claimed parts, and none beside them but base numbers."""
+    claimed = frozenset(decision.claimed)
+    if not claimed:
+        return None
+    numbers = {n for n in decision.uncertain if decision.verdict != "ambiguous"} - decision.disputed
+    suited = [h for parts, h in hypotheses.items() if h.ended and claimed <= parts <= claimed | numbers]
+    return min(suited, key=lambda h: h.score, default=hypotheses[decision.nearest])
+
+
+def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Iterator[str]:
+    """Yield the parts of a hypothesis of which each size has an interval that holds the value without the part.
+
+    A rich part with a difference that its special case has not is unsure if the interval of that holds 0.
+    """
+    for c in h.candidates:
+        above = [f for f in c.free if f.above] if c.name in families else []
+        ends = [(h.fit.values[f.name] - h.fit.values[f.above], h.fit.sigma_between(f.name, f.above)) for f in above]
+        if above and all(difference < NORMAL_95 * sigma for difference, sigma in ends):
+            yield c.name
+        sizes = [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
+        intervals = [h.fit.interval(p.name) for p in sizes]
+        if sizes and all(low <= p.centre <= high for p, (low, high) in zip(sizes, intervals, strict=True)):
+            yield c.name
+
+
+def _ladder(search: Search, base: Hypothesis, others: Sequence[Hypothesis]) -> list[tuple[Hypothesis | None, Array]]:
+    """Return models with the log error of their predictions of each log, by fits to the other logs; simplest first.
+
+    A single log is halved. The first model is the given one, None.
+    """
+    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
+    logs = range(len(problem.logs))
+
+    def errors(h: Hypothesis | None) -> Array:
+        fits = [fit_without(search, problem, h, k) if h else fit_given_model(problem, base.fit, k) for k in logs]
+        return np.array([log_error(problem, search.subject.horizon, [f], [k]) for k, f in zip(logs, fits, strict=True)])
+
+    every = sorted({h.names: h for h in others}.values(), key=lambda h: len(h.names))
+    return [(h, errors(h)) for h in (None, base, *every)]
+
+
+def _ranked(search: Search, bundle: Bundle, kappa: float) -> list[tuple[Hypothesis, float]]:
+    """Return the hypotheses with their log odds to the recalibrated model, most probable first.
+
+    Of a hypothesis that was only screened, the odds are those of its score.
+    """
+    count, base = len(bundle.kinds), search.tried[()]
+
+    def log_weight(h: Hypothesis) -> float:
+        return log_evidence(evidence(search, h), kappa) + log_prior(frozenset(h.names), count)
+
+    zero = log_weight(base)
+    odds = {h.names: log_weight(h) - zero if h.ended else (base.score - h.score) / kappa for h in search.tried.values()}
+    ranked = sorted(search.tried.values(), key=lambda h: -odds[h.names])
+    return [(h, odds[h.names]) for h in ranked]
+
+
+def _residual(problem: Problem, base: Fit, best: Fit, leftover: Leftover) -> dict[str, Any]:
+    """Return the deficient equation, the signals of the misfit and the process noise."""
+    densities = zip(problem.layout.forced, base.noise.density, best.noise.density, strict=False)
+    noise = {
+        equation: {
+            "before": float(before),
+            "after": float(after),
+            "inflated": gain > unknown_input_gain(problem),
+            "gain": gain,
+        }
+        for (equation, before, after), gain in zip(densities, noise_gains(problem, best), strict=True)
+    }
+    inflated = {name: entry["gain"] for name, entry in noise.items() if entry["inflated"]}
+    terms = leftover.terms if leftover.is_stable else ()
+    where = terms[0].equation if terms else max(inflated, key=lambda k: inflated[k], default=None)
+    signals = list(dict.fromkeys(u.signal for u in terms if u.equation == where))
+    if not leftover.is_placed:
+        where, signals = None if terms else where, signals[:1]
+    return {
+        "equation": where,
+        "signals": signals,
+        "share": terms[0].share if terms else None,
+        "process_noise": noise,
+        "terms": [u.entry for u in leftover.terms],
+    }
