@@ -111,6 +111,8 @@ def _delivered(decision: Decision, hypotheses: Mapping[frozenset[str], Hypothesi
     claimed = frozenset(decision.claimed)
     if not claimed:
         return None
+    if decision.verdict == "ambiguous" and claimed <= decision.nearest:
+        return hypotheses[decision.nearest]  # the certain parts alone may fit worse than the given model
     numbers = {n for n in decision.uncertain if decision.verdict != "ambiguous"} - decision.disputed
     suited = [h for parts, h in hypotheses.items() if h.ended and claimed <= parts <= claimed | numbers]
     return min(suited, key=lambda h: h.score, default=hypotheses[decision.nearest])
