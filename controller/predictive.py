@@ -237,7 +237,7 @@ class TimeVariantLaw(Predicting):
         A, B = self._linear(hover, self.rest[None])
         fastest = p.prediction_step * float(np.abs(np.linalg.eigvals(A[0])).max())
         self.doublings = max(0, math.ceil(math.log2(max(fastest, SERIES_LIMIT) / SERIES_LIMIT)))
-        F, held = self._held(A)
+        F, held = self._zero_order_hold(A)
         self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
         self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
 
@@ -267,7 +267,7 @@ class TimeVariantLaw(Predicting):
         rates = np.stack(np.broadcast_arrays(*self.rates(0.0, tuple(states.T), tuple(plan.T))), axis=1)[:, PREDICTED]
         # deviations are from target and rest command
         drift = rates[..., None] + A @ (target - path)[..., None] + B @ (self.rest - plan)[..., None]
-        F, held = self._held(A)
+        F, held = self._zero_order_hold(A)
         cost = self.condensed(F, held @ B, held @ drift, (x - target)[:, None]).at(np.ones(1))
         scaled = self.solve(cost)
         self.path = target + np.vstack([x - target, cost.free + cost.forced @ scaled])
@@ -285,7 +285,7 @@ class TimeVariantLaw(Predicting):
         B = self.slopes.along("command", states, commands, (n, COMMANDS))
         return A[:, PREDICTED][:, :, PREDICTED], B[:, PREDICTED]
 
-    def _held(self, A: Matrix) -> tuple[Matrix, Matrix]:
+    def _zero_order_hold(self, A: Matrix) -> tuple[Matrix, Matrix]:
         """Return F = exp(h·A) and ∫₀ʰ exp(s·A) ds = h·φ₁(h·A) of each A over a prediction step.
 
         The step h consists of 2^doublings short ones with

@@ -20,7 +20,7 @@ Wrench = tuple[Number, Number, Number, Number]
 
 
 def off_at_zero(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> Any:
-    """Return a parameter that is 0 by default, where its effect is dormant."""
+    """Return a parameter with the default 0, at which its effect is dormant."""
     return parameter(0.0, unit=unit, bounds=bounds, neutral=0.0, typical=typical, doc=doc)
 
 

@@ -15,7 +15,7 @@ from cosim.estimation.subject.interface import Workplace
 from cosim.logs.log import Log
 from cosim.refinement.decision.bundle import bundle_of
 from cosim.refinement.decision.posterior import Bundle, Decision, decide
-from cosim.refinement.proof.measure import Evidence, replay_logs
+from cosim.refinement.proof.measure import ReplayedLogs, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
@@ -76,7 +76,7 @@ def proven(study: Path, folder: Path) -> Refinement:
 
 def replayed(
     variant: Variant, problem: Problem, logs: Sequence[Log], folder: Path, horizons: Sequence[float] = ()
-) -> dict[float, Evidence]:
+) -> dict[float, ReplayedLogs]:
     """Return replays of a variant through the delivered object."""
     with Workplace(folder, in_process=True) as place:
         return replay_logs(variant, variant.subject.replayer(place), problem, logs, horizons)

@@ -243,7 +243,7 @@ def weighed(log_odds: Mapping[Names, float], kinds: Mapping[str, Kind], **more: 
 
 def _weighed(log_odds: Mapping[Names, float], count: int) -> Iterator[Evidence]:
     for parts, odds in log_odds.items():
-        each = np.full(BLOCKS, (odds - rules.log_prior(parts, count)) / BLOCKS)
+        each = np.full(BLOCKS, (odds - rules.log_prior(len(parts), count)) / BLOCKS)
         yield Evidence(parts, (), each, np.zeros((BLOCKS, 0)), np.zeros((1, 0, 0)), np.zeros(BLOCKS, np.intp))
 
 

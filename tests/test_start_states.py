@@ -13,7 +13,7 @@ from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.propagation import lasting, propagations
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.evidence import Replays
+from cosim.refinement.decision.scatter import Replays
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import build

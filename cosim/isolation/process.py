@@ -285,7 +285,7 @@ class Remote:
         return self.worker.call(call_object, *call, watch=watch, doing=doing)
 
     def free(self, method: str, *arguments: Any, watch: Watch | None = None) -> None:
-        """Call a last method of the object and forget it, if it is there."""
+        """Call the last method of a made object, and forget the object."""
         if self.is_made:
             self.worker.call(free_object, self._number, method, arguments, watch=watch, doing=OTHER)
         self._process = 0

@@ -23,7 +23,7 @@ from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict
 from cosim.refinement.decision.sentences import Proof, sentence
-from cosim.refinement.proof.measure import Evidence, Floor, rmse
+from cosim.refinement.proof.measure import Floor, ReplayedLogs, rmse
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
@@ -38,7 +38,9 @@ Likelihood = Annotated[  # null if the filter diverged
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
 Part = Literal["estimation", "validation"]
 Floors = Mapping[Part, Floor]
-Replayed = Mapping[str, Mapping[Part, Mapping[float, Evidence]]]  # before, recalibrated, after → set of logs → horizon
+Replayed = Mapping[
+    str, Mapping[Part, Mapping[float, ReplayedLogs]]
+]  # before, recalibrated, after → set of logs → horizon
 Parts = dict[Part, Channels]
 
 
@@ -252,7 +254,7 @@ class Record(_Entry):
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
         description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error of replays, or beside "
-        "which rivals remain; `nearest`: nothing is claimed"
+        "which rivals or significant unnamed terms remain; `nearest`: nothing is claimed"
     )
     posterior: list[ClassEntry] = Field(description="classes of hypotheses with their probabilities, highest first")
     inclusion: dict[str, Finite] = Field(description="part → its probability, the sum over the classes with it")
@@ -262,8 +264,8 @@ class Record(_Entry):
     reasons: list[str] = Field(description="what stands against a claim")
     finished: Literal[True] = True
     effects: list[EffectEntry] = Field(
-        description="what is claimed, most important first; where the verdict is `ambiguous`, what all rivals contain, "
-        "with intervals over all of them"
+        description="what is claimed, most important first; where the verdict is `ambiguous`, the parts that are "
+        "certain all the same"
     )
     rivals: list[str] = Field(
         description="what the data cannot distinguish, where the verdict is `ambiguous`; `a + b` are two together; "

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims
-from cosim.refinement.proof.measure import Evidence
+from cosim.refinement.proof.measure import ReplayedLogs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import Part
 from cosim.refinement.study import Study
@@ -26,7 +26,7 @@ class Refinement:
     folder: Path
     problem: Problem
     variants: Mapping[str, Variant]
-    evidence: Mapping[str, Mapping[Part, Evidence]]  # before, recalibrated, after → estimation, validation
+    evidence: Mapping[str, Mapping[Part, ReplayedLogs]]  # before, recalibrated, after → estimation, validation
 
     @property
     def refined(self) -> Subject:

@@ -44,7 +44,7 @@ from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.deciding import claims_of
-from cosim.refinement.decision.evidence import fit_given_model
+from cosim.refinement.decision.scatter import fit_given_model
 from cosim.refinement.decision.sentences import Proof, floor_warning
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
@@ -74,7 +74,8 @@ def refine(
 ) -> Refinement:
     """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
-    A model gives model.yaml and plant.fmu. The files of an earlier refinement are replaced.
+    A model gives model.yaml and plant.fmu. The files of an earlier refinement are replaced. A search that a limit of
+    time stops leaves refine.json alone, with the hypotheses so far and without a verdict.
 
     Args:
         study: Study file, or a study of any subject (`cosim.refinement.study.study_of`).

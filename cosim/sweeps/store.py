@@ -69,7 +69,7 @@ class Database:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)) from None
 
     def add(self, run: RunResult) -> None:
-        """Store a run; one that is there is replaced."""
+        """Store a run in place of an earlier one with its number."""
         numbers = np.concatenate([run.values, run.signals.ravel()]).astype(float).tobytes()
         row = (run.run, run.status, bytes(run.met), len(run.signals), numbers)
         with self._transaction():

@@ -211,7 +211,7 @@ class SineTest(Test):
     @field_validator("periods")
     @classmethod
     def _one_each(cls, periods: list[float], info: ValidationInfo) -> list[float]:
-        """Refuse periods that are not one number a frequency."""
+        """Refuse another number of periods than of frequencies."""
         if len(periods) != len(info.data.get("frequencies", periods)):
             raise ValueError("give one number for each frequency")
         return periods

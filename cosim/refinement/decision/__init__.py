@@ -1,1 +1,1 @@
-"""Evidence, verdict and sentence of a refinement."""
+"""Posterior, verdict and sentence of a refinement."""

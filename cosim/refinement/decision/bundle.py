@@ -23,10 +23,8 @@ from cosim.estimation.subject.candidates import (
     values_of_special_case,
 )
 from cosim.refinement.decision.equivalence import act_alike
-from cosim.refinement.decision.evidence import steadiness
 from cosim.refinement.decision.posterior import (
     CERTAIN,
-    EXCESS,
     MIXTURE,
     TOLERANCE,
     Bundle,
@@ -37,30 +35,26 @@ from cosim.refinement.decision.posterior import (
     log_prior,
     posterior,
 )
+from cosim.refinement.decision.scatter import steadiness
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.unnamed import Leftover
+from cosim.residuals.residual_statistics import remaining_excess
 from cosim.terms.alike import contains
 
 BLOCKS = 20  # blocks of time of a study
 COMPARED = 5  # classes of which equivalences are sought
-WIDER = 3.0  # tolerances, as one standard deviation of a base number on trial of usual size
 POSSIBLE = 1.0 - CERTAIN  # probability of a class from which it is compared with others
 
 
 def evidence(search: Search, h: Hypothesis) -> Evidence:
-    """Return the evidence of a hypothesis, from the cache if possible."""
-    known = search.evidences.get(h.names)
-    if known is None or known[0] is not h:
-        known = search.evidences[h.names] = h, evidence_of(search, h)
-    return known[1]
-
-
-def evidence_of(search: Search, h: Hypothesis) -> Evidence:
-    """Return the evidence of a fitted hypothesis.
+    """Return the evidence of a fitted hypothesis, from the cache if possible.
 
     Noise levels are integrated out by Schur complement; a level that the likelihood pushes beyond its limit is fixed.
     """
+    known = search.evidences.get(h.names)
+    if known is not None and known[0] is h:
+        return known[1]
     problem, count = search.problem, len(h.fit.free)
     at = slopes(problem, h.fit)
     gradients, s = at.gradients, at.scored.variances
@@ -76,7 +70,7 @@ def evidence_of(search: Search, h: Hypothesis) -> Evidence:
     marginal = informations[:, :count, :count] - across.T @ informations[:, nuisance, :count]
     block, logs = blocks_of_time(at.scored.of_each_log(at.scored.rows))
     moved = gradients[own] - across.T @ gradients[nuisance]
-    return Evidence(
+    found = Evidence(
         parts=frozenset(h.names),
         parameters=tuple(prior_of(search, h, f) for f in h.fit.free),
         log_likelihoods=-np.bincount(block, at.scored.terms, len(logs)).astype(np.float64),
@@ -86,6 +80,8 @@ def evidence_of(search: Search, h: Hypothesis) -> Evidence:
         informations=0.5 * (marginal + marginal.transpose(0, 2, 1)),
         logs=logs,
     )
+    search.evidences[h.names] = h, found
+    return found
 
 
 def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
@@ -116,7 +112,7 @@ def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
     if f.name in {p.name for p in subject.parameters}:
         p, stated = subject.declared[f.name], problem.settings.tolerance
         tolerance = stated.get(f.name, TOLERANCE if p.tolerance is None else p.tolerance)
-        width = WIDER * WIDTHS * spread_of_base(p, given, tolerance)
+        width = WIDTHS * spread_of_base(p, given, tolerance) / MIXTURE[0]
         return Parameter(f.name, part, value, given, width, is_size=True, low=low, high=f.high)
     centre = f.neutral if f.neutral is not None and part not in subject.present else given
     return Parameter(f.name, part, value, centre, f.size, is_size=f.neutral is not None, low=low, high=f.high)
@@ -175,8 +171,7 @@ def beside_unnamed_terms(search: Search, h: Hypothesis, together: Fit, kappa: fl
         count: Number of parts on trial.
     """
     covariance, names = kappa * inverse(together.information), [f.name for f in together.free]
-    size = len(h.candidates)
-    odds = log_prior(frozenset(map(str, range(size))), count) - log_prior(frozenset(map(str, range(size - 1))), count)
+    odds = log_prior(len(h.candidates), count) - log_prior(len(h.candidates) - 1, count)
     found = {}
     for c in h.candidates:
         sizes = [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
@@ -221,14 +216,13 @@ def misfit_of(
         floor: Channel → noise floor of the hypothesis.
         beside: Part → its probability beside unnamed terms.
     """
-    before, after = errors["before"], errors["after"]
-    errors_of = {n: (before.get(n, np.nan), after.get(n, np.nan)) for n in floor}
-    known = {n: f for n, f in floor.items() if f > 0.0 and np.isfinite(errors_of[n]).all()}
-    excess = {n: f for n, f in known.items() if before[n] > EXCESS * f}
+    before, after = ({n: e for n, e in of.items() if math.isfinite(e)} for of in (errors["before"], errors["after"]))
+    known = {n: f for n, f in floor.items() if f > 0.0 and n in before and n in after}
+    shares = {n: remaining_excess(before[n], after[n], f) for n, f in known.items()}
     return Misfit(
         probability=by_chance,
         beside=beside,
         unknown_share=max(moves.values(), default=0.0),
-        remaining={n: max(0.0, after[n] ** 2 - f**2) / (before[n] ** 2 - f**2) for n, f in excess.items()},
+        remaining={n: max(0.0, share) for n, share in shares.items() if math.isfinite(share)},
         over_floor={n: after[n] / f for n, f in known.items()},
     )

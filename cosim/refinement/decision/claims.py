@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -69,11 +70,12 @@ class Claims:
 
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:
-        """Return the claimed candidates, most probable first."""
+        """Return the claimed candidates, first those that are most probable alone."""
         if self.claimed is None:
             return ()
-        of = {c.name: c for c in self.claimed.candidates}
-        return tuple(of[name] for name in self.decision.claimed if name in of)
+        alone = {h.names: odds for h, odds in self.tried if len(h.names) == 1}
+        claimed = [c for c in self.claimed.candidates if c.name in self.decision.claimed]
+        return tuple(sorted(claimed, key=lambda c: -alone.get((c.name,), -math.inf)))
 
     @property
     def rivals(self) -> tuple[str, ...]:
@@ -87,7 +89,7 @@ def text_of(parts: Names) -> str:
 
 
 def experiment_for(subject: Subject, rivals: Sequence[Names]) -> str:
-    """Return the experiment that separates rivals by what they do not share."""
+    """Return the experiment that separates rivals; parts common to all of them need none."""
     common = frozenset[str].intersection(*rivals) if rivals else frozenset[str]()
     names = frozenset[str]().union(*rivals) - common
     experiments = [(len(row & names), text) for row, text in subject.told_apart_by.items()]

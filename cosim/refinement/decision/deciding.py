@@ -16,13 +16,10 @@ from cosim.estimation.posing import build_problem, coarsen, halve_log
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, chance_of, evidence, misfit_of, prior_of
-from cosim.refinement.decision.claims import (
-    Claims,
-    equivalent_groups,
-    experiment_for,
-)
-from cosim.refinement.decision.evidence import (
+from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, chance_of, misfit_of, prior_of
+from cosim.refinement.decision.claims import Claims, equivalent_groups, experiment_for
+from cosim.refinement.decision.posterior import CERTAIN, Bundle, Decision, decide, log_evidence, log_prior
+from cosim.refinement.decision.scatter import (
     fit_given_model,
     fit_without,
     log_error,
@@ -30,7 +27,6 @@ from cosim.refinement.decision.evidence import (
     unknown_input_gain,
     with_intervals,
 )
-from cosim.refinement.decision.posterior import CERTAIN, Bundle, Decision, decide, log_evidence, log_prior
 from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
 from cosim.refinement.proof.refined_models import log_noise, refined_subject, variant_of
 from cosim.refinement.search.fits import Progress, Search, SearchResult
@@ -153,17 +149,14 @@ def _ladder(search: Search, base: Hypothesis, others: Sequence[Hypothesis]) -> l
 def _ranked(search: Search, bundle: Bundle, kappa: float) -> list[tuple[Hypothesis, float]]:
     """Return the hypotheses with their log odds to the recalibrated model, most probable first.
 
-    Of a hypothesis that was only screened, the odds are those of its score.
+    Of a hypothesis without evidence, since it was only screened or stopped far from its optimum, the odds are those of
+    its score.
     """
     count, base = len(bundle.kinds), search.tried[()]
-
-    def log_weight(h: Hypothesis) -> float:
-        return log_evidence(evidence(search, h), kappa) + log_prior(frozenset(h.names), count)
-
-    zero = log_weight(base)
-    odds = {h.names: log_weight(h) - zero if h.ended else (base.score - h.score) / kappa for h in search.tried.values()}
-    ranked = sorted(search.tried.values(), key=lambda h: -odds[h.names])
-    return [(h, odds[h.names]) for h in ranked]
+    weights = {e.parts: log_evidence(e, kappa) + log_prior(len(e.parts), count) for e in bundle.hypotheses}
+    zero = weights[frozenset()]
+    every = [(h, weights.get(frozenset(h.names), zero + (base.score - h.score) / kappa)) for h in search.tried.values()]
+    return [(h, weight - zero) for h, weight in sorted(every, key=lambda pair: -pair[1])]
 
 
 def _residual(problem: Problem, base: Fit, best: Fit, leftover: Leftover) -> dict[str, Any]:

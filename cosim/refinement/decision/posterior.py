@@ -23,17 +23,17 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from cosim.core.arrays import Array, Rows
+from cosim.residuals.residual_statistics import COUNTS_FROM
 
-# The numbers that decide, with `EQUIVALENT` of `cosim.refinement.decision.equivalence`.
+# The numbers that decide, with `EQUIVALENT` of `cosim.refinement.decision.equivalence` and `COUNTS_FROM` of replays.
 CERTAIN = 0.95  # inclusion probability from which a part is claimed; mass of the classes of an ambiguous verdict
 PART = 0.5  # prior factor of each further part
-MIXTURE = (1 / 3, 1.0, 3.0)  # widths of the prior of a size, in usual sizes: typical, or on trial three tolerances
-TOLERANCE = 0.05  # of a base number on trial without a stated one
+MIXTURE = (1 / 3, 1.0, 3.0)  # widths of the prior of a size, in usual sizes
+TOLERANCE = 0.05  # of a base number on trial without a stated one; it is the least width of the prior
 MISFIT = 1e-3  # probability below which a lack of fit is no chance
-UNKNOWN = 0.02  # share of a derivative that unknown inputs may carry in a model from which nothing is missing
+UNKNOWN = 0.02  # share of a derivative that unknown inputs may carry, unless replays show what a claim removes
 LITTLE = 0.1  # share of the excess error that may remain beside a complete claim
 UNEXPLAINED = 0.5  # share of the excess error that may remain beside any claim
-EXCESS = 2.0  # error over the noise floor from which a channel has excess error (as in refine.json)
 
 Kind = Literal["effect", "sensor", "parameter"]
 Verdict = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
@@ -218,9 +218,9 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.asarray(solution / (scale if right.ndim == 1 else scale[:, None]))
 
 
-def log_prior(parts: Names, count: int) -> float:
-    """Return ln of the prior of a set of parts, of so many on trial."""
-    return len(parts) * math.log(PART) - math.log(math.comb(count, len(parts)))
+def log_prior(size: int, count: int) -> float:
+    """Return ln of the prior of a set of `size` parts, of `count` on trial."""
+    return size * math.log(PART) - math.log(math.comb(count, size))
 
 
 def posterior(hypotheses: Sequence[Evidence], count: int) -> tuple[dict[Names, float], float]:
@@ -229,13 +229,11 @@ def posterior(hypotheses: Sequence[Evidence], count: int) -> tuple[dict[Names, f
     Args:
         count: Number of parts on trial.
     """
-    kappa, log_weights = 1.0, dict[Names, float]()
+    kappa = 1.0
     for _ in range(2):  # the best hypothesis hardly depends on the dispersion
-        log_weights = {h.parts: log_evidence(h, kappa) + log_prior(h.parts, count) for h in hypotheses}
-        best = max(hypotheses, key=lambda h: log_weights[h.parts])
-        if kappa == (kappa := dispersion(best)):
-            break
-    log_weights = {h.parts: log_evidence(h, kappa) + log_prior(h.parts, count) for h in hypotheses}
+        best = max(hypotheses, key=lambda h: log_evidence(h, kappa) + log_prior(len(h.parts), count))
+        kappa = dispersion(best)
+    log_weights = {h.parts: log_evidence(h, kappa) + log_prior(len(h.parts), count) for h in hypotheses}
     total = logsumexp([*log_weights.values()])
     return {parts: math.exp(weight - total) for parts, weight in log_weights.items()}, kappa
 
@@ -280,7 +278,7 @@ def by_family(
 
 
 def inclusion(classes: Mapping[Names, float]) -> dict[str, float]:
-    """Return part → sum over the classes that contain it."""
+    """Return part → its inclusion probability, the sum over the classes that contain it."""
     return {n: sum(p for parts, p in classes.items() if n in parts) for n in sorted(frozenset[str]().union(*classes))}
 
 
@@ -300,7 +298,8 @@ def held_out_gain(hypotheses: Sequence[Evidence], kappa: float, part: str, count
             own = h.logs == log
             others = np.delete(h.informations, log, axis=0)
             rest = Evidence(h.parts, h.parameters, h.log_likelihoods[~own], h.gradients[~own], others, h.logs[~own])
-            weight, score = log_evidence(rest, kappa) + log_prior(h.parts, count), float(h.log_likelihoods[own].sum())
+            weight = log_evidence(rest, kappa) + log_prior(len(h.parts), count)
+            score = float(h.log_likelihoods[own].sum())
             if h.parameters:
                 gradient = h.gradients[own].sum(axis=0)
                 precision = np.array([p.width**-2.0 for p in h.parameters])
@@ -319,16 +318,15 @@ def decide(bundle: Bundle) -> Decision:
     classes = folded(by_family(sets, bundle.families, bundle.unsure), bundle.equivalent)
     numbers, nearest, misfit = inclusion(classes), next(iter(classes)), bundle.misfit
     certain = {name: p for name, p in numbers.items() if p >= CERTAIN}
-    reasons: list[str] = []
-    for name in [*certain]:
+    withdrawn: dict[str, str] = {}  # part → why
+    for name in certain:
         is_number = bundle.kinds[name] == "parameter"
         if name in bundle.unsure:
-            reasons.append(f"interval: {name}")
+            withdrawn[name] = "interval"
         elif not is_number and held_out_gain(bundle.hypotheses, kappa, name, len(bundle.kinds)) < 0.0:
-            reasons.append(f"held out: {name}")
-        else:
-            continue
-        del certain[name]
+            withdrawn[name] = "held out"
+    certain = {name: p for name, p in certain.items() if name not in withdrawn}
+    reasons: list[str] = []
     # a posterior means nothing where every hypothesis is wrong: what remains is then compared with what has no name
     is_misfit = misfit.probability < MISFIT
     disputed = {n for n in certain if is_misfit and misfit.beside.get(n, 1.0) < CERTAIN}
@@ -339,7 +337,7 @@ def decide(bundle: Bundle) -> Decision:
     is_seen = bool(certain and misfit.remaining) and misfit.remains <= UNEXPLAINED
     if misfit.unknown_share > UNKNOWN and not is_seen:
         reasons.append("unknown inputs")
-    if not certain and max(misfit.over_floor.values(), default=0.0) > EXCESS:
+    if not certain and max(misfit.over_floor.values(), default=0.0) > COUNTS_FROM:
         reasons.append("excess error")
     if certain and is_misfit and misfit.remains > UNEXPLAINED:
         reasons.append("excess error")
@@ -354,22 +352,18 @@ def decide(bundle: Bundle) -> Decision:
         rivals[parts] = probability
         if sum(rivals.values()) >= CERTAIN:
             break
-    if (
-        not reasons
-        and rivals.keys() == {frozenset()}
-        and bundle.hidden >= {n for n, kind in bundle.kinds.items() if kind == "effect"} > set()
-    ):
+    effects = {n for n, kind in bundle.kinds.items() if kind == "effect"}
+    if not reasons and rivals.keys() == {frozenset()} and bundle.hidden >= effects > set():
         reasons.append("nothing would show")
         rivals |= {frozenset({name}): 0.0 for name in sorted(bundle.hidden)}
-    withdrawn = {reason.partition(": ")[2] for reason in reasons}
-    if certain.keys().isdisjoint(withdrawn) and len(rivals) == 1:  # without what was withdrawn is as possible
+    if len(rivals) == 1:  # what was withdrawn may be missing in it
         (only,) = rivals
         rivals.setdefault(only.difference(withdrawn), 0.0)
     kinds = {bundle.kinds[name] for name in certain}
     verdict: Verdict
     if {"misfit", "excess error", "unknown inputs"}.intersection(reasons):
         verdict, certain = "unexplained", {}
-    elif len(rivals) > 1 or reasons:
+    elif len(rivals) > 1:
         verdict = "ambiguous"
     elif not kinds:
         verdict = "no_effect"
@@ -394,5 +388,5 @@ def decide(bundle: Bundle) -> Decision:
         nearest=nearest,
         dispersion=kappa,
         misfit=misfit,
-        reasons=tuple(reasons),
+        reasons=(*(f"{why}: {name}" for name, why in withdrawn.items()), *reasons),
     )

@@ -15,9 +15,10 @@ from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free, kind_wi
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import NO_EFFECT, Claims
-from cosim.refinement.decision.posterior import EXCESS, LITTLE, MISFIT
+from cosim.refinement.decision.posterior import LITTLE, MISFIT
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
+from cosim.residuals.residual_statistics import COUNTS_FROM
 
 MOST_WORDS = 25  # of a sentence
 NOTHING = "Nothing is missing: the model, recalibrated, explains these logs down to the sensors' noise."
@@ -74,12 +75,12 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         yield claim_text(c.claimed, claimed, subject)
     if c.name == "ambiguous" and "nothing would show" in c.decision.reasons:
         yield little_excitation_text(len(c.hidden), c.experiment, still=c.still)
-    elif c.name == "ambiguous" and len(c.rivals) > 1:
-        yield rivals_text(c)
     elif c.name == "ambiguous":
         for reason, text in REFUSALS.items():
             if parts := [name for kind, _, name in (r.partition(": ") for r in c.decision.reasons) if kind == reason]:
                 yield text.format(join_names(parts))
+        if sum(p > 0.0 for p in c.decision.rivals.values()) > 1:
+            yield rivals_text(c)
     elif c.name == "no_effect":
         yield no_effect_text(c.hidden, c.moves)
         moved = [
@@ -111,7 +112,7 @@ def _unexplained_text(c: Claims, something: str) -> str:
         return f"{text}, which follows no signal.{nearest}"
     over = c.decision.misfit.over_floor
     channel = max(over, key=lambda n: over[n], default="")
-    if over.get(channel, 0.0) <= EXCESS:
+    if over.get(channel, 0.0) <= COUNTS_FROM:
         return f"{something} is missing: terms without a name improve the fit, but show no stable pattern.{nearest}"
     times = plain(over[channel], 2)
     return f"Replays with the most probable hypothesis miss {channel} by {times} times the noise floor.{nearest}"

@@ -18,7 +18,7 @@ from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.evidence import log_error, noise_gains, unknown_input_gain
+from cosim.refinement.decision.scatter import log_error, noise_gains, unknown_input_gain
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Progress, Search, SearchResult
 from cosim.refinement.search.hypotheses import Hypothesis

@@ -41,7 +41,7 @@ PARTS = 8  # parts of a free run, each counted as one replay
 CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, from which a floor is too high
 
 
-Evidence = list[tuple[Log, Replay]]
+ReplayedLogs = list[tuple[Log, Replay]]
 
 
 def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
@@ -66,14 +66,14 @@ def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
 
 def replay_logs(
     variant: Variant, replayer: Replayer, problem: Problem, logs: Sequence[Log], horizons: Sequence[float] = ()
-) -> dict[float, Evidence]:
+) -> dict[float, ReplayedLogs]:
     """Return horizon → corrected logs and their replays.
 
     The subject's own horizon comes first. On further horizons, a log on which an unstable FMU stops is skipped.
     """
     problem = _begun(variant, problem, logs)
     judged = variant.subject.horizon
-    played: dict[float, Evidence] = {judged: [], **{horizon: [] for horizon in horizons}}
+    played: dict[float, ReplayedLogs] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         values = problem.of_log(variant.values, index)
         starts, per_log = {}, {}
@@ -117,7 +117,7 @@ def first_rows(log: Log, horizon: float) -> list[int]:
     return [0] if horizon == FREE_RUN else window_rows(log, horizon)
 
 
-def rmse(evidence: Evidence) -> dict[str, float]:
+def rmse(evidence: ReplayedLogs) -> dict[str, float]:
     """Return channel → RMSE pooled over the logs."""
     return pool_errors(replay.errors(log) for log, replay in evidence)
 

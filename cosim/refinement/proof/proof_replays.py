@@ -16,7 +16,7 @@ from cosim.core.text import plain
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Replayer, Subject, Workplace
 from cosim.logs.log import Log
-from cosim.refinement.proof.measure import Evidence, replay_logs
+from cosim.refinement.proof.measure import ReplayedLogs, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
 from cosim.residuals.windows import Replay
@@ -31,7 +31,7 @@ def replay_variants(
     """Replay every variant on every set of logs; return the replays and the FMU used."""
 
     def replay_all(replayer_of: Callable[[Subject], Replayer]) -> Replayed:
-        done: dict[int, dict[Part, dict[float, Evidence]]] = {}
+        done: dict[int, dict[Part, dict[float, ReplayedLogs]]] = {}
         for variant in variants.values():
             if id(variant) not in done:  # one that stands twice is replayed once
                 source = variant, replayer_of(variant.subject), problem

@@ -10,14 +10,14 @@ import numpy as np
 
 from cosim.core.text import percent
 from cosim.logs.log import Log
-from cosim.refinement.proof.measure import PARTS, Evidence, rmse
+from cosim.refinement.proof.measure import PARTS, ReplayedLogs, rmse
 from cosim.residuals.residual_statistics import remaining_excess
 
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
 SAME = 0.01  # difference of two logs, relative to the spread of an output, below which the motion is the same
 
 
-def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, float]]:
+def find_rises(before: ReplayedLogs, after: ReplayedLogs) -> dict[str, tuple[float, float]]:
     """Return channel → error before and after, if significantly risen.
 
     With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is compared with Student's t of n − 1 degrees of
@@ -73,14 +73,14 @@ def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
     return mean * math.sqrt(count) > float(stdtrit(count - 1, 1.0 - chance)) * scatter
 
 
-def remaining_on_sealed_logs(before: Evidence, after: Evidence, floor: Mapping[str, float]) -> dict[str, float]:
-    """Return channel → share of the squared error above the noise floor that remains, of those that have such error."""
+def remaining_on_sealed_logs(before: ReplayedLogs, after: ReplayedLogs, floor: Mapping[str, float]) -> dict[str, float]:
+    """Return channel with excess error before → share of it that remains after."""
     old, new = rmse(before), rmse(after)
     shares = {n: remaining_excess(old[n], new[n], f) for n, f in floor.items() if n in old and n in new}
     return {n: max(0.0, share) for n, share in shares.items() if math.isfinite(share)}
 
 
-def _log_ratios(before: Evidence, after: Evidence, name: str) -> list[float]:
+def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[float]:
     """Return ln(Σe² after / Σe² before) of each replay."""
     ratios: list[float] = []
     for (log, first), (corrected, second) in zip(before, after, strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 from cosim.core.text import MISSING, display, finer, plain
 from cosim.estimation.data import count_unscored
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.proof.measure import Evidence
+from cosim.refinement.proof.measure import ReplayedLogs
 from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.report.charts import Abscissa, Charts, Drawing
@@ -53,7 +53,9 @@ def runs(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     return pages
 
 
-def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, Evidence]], name: str, floor: float) -> dict[str, Any]:
+def _channel(
+    drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], name: str, floor: float
+) -> dict[str, Any]:
     """Draw a channel of a log: measurement with model, and residual.
 
     The model's output is the reading minus its error, and includes sensor errors in the model.

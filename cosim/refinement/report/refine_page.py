@@ -15,7 +15,7 @@ from cosim.core.text import MISSING, counted, join_names, percent, plain, split_
 from cosim.core.version import __version__
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
-from cosim.refinement.decision.posterior import CERTAIN, EXCESS
+from cosim.refinement.decision.posterior import CERTAIN
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import shown_effects
 from cosim.refinement.report.errors import (
@@ -55,6 +55,7 @@ INNOVATIONS = (
     "An innovation is a reading minus its prediction by a filter one step before, in units of the expected standard "
     "deviation σ. A complete model leaves innovations of size 1 that are uncorrelated (white noise). "
 )
+DISPERSED = 2.0  # dispersion κ from which a page says that no hypothesis fits
 WITH_CLAIM = "One filter, tuned to the refined model, ran on the model before and on the refined one."
 WITHOUT_CLAIM = "The model ran in a filter that trusts its equations, and in one that allows for a disturbance."
 
@@ -167,7 +168,7 @@ def _posterior_lead(r: Refinement) -> str:
     kappa = float(r.record["dispersion"])
     if kappa > 1.0:
         lead += f" Log-likelihoods are divided by {plain(kappa, 3)}, the dispersion of the scores over blocks of time."
-    return f"{lead} A dispersion above 2 is a sign that no hypothesis fits." if kappa > EXCESS else lead
+    return f"{lead} A dispersion above {DISPERSED:g} is a sign that no hypothesis fits." if kappa > DISPERSED else lead
 
 
 def _badges(r: Refinement) -> list[Badge]:

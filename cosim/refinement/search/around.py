@@ -14,7 +14,7 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
 from cosim.refinement.decision.bundle import evidence, optima
-from cosim.refinement.decision.posterior import CERTAIN, log_prior, posterior
+from cosim.refinement.decision.posterior import log_prior, posterior
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Parts, Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
 
@@ -24,6 +24,7 @@ ADDED, REPLACING = 4, 2  # most promising additions to a set, and in the place o
 NEAR = 10.0  # nats, in units of the dispersion, within which a set that was screened is fitted to the end
 SCREENED = 6  # such sets in a round
 PROMISED = 2.0  # factor by which a fit may exceed the gain that a score test predicts
+PROBABLE = 0.02  # probability of a set from which its neighbours are tried
 HARDLY = -3.0  # log odds to its neighbour below which a set is not fitted
 
 Start = tuple[Parts, Fit]
@@ -37,7 +38,7 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
         sets, kappa = posterior([evidence(search, h) for h in ended.values()], len(candidates))
         ranked = sorted(sets, key=lambda parts: -sets[parts])
         starts: dict[tuple[str, ...], Start] = {}
-        for parts in [p for p in ranked if sets[p] > 0.4 * (1.0 - CERTAIN)][:LEADING]:
+        for parts in [p for p in ranked if sets[p] > PROBABLE][:LEADING]:
             if parts not in asked:
                 asked.add(parts)
                 for start in _neighbours(search, candidates, ended[parts], kappa):
@@ -65,7 +66,7 @@ def _neighbours(search: Search, candidates: Sequence[Candidate], h: Hypothesis, 
     if not others:
         return
     count, size = len(candidates), len(h.candidates)
-    odds = log_prior(frozenset(map(str, range(size + 1))), count) - log_prior(frozenset(map(str, range(size))), count)
+    odds = log_prior(size + 1, count) - log_prior(size, count)
     for c, promise in _promises(search, h, others)[:ADDED]:
         if PROMISED * promise.gain / kappa + odds > HARDLY:
             yield (*h.candidates, c), replace(h.fit, values={**h.fit.values, **promise.values})

@@ -24,7 +24,7 @@ from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.evidence import scatter_ratio
+from cosim.refinement.decision.scatter import scatter_ratio
 from cosim.refinement.search.around import fit_neighbours
 from cosim.refinement.search.fits import Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
@@ -182,9 +182,11 @@ class Attributor:
         With too few, an integrator may imitate what the model lacks; the fit begins at the given values too.
         """
         search = self.search
-        while (posed := with_finer_steps(search.problem, h.fit.values, h.fit.noise)) is not search.problem:
-            self.fine = with_finer_steps(self.fine, h.fit.values, h.fit.noise)
-            search.problem = posed
+        for _ in range(ROUNDS):
+            posed = with_finer_steps(search.problem, h.fit.values, h.fit.noise)
+            if posed is search.problem:
+                break
+            self.fine, search.problem = with_finer_steps(self.fine, h.fit.values, h.fit.noise), posed
             h = best_hypothesis(search.hypothesis(h.candidates, start, loosen=False) for start in (h.fit, None))
         return h
 

@@ -16,7 +16,7 @@ import numpy as np
 from cosim.core.text import counted, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.evidence import blocks_of, gain_per_scatter
+from cosim.refinement.decision.scatter import blocks_of, gain_per_scatter
 from cosim.refinement.search.hypotheses import Hypothesis
 
 Way = Literal["held", "interpolated"]

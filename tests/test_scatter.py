@@ -1,4 +1,4 @@
-"""Evidence for a part of a hypothesis: its gain against the scatter of chance, over blocks of time."""
+"""Gain of a part of a hypothesis against the scatter of chance, over blocks of time."""
 
 import numpy as np
 import pytest
@@ -7,15 +7,12 @@ from scipy.special import stdtrit
 
 from cosim.core.linear_algebra import square_roots
 from cosim.estimation.problem import Scored
-from cosim.refinement.decision.evidence import (
-    BY_CHANCE,
-    gain_per_chance,
-    gain_per_scatter,
-)
+from cosim.refinement.decision.scatter import gain_per_chance, gain_per_scatter
 from tests.cases import some
 
 BLOCKS, ROWS = 30, 100
 BLOCK = np.repeat(np.arange(BLOCKS), ROWS)
+BY_CHANCE = 0.01
 LIMIT = 0.5 * stdtrit(BLOCKS - 1, 1.0 - 0.5 * BY_CHANCE / 20)  # of the best of twenty candidates
 COST = 10.0
 

@@ -1,4 +1,4 @@
-"""Evidence for each part of a hypothesis: likelihood and its scatter, held-out logs, open-loop predictions.
+"""Scatter of gains and estimates over blocks of time and over logs, and predictions of logs left out.
 
 A likelihood assumes white residuals; residuals of a real system are correlated. The scatter of a gain and of an
 estimate is therefore computed from blocks of time longer than the correlation of an unknown input,
@@ -36,7 +36,6 @@ LASTING = 3.0  # length of a block, as a multiple of the correlation time of an 
 FEWEST = 12  # least number of blocks over all logs
 DIVERGED = 1e6  # NLL of a measurement for which a filter has diverged
 BACK = 200  # rows before a replay that a delay may reach back to
-BY_CHANCE = 0.01  # probability below which chance is unlikely
 PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 
