@@ -136,7 +136,8 @@ def _remaining_texts(c: Claims, proof: Proof, file: str) -> Iterator[str]:
         worst = max(proof.remaining, key=lambda n: proof.remaining[n])
         is_recalibrated = c.nearest is not None and not c.nearest.names
         who = f"{file}, the recalibrated model," if is_recalibrated else f"{file}, not claimed,"
-        who = "The claim" if c.claimed is not None else who
+        if c.claimed is not None:
+            who = "The most probable of these" if c.name == "ambiguous" else "The claim"
         removes = percent(1.0 - share) if share < 1.0 else "nothing"
         yield f"{who} removes {removes} of the given model's squared error above the noise floor on sealed logs."
         if len(proof.remaining) > 1 and LITTLE < share < 1.0:
