@@ -495,9 +495,9 @@ def _reason(claims: Claims, h: Hypothesis, behind: float) -> str:
         behind: Log odds of the most probable hypothesis to it.
     """
     parts, decision = frozenset(h.names), claims.decision
-    if parts in decision.rivals:
-        return f"a rival: probability {percent(decision.rivals[parts])}"
-    if claims.claimed is not None and h.names == claims.claimed.names:
+    if decision.is_rival(parts):
+        return f"a rival: probability {percent(decision.rivals[parts - decision.aside])}"
+    if claims.claimed is not None and h.names == claims.claimed.names and claims.name != "ambiguous":
         return "claimed"
     if parts == decision.nearest:
         return "nothing more is missing" if claims.name == "no_effect" else "most probable, but not claimed"

@@ -26,7 +26,7 @@ from cosim.refinement.decision.equivalence import act_alike
 from cosim.refinement.decision.posterior import (
     CERTAIN,
     MIXTURE,
-    TOLERANCE,
+    TRIAL_TOLERANCE,
     Bundle,
     Evidence,
     Misfit,
@@ -111,7 +111,7 @@ def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
     given = float(problem.values[f.name])
     if f.name in {p.name for p in subject.parameters}:
         p, stated = subject.declared[f.name], problem.settings.tolerance
-        tolerance = stated.get(f.name, TOLERANCE if p.tolerance is None else p.tolerance)
+        tolerance = stated.get(f.name, TRIAL_TOLERANCE if p.tolerance is None else p.tolerance)
         width = WIDTHS * spread_of_base(p, given, tolerance) / MIXTURE[0]
         return Parameter(f.name, part, value, given, width, is_size=True, low=low, high=f.high)
     centre = f.neutral if f.neutral is not None and part not in subject.present else given

@@ -29,9 +29,9 @@ from cosim.residuals.residual_statistics import COUNTS_FROM
 CERTAIN = 0.95  # inclusion probability from which a part is claimed; mass of the classes of an ambiguous verdict
 PART = 0.5  # prior factor of each further part
 MIXTURE = (1 / 3, 1.0, 3.0)  # widths of the prior of a size, in usual sizes
-TOLERANCE = 0.05  # of a base number on trial without a stated one; it is the least width of the prior
+TRIAL_TOLERANCE = 0.05  # of a base number on trial without a stated one; it is the least width of the prior
 MISFIT = 1e-3  # probability below which a lack of fit is no chance
-UNKNOWN = 0.02  # share of a derivative that unknown inputs may carry, unless replays show what a claim removes
+UNKNOWN_INPUT = 0.02  # share of a derivative that unknown inputs may carry, unless replays show what a claim removes
 LITTLE = 0.1  # share of the excess error that may remain beside a complete claim
 UNEXPLAINED = 0.5  # share of the excess error that may remain beside any claim
 
@@ -138,6 +138,7 @@ class Decision:
         classes: All folded classes → probability, most probable first.
         inclusion: Part → sum over the classes that contain it.
         disputed: Parts that unnamed terms may replace.
+        aside: Parts that rivals leave out: those disputed, and uncertain base numbers beside certain parts.
         nearest: The most probable class.
         misfit: Lack of fit of this class.
         reasons: What stood against a claim.
@@ -152,10 +153,15 @@ class Decision:
     classes: Mapping[Names, float]
     inclusion: Mapping[str, float]
     disputed: Names
+    aside: Names
     nearest: Names
     dispersion: float
     misfit: Misfit
     reasons: tuple[str, ...] = ()
+
+    def is_rival(self, parts: Names) -> bool:
+        """Return whether a set of parts is one of the rivals."""
+        return parts - self.aside in self.rivals
 
 
 def dispersion(h: Evidence) -> float:
@@ -335,17 +341,17 @@ def decide(bundle: Bundle) -> Decision:
         reasons.append("misfit")
     # unknown inputs may hold what a claim imitates, unless replays without them show it
     is_seen = bool(certain and misfit.remaining) and misfit.remains <= UNEXPLAINED
-    if misfit.unknown_share > UNKNOWN and not is_seen:
+    if misfit.unknown_share > UNKNOWN_INPUT and not is_seen:
         reasons.append("unknown inputs")
     if not certain and max(misfit.over_floor.values(), default=0.0) > COUNTS_FROM:
         reasons.append("excess error")
     if certain and is_misfit and misfit.remains > UNEXPLAINED:
         reasons.append("excess error")
     # an uncertain base number beside certain parts is said, and leaves the verdict
-    numbers_beside = {n for n in numbers if certain and bundle.kinds[n] == "parameter" and n not in certain}
+    aside = disputed | {n for n in numbers if certain and bundle.kinds[n] == "parameter" and n not in certain}
     merged: dict[Names, float] = {}
     for parts, probability in classes.items():
-        key = parts - numbers_beside - disputed
+        key = parts - aside
         merged[key] = merged.get(key, 0.0) + probability
     rivals: dict[Names, float] = {}
     for parts, probability in sorted(merged.items(), key=lambda item: -item[1]):
@@ -385,6 +391,7 @@ def decide(bundle: Bundle) -> Decision:
         classes=classes,
         inclusion=numbers,
         disputed=frozenset(disputed),
+        aside=frozenset(aside),
         nearest=nearest,
         dispersion=kappa,
         misfit=misfit,

@@ -27,7 +27,10 @@ TOLERANCE = (
 )
 SHOWN_CLASSES = 6  # of the posterior
 VISIBLE = 0.005  # probability of a bar that can be seen
-HELD_OUT = "held out: "  # before a part in the reasons of a decision
+WITHDRAWN = {  # reason → why a part is not claimed
+    "held out": "held-out logs are predicted no better with it",
+    "interval": "its interval holds the value without it",
+}
 NOISE_NOTE = (
     "Drift of each state in a second that its equation does not explain, in the unit of the state per √s, as random "
     "drift grows with the root of time; logarithmic bars."
@@ -89,7 +92,8 @@ def posterior_rows(r: Refinement) -> Rows:
     """Return the probable sets of parts, the recalibrated model and the delivered set; what remains is one row."""
     record, claim, near, rows = r.record, r.verdict.claimed, r.verdict.nearest, list[dict[str, Any]]()
     held_out = {frozenset(e["names"]): float(e["ratio"]) for e in record["ladder"] if e["model"] != "before"}
-    delivered = {frozenset(h.names): outcome for h, outcome in ((near, "nearest model"), (claim, "claimed")) if h}
+    claimed = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # of rivals, the whole set is no claim
+    delivered = {frozenset(h.names): outcome for h, outcome in ((near, "nearest model"), (claim, claimed)) if h}
     sealed = {frozenset[str](): "recalibrated"} | ({frozenset(near.names): "nearest"} if near else {})
     sealed |= {frozenset(claim.names): "after"} if claim else {}
     others, rest = 0, 0.0
@@ -98,8 +102,8 @@ def posterior_rows(r: Refinement) -> Rows:
         if names and names not in delivered and (probability < VISIBLE or len(rows) == SHOWN_CLASSES):
             others, rest = others + 1, rest + probability
             continue
-        is_rival = names in r.verdict.decision.rivals
-        outcome = ", ".join(filter(None, ("rival" if is_rival else "", delivered.get(names, ""))))
+        rival = "rival" if r.verdict.decision.is_rival(names) else ""
+        outcome = ", ".join(filter(None, (rival, delivered.get(names, ""))))
         row = {"names": " + ".join(entry["names"]) or "nothing: the model recalibrated", "why": outcome}
         row["error"] = percent(held_out[names]) if names in held_out else MISSING
         row["sealed"] = percent(_sealed_ratio(record["error"], sealed[names])) if names in sealed else MISSING
@@ -120,13 +124,13 @@ def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
 def inclusion_rows(r: Refinement) -> Rows:
     """Return the probable parts, most probable first, with what became of them."""
     decision, rows = r.verdict.decision, list[dict[str, Any]]()
-    withdrawn = {reason.removeprefix(HELD_OUT) for reason in decision.reasons if reason.startswith(HELD_OUT)}
+    withdrawn = {name: WITHDRAWN.get(why, "") for why, _, name in (r.partition(": ") for r in decision.reasons)}
     for name, probability in sorted(decision.inclusion.items(), key=lambda item: -item[1]):
         why = "uncertain" if name in decision.uncertain else ""
         if probability >= CERTAIN:
             why = "withdrawn: the logs are not explained"
         if name in withdrawn:
-            why = "withdrawn: held-out logs are predicted no better with it"
+            why = f"withdrawn: {withdrawn[name]}"
         elif name in decision.disputed:
             why = "withdrawn: a term without a name may take its place"
         claimed = name in decision.claimed

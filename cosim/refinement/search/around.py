@@ -15,15 +15,14 @@ from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
 from cosim.refinement.decision.bundle import evidence, optima
 from cosim.refinement.decision.posterior import log_prior, posterior
-from cosim.refinement.search.fits import SCREEN_ITERATIONS, Parts, Search, key_of
+from cosim.refinement.search.fits import HOPE, SCREEN_ITERATIONS, Parts, Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
 
-LEADING = 3  # most probable sets whose neighbours are tried in a round
-ROUNDS = 4
-ADDED, REPLACING = 4, 2  # most promising additions to a set, and in the place of each of its parts
-NEAR = 10.0  # nats, in units of the dispersion, within which a set that was screened is fitted to the end
+EXPANDED = 3  # most probable sets whose neighbours are tried in a round
+EXPANSIONS = 4  # rounds of neighbours
+ADDITIONS, REPLACEMENTS = 4, 2  # most promising additions to a set, and in the place of each of its parts
+NEAR_NATS = 10.0  # nats, in units of the dispersion, within which a set that was screened is fitted to the end
 SCREENED = 6  # such sets in a round
-PROMISED = 2.0  # factor by which a fit may exceed the gain that a score test predicts
 PROBABLE = 0.02  # probability of a set from which its neighbours are tried
 HARDLY = -3.0  # log odds to its neighbour below which a set is not fitted
 
@@ -33,18 +32,18 @@ Start = tuple[Parts, Fit]
 def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
     """Fit the neighbours of the most probable sets to the end, into `search.tried`."""
     asked = set[frozenset[str]]()
-    for _ in range(ROUNDS):
+    for _ in range(EXPANSIONS):
         ended = {frozenset(h.names): h for h in optima(search)}
         sets, kappa = posterior([evidence(search, h) for h in ended.values()], len(candidates))
         ranked = sorted(sets, key=lambda parts: -sets[parts])
         starts: dict[tuple[str, ...], Start] = {}
-        for parts in [p for p in ranked if sets[p] > PROBABLE][:LEADING]:
+        for parts in [p for p in ranked if sets[p] > PROBABLE][:EXPANDED]:
             if parts not in asked:
                 asked.add(parts)
                 for start in _neighbours(search, candidates, ended[parts], kappa):
                     starts.setdefault(key_of(start[0]), start)
         best = ended[ranked[0]]
-        near = [h for h in search.tried.values() if not h.ended and h.score - best.score < NEAR * kappa]
+        near = [h for h in search.tried.values() if not h.ended and h.score - best.score < NEAR_NATS * kappa]
         for h in sorted(near, key=lambda h: h.score)[:SCREENED]:
             starts[h.names] = h.candidates, h.fit
         untried = [s for names, s in starts.items() if not (names in search.tried and search.tried[names].ended)]
@@ -60,15 +59,15 @@ def _neighbours(search: Search, candidates: Sequence[Candidate], h: Hypothesis, 
         yield rest, h.fit
         without = search.tried.get(key_of(rest)) or search.hypothesis(rest, h.fit, SCREEN_ITERATIONS, sensing=False)
         others = [c for c in candidates if c.name not in h.names and c.kind != "parameter"]
-        for c, promise in _promises(search, without, others)[:REPLACING]:
+        for c, promise in _promises(search, without, others)[:REPLACEMENTS]:
             yield (*rest, c), replace(without.fit, values={**without.fit.values, **promise.values})
     others = [c for c in candidates if c.name not in h.names]
     if not others:
         return
     count, size = len(candidates), len(h.candidates)
     odds = log_prior(size + 1, count) - log_prior(size, count)
-    for c, promise in _promises(search, h, others)[:ADDED]:
-        if PROMISED * promise.gain / kappa + odds > HARDLY:
+    for c, promise in _promises(search, h, others)[:ADDITIONS]:
+        if HOPE * promise.gain / kappa + odds > HARDLY:
             yield (*h.candidates, c), replace(h.fit, values={**h.fit.values, **promise.values})
 
 

@@ -26,7 +26,7 @@ from cosim.estimation.subject.candidates import Candidate, values_of_special_cas
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.scatter import scatter_ratio
 from cosim.refinement.search.around import fit_neighbours
-from cosim.refinement.search.fits import Parts, Progress, Search, SearchResult, Trial, key_of
+from cosim.refinement.search.fits import HOPE, Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
 
@@ -38,7 +38,6 @@ DONE = 1.0  # score improvement below which a round has found nothing better
 ROUNDS = 10
 STARTS = 20  # fits in turn with start states
 SIGNIFICANT = 3.0  # standard deviations of a usual size, below which logs would not show it
-HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
 SETTLING = 15  # iterations
 SILENT = 0.1  # distance of ln variance from the lower limit of a sensor
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit

@@ -26,6 +26,7 @@ from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
+HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
 ENTRY = 3.0  # score cost of a candidate in addition to its parameters
 NEGLIGIBLE, NEEDED = 1.0, 30.0  # distance of ln input power from the minimum; NLL loss that rules out removal
 LEADING, DONE = 8, 0.5  # iterations of a fit without an unknown input, and its least gain
