@@ -14,7 +14,6 @@ from cosim.core.drafts import draft_of
 from cosim.core.errors import InputError
 from cosim.fmi.description import no_library, platform_of
 
-MAX_SINGLE_STEPS = 1_000_000  # steps of a single FMU's run, requested by its own times
 MAX_PORTS = 6  # inputs and outputs in a message
 
 

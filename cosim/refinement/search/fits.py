@@ -84,7 +84,7 @@ class Search:
         price: Score cost of each parameter of a candidate, ½·ln N.
         entry: Additional score cost of each candidate.
         tried: Names → hypothesis.
-        cross_fits, prediction_fits: Names and held-out log → fit to the remaining logs, and to their predictions.
+        cross_fits: Names and held-out log → fit to the remaining logs.
         evidences: Names → hypothesis and its evidence.
         bound: Objective of the recalibrated base model, an upper bound for every hypothesis.
     """
@@ -96,7 +96,6 @@ class Search:
         self.entry = ENTRY + float(np.log(self.on_trial))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
-        self.prediction_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
         self.evidences: dict[tuple[str, ...], tuple[Hypothesis, Evidence]] = {}
         self.bound = np.inf
 
