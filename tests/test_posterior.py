@@ -31,7 +31,7 @@ from cosim.refinement.decision.posterior import (
     decide,
     dispersion,
     folded,
-    held_out_gain,
+    held_out_gains,
     log_evidence,
 )
 
@@ -318,12 +318,12 @@ def test_a_loss_on_logs_left_out_withdraws_an_effect_and_no_base_number(kind: Ki
     half = np.arange(ROWS) < ROWS // 2
     model.y += model.columns["a"] * np.where(half, 1.2, -0.5)
     d = decide(bundle := model.bundle({"a": kind}))
-    assert held_out_gain(bundle.hypotheses, d.dispersion, "a", 1) < 0.0
+    assert held_out_gains(bundle.hypotheses, d.dispersion, {"a": named("a")}, 1)["a"] < 0.0
     assert d.inclusion["a"] >= CERTAIN
     assert (d.verdict, set(d.claimed)) == (verdict, set() if kind == "effect" else {"a"})
     assert d.reasons == (("held out: a",) if kind == "effect" else ())
     steady = Linear({"a": 0.4}, 7).bundle({"a": kind})
-    assert held_out_gain(steady.hypotheses, 1.0, "a", 1) > 5.0
+    assert held_out_gains(steady.hypotheses, 1.0, {"a": named("a")}, 1)["a"] > 5.0
 
 
 # -- what changes nothing --------------------------------------------------------------------------------

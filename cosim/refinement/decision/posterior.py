@@ -17,6 +17,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -288,34 +289,37 @@ def inclusion(classes: Mapping[Names, float]) -> dict[str, float]:
     return {n: sum(p for parts, p in classes.items() if n in parts) for n in sorted(frozenset[str]().union(*classes))}
 
 
-def held_out_gain(hypotheses: Sequence[Evidence], kappa: float, part: str, count: int) -> float:
-    """Return the gain of the log score by a part on logs left out, each by the set selected on the other logs.
+def held_out_gains(
+    hypotheses: Sequence[Evidence], kappa: float, groups: Mapping[str, Names], count: int
+) -> dict[str, float]:
+    """Return part → gain of the log score on logs left out, each by the best set of the others with it and without.
 
-    Estimates without a log are one Newton step from those of all. The best set with the part is compared with the best
-    without it. A single log has no other ones: the gain is then 0.
+    The score of a log is its predictive density, the evidence of all logs over that of the others (Geisser and Eddy
+    1979, J. Am. Stat. Assoc. 74:153): at an estimate alone, what the others hardly determine would reject true parts.
+    A single log has no others, and gives 0.
+
+    Args:
+        groups: Part → its name, and those of richer parts that contain it.
+        count: Number of parts on trial.
     """
-    every = np.unique(hypotheses[0].logs)
-    if len(every) < 2:
-        return 0.0
-    total = 0.0
-    for log in every:
-        best: dict[bool, tuple[float, float]] = {}  # with the part or without → log weight on the others, own score
-        for h in hypotheses:
-            own = h.logs == log
+    logs = np.unique(hypotheses[0].logs)
+    gains = dict.fromkeys(groups, 0.0)
+    whole = [log_evidence(h, kappa) for h in hypotheses]
+    for log in logs if len(logs) > 1 else ():
+        scored: list[tuple[float, float, Names]] = []  # log weight on the other logs, score of this one, parts
+        for h, evidence in zip(hypotheses, whole, strict=True):
+            kept = h.logs != log
             others = np.delete(h.informations, log, axis=0)
-            rest = Evidence(h.parts, h.parameters, h.log_likelihoods[~own], h.gradients[~own], others, h.logs[~own])
-            weight = log_evidence(rest, kappa) + log_prior(len(h.parts), count)
-            score = float(h.log_likelihoods[own].sum())
-            if h.parameters:
-                gradient = h.gradients[own].sum(axis=0)
-                precision = np.array([p.width**-2.0 for p in h.parameters])
-                step = _solve(others.sum(axis=0) / kappa + np.diag(precision), gradient / kappa)
-                score -= float(gradient @ step) + 0.5 * float(step @ h.informations[log] @ step)
-            if weight > best.get(part in h.parts, (-math.inf, 0.0))[0]:
-                best[part in h.parts] = weight, score
-        if len(best) == 2:
-            total += best[True][1] - best[False][1]
-    return total
+            rest = Evidence(h.parts, h.parameters, h.log_likelihoods[kept], h.gradients[kept], others, h.logs[kept])
+            of_others = log_evidence(rest, kappa)
+            if math.isfinite(evidence) and math.isfinite(of_others):
+                scored.append((of_others + log_prior(len(h.parts), count), evidence - of_others, h.parts))
+        for part, names in groups.items():
+            with_it = [entry for entry in scored if names & entry[2]]
+            without = [entry for entry in scored if not names & entry[2]]
+            if with_it and without:
+                gains[part] += max(with_it, key=itemgetter(0))[1] - max(without, key=itemgetter(0))[1]
+    return gains
 
 
 def decide(bundle: Bundle) -> Decision:
@@ -324,21 +328,17 @@ def decide(bundle: Bundle) -> Decision:
     classes = folded(by_family(sets, bundle.families, bundle.unsure), bundle.equivalent)
     numbers, nearest, misfit = inclusion(classes), next(iter(classes)), bundle.misfit
     certain = {name: p for name, p in numbers.items() if p >= CERTAIN}
-    withdrawn: dict[str, str] = {}  # part → why
-    for name in certain:
-        is_number = bundle.kinds[name] == "parameter"
-        if name in bundle.unsure:
-            withdrawn[name] = "interval"
-        elif not is_number and held_out_gain(bundle.hypotheses, kappa, name, len(bundle.kinds)) < 0.0:
-            withdrawn[name] = "held out"
+    riches = {simple: {rich for rich, own in bundle.families.items() if own == simple} for simple in certain}
+    groups = {name: frozenset({name, *riches[name]}) for name in certain if bundle.kinds[name] != "parameter"}
+    gains = held_out_gains(bundle.hypotheses, kappa, groups, len(bundle.kinds))
+    withdrawn = {name: "held out" for name, gain in gains.items() if gain < 0.0}  # part → why
+    withdrawn |= {name: "interval" for name in certain if name in bundle.unsure}
     certain = {name: p for name, p in certain.items() if name not in withdrawn}
-    reasons: list[str] = []
     # a posterior means nothing where every hypothesis is wrong: what remains is then compared with what has no name
     is_misfit = misfit.probability < MISFIT
     disputed = {n for n in certain if is_misfit and misfit.beside.get(n, 1.0) < CERTAIN}
     certain = {n: p for n, p in certain.items() if n not in disputed}
-    if not certain and is_misfit:
-        reasons.append("misfit")
+    reasons = ["misfit"] if is_misfit and not certain else []
     # unknown inputs may hold what a claim imitates, unless replays without them show it
     is_seen = bool(certain and misfit.remaining) and misfit.remains <= UNEXPLAINED
     if misfit.unknown_share > UNKNOWN_INPUT and not is_seen:
