@@ -269,6 +269,15 @@ def test_friction_that_is_more_at_rest_is(tmp_path: Path) -> None:
 # -- 7: what is left where nothing, or not all, is claimed ---------------------------------------------
 
 
+def test_a_drag_that_no_candidate_is_has_no_name_but_an_equation_and_a_signal(tmp_path: Path) -> None:
+    found = proven(rail_study(tmp_path / "study", {"drag": 3.0}, TOLERANCE + "candidates: [slope]\n"), tmp_path / "out")
+    assert (found.record["verdict"], found.record["grade"], named(found)) == ("unexplained", "nearest", set())
+    assert (found.record["residual"]["equation"], found.record["residual"]["signals"]) == (
+        "velocity",
+        ["velocity·|velocity|"],
+    )
+
+
 @pytest.mark.thorough
 def test_a_claim_beside_a_drag_that_no_candidate_is_is_a_part_whatever_the_sealed_log_holds(tmp_path: Path) -> None:
     """Drag and a spring that stiffens; drag is not in the catalogue. Another sealed log is of a rail without either."""

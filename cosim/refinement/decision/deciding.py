@@ -60,7 +60,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     moves = {n: share for n, share in unknown_inputs(search.problem, best.fit, units).items() if n in inflated}
     progress("replaying with the claim and without", 0.0)
     beside = {}
-    if leftover.fit is not None:
+    if leftover.fit is not None and best.candidates:
         beside = beside_unnamed_terms(search, best, leftover.fit, first.dispersion, len(bundle.kinds))
     settings = study.settings
     after = variant_of(refined_subject(subject, settings, best), settings, best.fit)
