@@ -8,15 +8,14 @@ deficient equation and decreases when the correct term is added.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, pseudo_inverse
-from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
@@ -24,34 +23,14 @@ from cosim.estimation.subject.candidates import Free
 from cosim.logs.channel_noise import NORMAL_95
 
 ITERATIONS = 30
-CONVERGED, NEARLY = 0.02, 0.3  # NLL improvement of the last iteration; the same for a fit that only ranks
-DIFFERENCE = 0.01  # share of a parameter's size for one-sided differences
-NOISE_DIFFERENCE = 0.05
-LONGER = 3  # factor on the iterations of a fit above the objective of its parts
-FAIR = 3  # iterations granted to a fit that starts away from its base; otherwise one
-FAR, LEVELS = 3.0, 9  # innovations in standard deviations, from which so many levels of the unknown inputs are compared
-GOOD = 0.7  # share of the expected improvement from which the slopes serve for a second step
-DOUBLINGS_FROM, HALVINGS = 0.01, 5  # search for the end of a plateau: first distance in sizes, and bisections
+CONVERGED = 0.1  # NLL improvement of the last iteration; an evidence needs no exact optimum
+DIFFERENCE = 0.01  # share of a parameter's size for differences; noise levels, in logarithms, need more
+NOISE_DIFFERENCE = 5.0 * DIFFERENCE
+LEVELS = 9  # of the unknown inputs, compared before a fit
+DAMPING = 1e-3  # of the first step; it is multiplied and divided by
+BOLDER = 10.0
 FURTHEST = 1e4  # distance in sizes from which a plateau has no end
 PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
-
-
-@dataclass(frozen=True)
-class Patience:
-    """Rules for abandoning a fit.
-
-    Attributes:
-        goal: After `fair` iterations the quadratic model must predict an objective below `goal`; else the fit ends.
-        reached: Upper bound of the optimum. Above the bound the quadratic model is unreliable, and the fit continues
-            while the pace of its last iteration would reach `goal` in time.
-    """
-
-    goal: float = np.inf
-    fair: int = FAIR
-    reached: float = np.inf
-
-
-ENDLESS = Patience()
 
 
 @dataclass(frozen=True)
@@ -131,12 +110,11 @@ class Fit:
 def initial_fit(problem: Problem) -> Fit:
     """Return the given model as an unfitted result.
 
-    If its innovations are far larger than their standard deviations, the unknown inputs start at the most likely of
-    some levels: from too small a level, a fit moves parameters in place of the noise.
+    The unknown inputs start at the most likely of some levels: from too small a level, a fit moves parameters in place
+    of the noise.
     """
     noise = problem.plain
-    scored = problem.score(problem.values, noise)
-    if not problem.trusted and not np.mean(scored.errors**2 / scored.variances) < FAR**2:
+    if not problem.trusted:
         span = problem.noise.largest - noise.power
         levels = [replace(noise, power=noise.power + share * span) for share in np.linspace(0.0, 1.0, LEVELS)]
         noise = min(levels, key=lambda level: problem.score(problem.values, level).nll)
@@ -161,7 +139,7 @@ def fit(
     only: Sequence[int] | None = None,
     iterations: int = ITERATIONS,
     *,
-    patience: Patience = ENDLESS,
+    goal: float = np.inf,
     sensing: bool = True,
 ) -> Fit:
     """Fit free parameters and noise to the posterior maximum.
@@ -170,10 +148,10 @@ def fit(
         start, noise: Start values of parameters and noise.
         only: Indices of the logs to fit; None for all.
         iterations: Largest number of iterations.
-        patience: Rules for abandoning the fit.
+        goal: Objective that the quadratic model must promise after the first iteration; otherwise the fit ends.
         sensing: Also fit sensor noise and correlation time; otherwise only the power of the unknown inputs.
     """
-    return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, patience)
+    return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,14 +210,12 @@ class _Scoring:
         places = {f.name: k for k, f in enumerate(free)}
         self.order = [(k, places[f.above]) for k, f in enumerate(free) if f.above in places]
         self.theta = self._within(np.array([*(self.start[f.name] for f in free), *self.noise_start[self.free_noise]]))
-        self.damping = 1e-3
-        self.enough = CONVERGED if sensing else NEARLY
-        self.is_dear = isinstance(problem.kernel, RemoteLibraryKernel)  # slopes then serve two steps
+        self.damping = DAMPING
 
-    def run(self, iterations: int, patience: Patience) -> Fit:
+    def run(self, iterations: int, goal: float) -> Fit:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
-        done, converged, pace, is_kept = 0, False, 0.0, False
+        done, converged, is_kept = 0, False, False
         slopes = np.zeros((0, 0)), np.zeros((0, 0))
         information = np.zeros((len(self.theta),) * 2)
         limit = iterations * int(np.isfinite(self.scored.nll))  # The filter may diverge at the start values.
@@ -251,17 +227,14 @@ class _Scoring:
             information = curvature
             before = self.scored.nll + self._penalty(self.theta)
             expected = 0.5 * float(gradient @ least_squares(information, gradient))
-            limit = iterations * (LONGER if before > patience.reached else 1)  # the optimum is far away
-            promised, paced = PROMISE * expected, pace * (limit - done)
-            hope = max(promised, paced) if before > patience.reached else promised
-            if done >= patience.fair and before - hope > patience.goal:
+            if done and before - PROMISE * expected > goal:
                 break
             damping = self.damping
             pace = self._move(gradient, information)
             if is_kept and not pace:
                 self.damping = damping  # the slopes are to blame
-            converged = pace < self.enough and not is_kept
-            is_kept = not is_kept and self.is_dear and pace > max(self.enough, GOOD * expected)
+            converged = pace < CONVERGED and not is_kept
+            is_kept = not is_kept and pace > max(CONVERGED, 0.5 * expected)  # where a step keeps its promise
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
         reached = *self._unpack(self.theta), self.free, self.scored.by_log
@@ -341,20 +314,20 @@ class _Scoring:
     def _move(self, gradient: Array, information: Array) -> float:
         """Take a damped Newton step within the limits; return the improvement of the objective, or 0 without one."""
         before = self.scored.nll + self._penalty(self.theta)
-        for _ in range(8):
+        while self.damping < 1.0 / DAMPING:
             # A parameter pushed beyond its limit stays fixed.
             pinned = ((self.theta <= self.low) & (gradient > 0)) | ((self.theta >= self.high) & (gradient < 0))
             rest = np.flatnonzero(~pinned)
             F = information[np.ix_(rest, rest)]
             step = np.zeros_like(self.theta)
-            step[rest] = -least_squares(F + self.damping * np.diag(np.diag(F) + 1e-12), gradient[rest])
+            step[rest] = -least_squares(F + self.damping * np.diag(np.diag(F)), gradient[rest])
             theta = self._within(self.theta + step * self.size)
             scored = self._evaluate(theta)
             after = scored.nll + self._penalty(theta)
             if after < before:
-                self.theta, self.scored, self.damping = theta, scored, max(self.damping / 5, 1e-6)
+                self.theta, self.scored, self.damping = theta, scored, max(self.damping / BOLDER, DAMPING**2)
                 return before - after
-            self.damping *= 10
+            self.damping *= BOLDER
         return 0.0
 
 
@@ -375,43 +348,20 @@ def with_flat_directions(problem: Problem, f: Fit) -> Fit:
     scattered, regions = f.scattered.copy(), dict(f.regions)
     for k in flat:
         x = f.free[k]
-        low, high = regions[x.name] = _walk(problem, f, x, x.low)[0], _walk(problem, f, x, x.high)[0]
+        low, high = regions[x.name] = _end_of_plateau(problem, f, x, x.low), _end_of_plateau(problem, f, x, x.high)
         scattered[k, k] = (max(f.values[x.name] - low, high - f.values[x.name]) / NORMAL_95) ** 2
     return replace(f, scattered=scattered, regions=regions)
 
 
-def values_beside_plateaus(problem: Problem, f: Fit, parameters: Sequence[Free]) -> dict[str, float]:
-    """Return likelier values of those parameters that are on a plateau, and not without effect."""
-    better = {}
-    for x in parameters:
-        if f.is_flat(x.name) and f.values[x.name] != x.neutral:
-            ends = (_walk(problem, f, x, limit) for limit in (x.low, x.high))
-            nll, value = min((nll, value) for _, nll, value in ends)
-            if nll < f.nll - CONVERGED:
-                better[x.name] = value
-    return better
-
-
-def _walk(problem: Problem, f: Fit, x: Free, limit: float) -> tuple[float, float, float]:
-    """Walk from an estimate towards a limit while the NLL rises by less than ½·1.96².
-
-    Returns:
-        The last value, the least NLL on the way, and its value.
-    """
+def _end_of_plateau(problem: Problem, f: Fit, x: Free, limit: float) -> float:
+    """Return the value towards a limit at which the NLL has risen by ½·1.96²; the limit if it never does."""
     start = f.values[x.name]
-    tried = [(f.nll, start)]
+    furthest = float(np.clip(limit, start - FURTHEST * x.size, start + FURTHEST * x.size))
 
-    def is_inside(distance: float) -> bool:
-        value = start + math.copysign(distance, limit - start)
+    def rise(value: float) -> float:
         nll = problem.score({**f.values, x.name: value}, f.noise).nll
-        tried.append((nll if math.isfinite(nll) else math.inf, value))
-        return nll - f.nll < 0.5 * NORMAL_95**2
+        return float(np.nan_to_num(nll - f.nll)) - 0.5 * NORMAL_95**2
 
-    whole, inside, outside = min(abs(limit - start), FURTHEST * x.size), 0.0, DOUBLINGS_FROM * x.size
-    while outside < whole and is_inside(outside):
-        inside, outside = outside, 2.0 * outside
-    outside = min(outside, whole)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
-    return limit if outside == whole else start + math.copysign(outside, limit - start), *min(tried)
+    if furthest == start or rise(furthest) <= 0.0:
+        return limit
+    return float(brentq(rise, start, furthest, rtol=DIFFERENCE))

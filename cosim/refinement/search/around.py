@@ -37,11 +37,12 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
         sets, kappa = posterior([evidence(search, h) for h in ended.values()], len(candidates))
         ranked = sorted(sets, key=lambda parts: -sets[parts])
         starts: dict[tuple[str, ...], Start] = {}
-        for parts in [p for p in ranked if sets[p] > PROBABLE][:EXPANDED]:
-            if parts not in asked:
-                asked.add(parts)
-                for start in _neighbours(search, candidates, ended[parts], kappa):
-                    starts.setdefault(key_of(start[0]), start)
+        leading = [parts for parts in ranked if sets[parts] > PROBABLE][:EXPANDED]
+        probable = [parts for parts in leading if parts not in asked]
+        asked.update(probable)
+        for h in search.fit_from_the_prior([ended[parts] for parts in probable]):
+            for start in _neighbours(search, candidates, h, kappa):
+                starts.setdefault(key_of(start[0]), start)
         best = ended[ranked[0]]
         near = [h for h in search.tried.values() if not h.ended and h.score - best.score < NEAR_NATS * kappa]
         for h in sorted(near, key=lambda h: h.score)[:SCREENED]:

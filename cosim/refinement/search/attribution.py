@@ -67,7 +67,7 @@ class Attributor:
         """
         search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = self._with_likely_starts(search.from_first_rows(search.hypothesis((), None)))
+        base = self._with_likely_starts(search.from_the_prior(search.hypothesis((), None)))
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
         result = self._search_from(base)
         settled = search.tried[()]
@@ -99,7 +99,7 @@ class Attributor:
                     break
             else:
                 idle = 0
-                (settled,) = search.fit_again([best], SETTLING)
+                (settled,) = search.fit_to_the_end([(best.candidates, best.fit)], SETTLING)
                 settled = self._with_stamp_errors(settled)
                 further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
                 search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
@@ -113,7 +113,6 @@ class Attributor:
         """Begin the search from a fit of the base model; return it with its score."""
         search = self.search
         search.tried = {(): base}
-        search.bound = base.fit.objective
         search.problem = replace(search.problem, sensing=base.fit.noise)
         return self._rescore(base)
 
@@ -284,12 +283,8 @@ class Attributor:
         enough = zip(search.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
         logs = [replace(log, substeps=max(base.substeps, other.substeps)) for base, other, log in enough]
         search.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=search.problem.scatter)
-        if best.candidates:
-            (refit,), (best,) = search.fit_again([base], only=True), search.fit_again([best])
-        else:
-            (refit,) = (best,) = search.fit_again([best])
+        best = search.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
         best = self._rescore(self._with_enough_substeps(best))
-        search.bound = refit.fit.objective
         search.fit_to_the_end(self._beyond_special_cases(best))
         fit_neighbours(search, self.candidates)
         best = best_hypothesis(h for h in search.tried.values() if h.ended)

@@ -14,22 +14,20 @@ from typing import TypeVar
 
 import numpy as np
 
-from cosim.estimation.fit import CONVERGED, FAIR, Fit, Patience, fit, initial_fit, values_beside_plateaus
-from cosim.estimation.free_runs import fit_growing, leaves_the_motion
+from cosim.estimation.fit import CONVERGED, Fit, fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import Evidence
+from cosim.refinement.decision.posterior import MIXTURE, Evidence
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
 HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
 ENTRY = 3.0  # score cost of a candidate in addition to its parameters
-NEGLIGIBLE, NEEDED = 1.0, 30.0  # distance of ln input power from the minimum; NLL loss that rules out removal
-LEADING, DONE = 8, 0.5  # iterations of a fit without an unknown input, and its least gain
+STARTS = 4  # draws of the prior from which a probable hypothesis is fitted again
 TO_THE_END = 60  # iterations within which all fits so far have converged
 BACKTRACKING = (1.0, 0.5, 0.25)  # shares of promised sizes, tried one after the other
 
@@ -37,6 +35,10 @@ Parts = tuple[Candidate, ...]
 Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
 Progress = Callable[[str, float], None]
 Item = TypeVar("Item")
+
+
+def _objective(f: Fit) -> float:
+    return f.objective
 
 
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
@@ -86,7 +88,6 @@ class Search:
         tried: Names → hypothesis.
         cross_fits: Names and held-out log → fit to the remaining logs.
         evidences: Names → hypothesis and its evidence.
-        bound: Objective of the recalibrated base model, an upper bound for every hypothesis.
     """
 
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
@@ -97,7 +98,6 @@ class Search:
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
         self.evidences: dict[tuple[str, ...], tuple[Hypothesis, Evidence]] = {}
-        self.bound = np.inf
 
     def hypothesis(
         self,
@@ -109,14 +109,12 @@ class Search:
         promised: Mapping[str, float] | None = None,
         loosen: bool = True,
         sensing: bool = True,
-        patient: bool = True,
     ) -> Hypothesis:
         """Fit some candidates together from each of their starts; base parameters on trial lose their prior.
 
         Args:
             promised: Additional start values from a score test.
             loosen: Start unknown inputs at a level from which they can move.
-            patient: Allow more iterations while the objective exceeds that of a contained hypothesis.
         """
         problem, free = self.problem, self.free(parts)
         start = start or initial_fit(problem)
@@ -131,28 +129,31 @@ class Search:
             noise = replace(noise, power=np.maximum(noise.power, problem.noise.quiet))
         if promised:
             begins = [self._toward(promised, base, free, noise, start.nll), *(begins if len(begins) > 1 else ())]
-        bound = np.inf
-        if patient:
-            names = {c.name for c in parts}
-            within = (h.fit.objective for h in self.tried.values() if h.fit.iterations and names.issuperset(h.names))
-            bound = min(within, default=self.bound)
-        fits = []
-        for values in begins:
-            patience = Patience(goal, 1 if values == base else FAIR, bound)
-            fits.append(fit(problem, free, values, noise, None, iterations, patience=patience, sensing=sensing))
+        fits = [fit(problem, free, b, noise, None, iterations, goal=goal, sensing=sensing) for b in begins]
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
 
-    def from_first_rows(self, base: Hypothesis) -> Hypothesis:
-        """Return the base model, refitted to growing logs.
+    def from_the_prior(self, h: Hypothesis) -> Hypothesis:
+        """Fit a hypothesis again from draws of its prior, as a fit may end in a local optimum; the best fit counts.
 
-        This is done if large unknown inputs keep its free runs at the logs, and counts if it is better.
+        Sizes of parts and base numbers are drawn from their priors, unknown inputs from the range that logs can show.
         """
-        if self.problem.trusted or not leaves_the_motion(self.problem, base.fit):
-            return base
-        other = fit_growing(self.problem, self.free(()), self.problem.values)
-        better = other.objective < base.fit.objective - DONE
-        return replace(base, fit=other, score=other.objective) if better else base
+        problem, free, best = self.problem, self.free(h.candidates), h.fit
+        rng = np.random.default_rng([*" ".join(h.names).encode()])
+        for _ in range(STARTS):
+            values = dict(best.values)
+            for f in free:
+                if f.group:
+                    continue
+                given = problem.values[f.name]
+                centre, width = f.prior or (given if f.neutral is None else f.neutral, f.size * rng.choice(MIXTURE))
+                values[f.name] = float(centre + width * rng.standard_normal())
+            noise = best.noise
+            if not problem.trusted:
+                power = rng.uniform(problem.noise.smallest, problem.noise.largest)
+                noise = replace(noise, power=power, memory=problem.plain.memory)
+            best = min(best, fit(problem, free, values, noise, goal=best.objective - CONVERGED), key=_objective)
+        return replace(h, fit=best, score=best.objective + self.cost(h.candidates))
 
     def _toward(
         self, promised: Mapping[str, float], base: Mapping[str, float], free: Sequence[Free], noise: Noise, nll: float
@@ -194,38 +195,21 @@ class Search:
 
         return self._fit_each(stage, fit_trial, todo)
 
-    def fit_again(
-        self, hypotheses: Sequence[Hypothesis], iterations: int = TO_THE_END, *, only: bool = False
-    ) -> list[Hypothesis]:
-        """Continue fits from their current values, sensor noise included.
-
-        Args:
-            only: Skip the restarts with larger or without unknown inputs.
-        """
-
-        def refit(h: Hypothesis) -> Hypothesis:
-            fitted = self._beside_plateaus(self.hypothesis(h.candidates, h.fit, iterations, loosen=False))
-            if only or self.problem.trusted or not fitted.ended:
-                return fitted
-            noise = fitted.fit.noise
-            larger = replace(
-                noise, power=np.maximum(noise.power, self.problem.noise.quiet), memory=self.problem.plain.memory
-            )
-            return self._without_noise(self._refit_if_better(fitted, larger))
-
-        return self._fit_each("fitting the best further", refit, hypotheses)
-
-    def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
-        """Fit sets of parts from given values; a better fit of an earlier start counts."""
+    def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]], iterations: int = TO_THE_END) -> list[Hypothesis]:
+        """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts."""
 
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
-            fitted = self._beside_plateaus(self.hypothesis(*start, loosen=False))
+            fitted = self.hypothesis(*start, iterations, loosen=False)
             earlier = self.tried.get(fitted.names)
-            if earlier is not None and earlier.fit.objective < fitted.fit.objective - CONVERGED:
-                fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
+            if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - CONVERGED:
+                fitted = self.hypothesis(fitted.candidates, earlier.fit, iterations, loosen=False)
             return fitted
 
         return self._fit_each("fitting what comes near the best", refit, starts)
+
+    def fit_from_the_prior(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Fit hypotheses again from draws of their priors."""
+        return self._fit_each("fitting the most probable again from other starts", self.from_the_prior, hypotheses)
 
     def _fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
         """Fit items in parallel and report progress."""
@@ -241,34 +225,6 @@ class Search:
         self.tried |= {h.names: h for h in fitted}
         report_ranking(self.progress, [*self.tried.values()])
         return fitted
-
-    def _refit_if_better(self, h: Hypothesis, noise: Noise) -> Hypothesis:
-        """Refit a hypothesis from other noise values, and return the better of both fits."""
-        goal = h.fit.objective - DONE
-        other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
-        return replace(other, ended=h.ended) if other.fit.objective < goal else h
-
-    def _beside_plateaus(self, h: Hypothesis) -> Hypothesis:
-        """Return a hypothesis, refitted from beside the plateaus on which parameters ended."""
-        free = [f for c in h.candidates for f in c.free if f.neutral is not None]
-        better = values_beside_plateaus(self.problem, h.fit, free)
-        if not better:
-            return h
-        other = self.hypothesis(h.candidates, replace(h.fit, values={**h.fit.values, **better}), loosen=False)
-        return replace(other, ended=h.ended) if other.fit.objective < h.fit.objective else h
-
-    def _without_noise(self, h: Hypothesis) -> Hypothesis:
-        """Refit a hypothesis without superfluous unknown inputs."""
-        least = self.problem.noise.smallest
-        for k in np.argsort(h.fit.noise.power - least)[::-1]:
-            if h.fit.noise.power[k] < least[k] + NEGLIGIBLE:
-                continue
-            power = h.fit.noise.power.copy()
-            power[k] = least[k]
-            noise = replace(h.fit.noise, power=power)
-            if self.problem.score(h.fit.values, noise).nll <= h.fit.nll + NEEDED:
-                h = self._refit_if_better(h, noise)
-        return h
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """Return the score cost of candidates."""
