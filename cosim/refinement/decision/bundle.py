@@ -24,8 +24,8 @@ from cosim.estimation.subject.candidates import (
 )
 from cosim.refinement.decision.equivalence import act_alike
 from cosim.refinement.decision.posterior import (
-    CERTAIN,
     MIXTURE,
+    POSSIBLE,
     TRIAL_TOLERANCE,
     Bundle,
     Evidence,
@@ -44,7 +44,6 @@ from cosim.terms.alike import contains
 
 BLOCKS = 20  # blocks of time of a study
 COMPARED = 5  # classes of which equivalences are sought
-POSSIBLE = 1.0 - CERTAIN  # probability of a class from which it is compared with others
 
 
 def evidence(search: Search, h: Hypothesis) -> Evidence:

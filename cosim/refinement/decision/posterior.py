@@ -28,6 +28,7 @@ from cosim.residuals.residual_statistics import COUNTS_FROM
 
 # The numbers that decide, with `EQUIVALENT` of `cosim.refinement.decision.equivalence` and `COUNTS_FROM` of replays.
 CERTAIN = 0.95  # inclusion probability from which a part is claimed; mass of the classes of an ambiguous verdict
+POSSIBLE = 1.0 - CERTAIN  # probability of a class from which it counts beside others
 PART = 0.5  # prior factor of each further part
 MIXTURE = (1 / 3, 1.0, 3.0)  # widths of the prior of a size, in usual sizes
 TRIAL_TOLERANCE = 0.05  # of a base number on trial without a stated one; it is the least width of the prior

@@ -6,6 +6,7 @@ gain of further parts, and of other parts in the place of each; what would be pr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -14,17 +15,13 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
 from cosim.refinement.decision.bundle import evidence, optima
-from cosim.refinement.decision.posterior import log_prior, posterior
-from cosim.refinement.search.fits import HOPE, SCREEN_ITERATIONS, Parts, Search, key_of
+from cosim.refinement.decision.posterior import POSSIBLE, log_prior, posterior
+from cosim.refinement.search.fits import HOPE, Parts, Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
 
-EXPANDED = 3  # most probable sets whose neighbours are tried in a round
+BREADTH = 4  # most probable sets whose neighbours are tried in a round, additions to one, replacements of its parts
 EXPANSIONS = 4  # rounds of neighbours
-ADDITIONS, REPLACEMENTS = 4, 2  # most promising additions to a set, and in the place of each of its parts
 NEAR_NATS = 10.0  # nats, in units of the dispersion, within which a set that was screened is fitted to the end
-SCREENED = 6  # such sets in a round
-PROBABLE = 0.02  # probability of a set from which its neighbours are tried
-HARDLY = -3.0  # log odds to its neighbour below which a set is not fitted
 
 Start = tuple[Parts, Fit]
 
@@ -37,7 +34,7 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
         sets, kappa = posterior([evidence(search, h) for h in ended.values()], len(candidates))
         ranked = sorted(sets, key=lambda parts: -sets[parts])
         starts: dict[tuple[str, ...], Start] = {}
-        leading = [parts for parts in ranked if sets[parts] > PROBABLE][:EXPANDED]
+        leading = [parts for parts in ranked if sets[parts] > POSSIBLE][:BREADTH]
         probable = [parts for parts in leading if parts not in asked]
         asked.update(probable)
         for h in search.fit_from_the_prior([ended[parts] for parts in probable]):
@@ -45,7 +42,7 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
                 starts.setdefault(key_of(start[0]), start)
         best = ended[ranked[0]]
         near = [h for h in search.tried.values() if not h.ended and h.score - best.score < NEAR_NATS * kappa]
-        for h in sorted(near, key=lambda h: h.score)[:SCREENED]:
+        for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
             starts[h.names] = h.candidates, h.fit
         untried = [s for names, s in starts.items() if not (names in search.tried and search.tried[names].ended)]
         if not untried:
@@ -58,17 +55,17 @@ def _neighbours(search: Search, candidates: Sequence[Candidate], h: Hypothesis, 
     for part in h.candidates:
         rest = tuple(c for c in h.candidates if c is not part)
         yield rest, h.fit
-        without = search.tried.get(key_of(rest)) or search.hypothesis(rest, h.fit, SCREEN_ITERATIONS, sensing=False)
+        without = search.tried.get(key_of(rest)) or search.hypothesis(rest, h.fit, screen=True)
         others = [c for c in candidates if c.name not in h.names and c.kind != "parameter"]
-        for c, promise in _promises(search, without, others)[:REPLACEMENTS]:
+        for c, promise in _promises(search, without, others)[:BREADTH]:
             yield (*rest, c), replace(without.fit, values={**without.fit.values, **promise.values})
     others = [c for c in candidates if c.name not in h.names]
     if not others:
         return
     count, size = len(candidates), len(h.candidates)
     odds = log_prior(size + 1, count) - log_prior(size, count)
-    for c, promise in _promises(search, h, others)[:ADDITIONS]:
-        if HOPE * promise.gain / kappa + odds > HARDLY:
+    for c, promise in _promises(search, h, others)[:BREADTH]:
+        if HOPE * promise.gain / kappa + odds > math.log(POSSIBLE):
             yield (*h.candidates, c), replace(h.fit, values={**h.fit.values, **promise.values})
 
 

@@ -38,7 +38,6 @@ DONE = 1.0  # score improvement below which a round has found nothing better
 ROUNDS = 10
 STARTS = 20  # fits in turn with start states
 SIGNIFICANT = 3.0  # standard deviations of a usual size, below which logs would not show it
-SETTLING = 15  # iterations
 SILENT = 0.1  # distance of ln variance from the lower limit of a sensor
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
 
@@ -99,7 +98,7 @@ class Attributor:
                     break
             else:
                 idle = 0
-                (settled,) = search.fit_to_the_end([(best.candidates, best.fit)], SETTLING)
+                (settled,) = search.fit_to_the_end([(best.candidates, best.fit)])
                 settled = self._with_stamp_errors(settled)
                 further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
                 search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
@@ -283,6 +282,7 @@ class Attributor:
         enough = zip(search.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
         logs = [replace(log, substeps=max(base.substeps, other.substeps)) for base, other, log in enough]
         search.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=search.problem.scatter)
+        search.tried = {n: replace(h, ended=False) for n, h in search.tried.items()}
         best = search.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
         best = self._rescore(self._with_enough_substeps(best))
         search.fit_to_the_end(self._beyond_special_cases(best))

@@ -1,12 +1,12 @@
 """Parallel fits of candidate sets on one problem, with a record of every hypothesis.
 
-The score of a set is the objective of its fit plus the cost of its candidates: ½·ln N for each parameter (half of BIC),
-and for each candidate ENTRY plus the logarithm of the number of candidates on trial, so that more candidates do not
-give more false alarms.
+The score of a set, by which a search goes on, is a rough −ln of its posterior: the objective of its fit, ½·ln N for
+each parameter (half of BIC), and −ln of the prior of so many parts.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
@@ -14,22 +14,21 @@ from typing import TypeVar
 
 import numpy as np
 
-from cosim.estimation.fit import CONVERGED, Fit, fit, initial_fit
+from cosim.estimation.fit import CONVERGED, ITERATIONS, Fit, fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import MIXTURE, Evidence
+from cosim.refinement.decision.posterior import MIXTURE, PART, Evidence, log_prior
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
 HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
-ENTRY = 3.0  # score cost of a candidate in addition to its parameters
+ENTRY = -math.log(PART)  # score cost of a part in addition to its parameters
 STARTS = 4  # draws of the prior from which a probable hypothesis is fitted again
-TO_THE_END = 60  # iterations within which all fits so far have converged
-BACKTRACKING = (1.0, 0.5, 0.25)  # shares of promised sizes, tried one after the other
+HALVINGS = 2  # of promised sizes, until the logs are no less likely
 
 Parts = tuple[Candidate, ...]
 Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
@@ -83,8 +82,8 @@ class Search:
     """Fits of hypotheses on a problem.
 
     Attributes:
-        price: Score cost of each parameter of a candidate, ½·ln N.
-        entry: Additional score cost of each candidate.
+        price: Score cost of each parameter, ½·ln N.
+        on_trial: Number of candidates.
         tried: Names → hypothesis.
         cross_fits: Names and held-out log → fit to the remaining logs.
         evidences: Names → hypothesis and its evidence.
@@ -93,8 +92,7 @@ class Search:
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
         self.subject, self.problem, self.progress = subject, problem, progress
         self.price = 0.5 * np.log(max(2, problem.samples))
-        self.on_trial = max(1, on_trial)
-        self.entry = ENTRY + float(np.log(self.on_trial))
+        self.on_trial = on_trial
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
         self.evidences: dict[tuple[str, ...], tuple[Hypothesis, Evidence]] = {}
@@ -103,18 +101,18 @@ class Search:
         self,
         parts: Parts,
         start: Fit | None,
-        iterations: int = TO_THE_END,
         goal: float = np.inf,
         *,
         promised: Mapping[str, float] | None = None,
         loosen: bool = True,
-        sensing: bool = True,
+        screen: bool = False,
     ) -> Hypothesis:
         """Fit some candidates together from each of their starts; base parameters on trial lose their prior.
 
         Args:
             promised: Additional start values from a score test.
             loosen: Start unknown inputs at a level from which they can move.
+            screen: Fit a few iterations with the noise of sensors held, to rank the hypothesis only.
         """
         problem, free = self.problem, self.free(parts)
         start = start or initial_fit(problem)
@@ -129,9 +127,10 @@ class Search:
             noise = replace(noise, power=np.maximum(noise.power, problem.noise.quiet))
         if promised:
             begins = [self._toward(promised, base, free, noise, start.nll), *(begins if len(begins) > 1 else ())]
-        fits = [fit(problem, free, b, noise, None, iterations, goal=goal, sensing=sensing) for b in begins]
-        best = min(fits, key=lambda f: f.objective)
-        return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
+        iterations = SCREEN_ITERATIONS if screen else ITERATIONS
+        fits = [fit(problem, free, b, noise, None, iterations, goal=goal, sensing=not screen) for b in begins]
+        best = min(fits, key=_objective)
+        return Hypothesis(parts, best, best.objective + self.cost(parts), ended=not screen)
 
     def from_the_prior(self, h: Hypothesis) -> Hypothesis:
         """Fit a hypothesis again from draws of its prior, as a fit may end in a local optimum; the best fit counts.
@@ -163,7 +162,7 @@ class Search:
         A score test promises along a straight line, and too much where unknown inputs explain most of an effect.
         """
         sizes, found = {f.name for f in free if f.neutral is not None}, []
-        for share in BACKTRACKING:
+        for share in 0.5 ** np.arange(1 + HALVINGS):
             values = {n: base[n] + share * (v - base[n]) if n in sizes else v for n, v in promised.items()}
             found.append(({**base, **values}, self.problem.score({**base, **values}, noise).nll))
             if found[-1][1] <= nll:
@@ -190,19 +189,19 @@ class Search:
         def fit_trial(trial: Trial) -> Hypothesis:
             parts, promised = trial
             goal = start.score + margin - self.cost(parts)
-            fitted = self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
+            fitted = self.hypothesis(parts, start.fit, goal, promised=promised, screen=True)
             return min(fitted, self.tried.get(fitted.names, fitted), key=lambda h: h.score)
 
         return self._fit_each(stage, fit_trial, todo)
 
-    def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]], iterations: int = TO_THE_END) -> list[Hypothesis]:
+    def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
         """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts."""
 
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
-            fitted = self.hypothesis(*start, iterations, loosen=False)
+            fitted = self.hypothesis(*start, loosen=False)
             earlier = self.tried.get(fitted.names)
             if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - CONVERGED:
-                fitted = self.hypothesis(fitted.candidates, earlier.fit, iterations, loosen=False)
+                fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
             return fitted
 
         return self._fit_each("fitting what comes near the best", refit, starts)
@@ -228,5 +227,5 @@ class Search:
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """Return the score cost of candidates."""
-        each = (self.entry + float(np.log(c.among)) + self.price * len(c.free) for c in parts)
-        return self.problem.scatter * float(sum(each))
+        shapes = sum(math.log(c.among) + self.price * len(c.free) for c in parts)
+        return self.problem.scatter * (shapes - log_prior(len(parts), max(self.on_trial, len(parts))))
