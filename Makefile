@@ -9,7 +9,7 @@ DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 RELEASING := .venv/.releasing
 
-.PHONY: run test thorough refine bench blind blind-fmu baseline corpus crash kills fuzz mutants seed check docs dist trial versions clean fmus
+.PHONY: run test thorough refine bench blind blind-fmu bundles baseline corpus crash kills fuzz mutants seed check docs dist trial versions clean fmus
 N ?= 24
 CRASHES ?= 200
 KILLS ?= 200
@@ -76,6 +76,10 @@ blind: $(TESTING)
 
 blind-fmu: $(TESTING)
 	$(BIN)/python -m tests.blind.harness $(N) --half fmu
+
+# decision bundles of STUDIES (SUITE:FIRST:COUNT …), as far as they are missing; without, the table of alternatives
+bundles: $(TESTING)
+	$(BIN)/python -m tests.blind.bundles $(STUDIES)
 
 # the frozen blind studies at the revision in tests/corpus/revision, as far as they are missing
 baseline: $(TESTING)

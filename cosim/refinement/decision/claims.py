@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import Decision, Grade, Names, Verdict
+from cosim.refinement.decision.posterior import Bundle, Decision, Grade, Names, Verdict
 from cosim.refinement.search.hypotheses import TOGETHER, Hypothesis
 
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
@@ -21,6 +21,7 @@ class Claims:
     """What a study claims.
 
     Attributes:
+        bundle: What the decision depends on.
         decision: Verdict, probabilities and reasons.
         base: The recalibrated model.
         claimed: Hypothesis that is delivered as refined, with intervals; None without a certain part.
@@ -35,6 +36,7 @@ class Claims:
         ladder: Models with the log error of their predictions on each log left out, simplest first.
     """
 
+    bundle: Bundle
     decision: Decision
     base: Hypothesis
     claimed: Hypothesis | None

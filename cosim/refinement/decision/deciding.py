@@ -74,7 +74,8 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     if max(first.inclusion.values(), default=0.0) >= CERTAIN:
         claimed = with_intervals(search, best)
         bundle = replace(bundle, unsure=frozenset(_unsure(search, claimed, bundle.families)))
-    decision = decide(replace(bundle, misfit=misfit))
+    bundle = replace(bundle, misfit=misfit)
+    decision = decide(bundle)
     delivered = _delivered(decision, hypotheses)
     if claimed is None or delivered is None or delivered.names != claimed.names:
         claimed = with_intervals(search, delivered) if delivered else None
@@ -87,6 +88,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
         nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))
     rivals = tuple(decision.rivals)
     return Claims(
+        bundle=bundle,
         decision=decision,
         base=base,
         claimed=claimed,

@@ -1,0 +1,192 @@
+"""Decision bundles of blind studies, on which rules are compared within seconds: `make bundles`.
+
+    python -m tests.blind.bundles SUITE:FIRST:COUNT …    refine these studies, as far as their bundles are missing
+    python -m tests.blind.bundles                        the table of alternatives on all bundles
+
+A bundle is what the decision of a study depends on (`cosim/refinement/decision/posterior.py`). It is kept with the
+line of the study in `build/bundles`, which is not in the repository. Alternatives are judged by names alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from cosim.refinement.decision import posterior as rules
+from cosim.refinement.decision.posterior import Bundle, Decision, Evidence, decide
+from cosim.refinement.workflow import refine
+from tests.blind import baseline, field_score, harness
+
+FOLDER = Path(__file__).resolve().parents[2] / "build" / "bundles"
+RESAMPLED = 100  # bootstrap samples of the blocks
+Rule = Callable[[Bundle], Decision]
+
+
+def keep(suite: str, seed: int) -> str:
+    """Refine a study, and keep its bundle, truth and line."""
+    with tempfile.TemporaryDirectory() as folder:
+        study, told = harness.invent(suite, seed, Path(folder) / "study")
+        begin = time.process_time()
+        result = refine(study, Path(folder) / "out", report=False)
+        line = baseline.line_of(suite, json.loads(told), json.loads(json.dumps(result.record)))
+    line |= {"seed": seed, "processor_seconds": round(time.process_time() - begin, 1)}
+    place = FOLDER / f"{suite}_{seed}.pickle"
+    place.with_suffix(".part").write_bytes(pickle.dumps((result.verdict.bundle, line)))
+    place.with_suffix(".part").rename(place)
+    return f"{suite} {seed}: {outcome(line)}"
+
+
+def outcome(line: Mapping[str, Any]) -> str:
+    """Return the score of a line in a word."""
+    given = dict(line)
+    if line["kind"] == "nothing":
+        return "false alarm" if field_score.is_false_alarm(given) else "quiet"
+    if line["kind"] == "outside":
+        if field_score.is_misnamed(given):
+            return "misnamed"
+        return "flagged" if field_score.is_flagged(given) else "missed"
+    for name, holds in (("right", field_score.is_right), ("wrong", field_score.is_wrong)):
+        if holds(given):
+            return name
+    return "in set" if field_score.is_in_set(given) else "open"
+
+
+def judged(line: Mapping[str, Any], decision: Decision) -> dict[str, Any]:
+    """Return the line of a study with another decision."""
+    rivals = [" + ".join(sorted(parts)) or "no_effect" for parts in decision.rivals]
+    effects = [{"name": name, "parameters": {}} for name in decision.claimed]
+    left_open = [{"name": rich, "in_place_of": simple} for rich, simple in decision.not_excluded]
+    found = {"verdict": decision.verdict, "grade": decision.grade, "rivals": rivals, "effects": effects}
+    return {**line, **found, "not_excluded": left_open}
+
+
+# -- alternatives ------------------------------------------------------------------------------------
+
+
+def with_numbers(**numbers: Any) -> Rule:
+    """Return the rule with other deciding numbers."""
+
+    def decided(bundle: Bundle) -> Decision:
+        with patch.multiple(rules, **numbers):
+            return decide(bundle)
+
+    return decided
+
+
+def with_widths(times: float) -> Rule:
+    """Return the rule with all usual sizes multiplied."""
+
+    def widened(h: Evidence) -> Evidence:
+        return replace(h, parameters=tuple(replace(p, width=times * p.width) if p.is_size else p for p in h.parameters))
+
+    return lambda bundle: decide(replace(bundle, hypotheses=[widened(h) for h in bundle.hypotheses]))
+
+
+def with_half_the_blocks(bundle: Bundle) -> Decision:
+    """Decide with pairs of neighbouring blocks as one."""
+
+    def halved(h: Evidence) -> Evidence:
+        starts = np.concatenate([np.flatnonzero(h.logs == log)[::2] for log in np.unique(h.logs)])
+        values, gradients = (np.add.reduceat(v, starts, axis=0) for v in (h.log_likelihoods, h.gradients))
+        return replace(h, log_likelihoods=values, gradients=gradients, logs=h.logs[starts])
+
+    return decide(replace(bundle, hypotheses=[halved(h) for h in bundle.hypotheses]))
+
+
+def strictly(bundle: Bundle) -> Decision:
+    """Decide with every claim withdrawn where unnamed terms are significant."""
+    return decide(replace(bundle, misfit=replace(bundle.misfit, beside=dict.fromkeys(bundle.kinds, 0.0))))
+
+
+def bagged(bundle: Bundle) -> Decision:
+    """Decide by the mean posterior over bootstrap weights of the blocks (Huggins and Miller 2019)."""
+    rng, plain = np.random.default_rng(0), rules.posterior
+    logs = bundle.hypotheses[0].logs
+    weights = [rng.multinomial(len(logs), np.full(len(logs), 1 / len(logs))).astype(float) for _ in range(RESAMPLED)]
+
+    def resampled(h: Evidence, weight: Any) -> Evidence:
+        shares = np.bincount(logs, weight) / np.bincount(logs)
+        return replace(
+            h,
+            log_likelihoods=weight * h.log_likelihoods,
+            gradients=weight[:, None] * h.gradients,
+            informations=shares[:, None, None] * h.informations,
+        )
+
+    def mean(hypotheses: Sequence[Evidence], count: int) -> Any:
+        kappa = plain(hypotheses, count)[1]
+        total: Counter[frozenset[str]] = Counter()
+        for weight in weights:
+            for parts, p in plain([resampled(h, weight) for h in hypotheses], count)[0].items():
+                total[parts] += p / RESAMPLED
+        return dict(total), kappa
+
+    with patch.object(rules, "posterior", mean):
+        return decide(bundle)
+
+
+RULES: dict[str, Rule] = {
+    "as it is": decide,
+    "bootstrap weights of blocks": bagged,
+    "half as many blocks": with_half_the_blocks,
+    "no dispersion": with_numbers(dispersion=lambda h: 1.0),
+    "certain from 0.9": with_numbers(CERTAIN=0.9),
+    "certain from 0.99": with_numbers(CERTAIN=0.99),
+    "lack of fit below 1 %": with_numbers(MISFIT=1e-2),
+    "lack of fit below 1e-4": with_numbers(MISFIT=1e-4),
+    "every lack of fit withdraws": strictly,
+    "no abstention by lack of fit": with_numbers(MISFIT=0.0),
+    "unknown inputs up to 10 %": with_numbers(UNKNOWN_INPUT=0.1),
+    "one width of sizes": with_numbers(MIXTURE=(1.0,)),
+    "usual sizes × 1/3": with_widths(1 / 3),
+    "usual sizes × 3": with_widths(3.0),
+    "prior 1/4 of each further part": with_numbers(PART=0.25),
+    "without equivalent sets": lambda bundle: decide(replace(bundle, equivalent=())),
+}
+COLUMNS = ("right", "in set", "open", "wrong", "quiet", "false alarm", "flagged", "missed", "misnamed")
+
+
+def table(kept: Iterable[tuple[Bundle, Mapping[str, Any]]]) -> list[str]:
+    """Return the table of alternatives: outcomes, and the share of studies with the verdict and names of the rule."""
+    kept = list(kept)
+    usual = [judged(line, decide(bundle)) for bundle, line in kept]
+    rows = [f"| rule | {' | '.join(COLUMNS)} | same |", f"|{'---|' * (len(COLUMNS) + 2)}"]
+    for name, rule in RULES.items():
+        lines = [judged(line, rule(bundle)) for bundle, line in kept]
+        found = Counter(map(outcome, lines))
+        same = [(a["verdict"], a["effects"]) == (b["verdict"], b["effects"]) for a, b in zip(lines, usual, strict=True)]
+        rows.append(f"| {name} | {' | '.join(str(found[c]) for c in COLUMNS)} | {np.mean(same):.0%} |")
+    return rows
+
+
+def main() -> None:
+    """Keep missing bundles, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("studies", nargs="*", metavar="SUITE:FIRST:COUNT")
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    wanted = [(suite, int(first), int(count)) for suite, first, count in (s.split(":") for s in given.studies)]
+    todo = sorted((k, suite, first + k) for suite, first, count in wanted for k in range(count))  # suites in turn
+    todo = [(k, suite, seed) for k, suite, seed in todo if not (FOLDER / f"{suite}_{seed}.pickle").exists()]
+    with ProcessPoolExecutor(given.jobs, max_tasks_per_child=1) as pool:
+        for future in as_completed([pool.submit(keep, suite, seed) for _, suite, seed in todo]):
+            print(future.exception() or future.result(), flush=True)
+    if not wanted:
+        print(*table(pickle.loads(place.read_bytes()) for place in sorted(FOLDER.glob("*.pickle"))), sep="\n")
+
+
+if __name__ == "__main__":
+    main()
