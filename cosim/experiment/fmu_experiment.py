@@ -32,10 +32,10 @@ from cosim.terms.language import Term, with_place
 CONFUSED = (
     ("delay", "lag", "second_order_lag", "rate_limit"),
     ("dead_band", "play"),
-    ("gain", "saturation"),
+    ("gain", "saturation", "square_law"),
     ("coulomb", "viscous", "quadratic_drag"),
     ("cubic_spring", "cogging"),
-    ("leak", "overflow"),
+    ("leak", "growing_leak", "overflow"),
 )
 
 

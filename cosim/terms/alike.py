@@ -17,7 +17,7 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
         "play answers late at each reversal only, and friction holds until a level",
     ),
     (
-        frozenset({"gain", "scale", "saturation", "offset", "bias", "drift"}),
+        frozenset({"gain", "scale", "saturation", "square_law", "offset", "bias", "drift"}),
         "steps of each input in three sizes and both directions, with pauses at zero at the begin and the end",
     ),
     (
@@ -33,7 +33,7 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
         "slow loads in both directions, from a hundredth of the largest to the largest deflection",
     ),
     (
-        frozenset({"leak", "overflow", "bias", "drift"}),
+        frozenset({"leak", "growing_leak", "overflow", "bias", "drift"}),
         "fill slowly to the top and drain to the bottom, each followed by a long pause",
     ),
 )

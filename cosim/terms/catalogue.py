@@ -76,6 +76,19 @@ class Saturation(InputTerm):
         return m.where(self.inverse_limit > (1.0 + 1e-9) * least, m.clip(value, -limit, limit), value)
 
 
+class SquareLaw(InputTerm):
+    """Part of an input that acts with its square, like the thrust of a propeller or the flow through a valve."""
+
+    kind = "square_law"
+    equation = "(1 − s)·u + s·u·|u|/M in place of u, M the largest |u|"
+
+    share: float = scaled("1", neutral=0.0, typical=0.3, low=-1.0, high=1.0, doc="share s of the square")
+
+    def change(self, m: Namespace, value: Number) -> Number:
+        """Return (1 − s)·u + s·u·|u|/M."""
+        return value + self.share * value * (m.sqrt(value * value) / self.place.sizes.get("M", 1.0) - 1.0)
+
+
 class RateLimit(RememberingTerm):
     """Limit of the rate of an input."""
 
@@ -302,6 +315,19 @@ class Leak(RateTerm):
         return -self.coefficient * level
 
 
+class GrowingLeak(RateTerm):
+    """Loss that grows with the square of a level."""
+
+    kind = "growing_leak"
+    equation = "−c·s·|s| in the rate of s"
+
+    coefficient: float = scaled("r/q^2", neutral=0.0, typical=0.05, low=0.0, high=5.0, doc="coefficient c")
+
+    def rate(self, m: Namespace, level: Number) -> Number:
+        """Return −c·s·|s|."""
+        return -self.coefficient * level * m.sqrt(level * level)
+
+
 class Overflow(RateTerm):
     """Loss above a level."""
 
@@ -317,10 +343,10 @@ class Overflow(RateTerm):
         return -self.coefficient * m.maximum(level - self.level, 0.0)
 
 
-INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, RateLimit, Play, InputLag, SecondOrderLag)
+INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, SquareLaw, RateLimit, Play, InputLag, SecondOrderLag)
 FORCES = (Coulomb, Stribeck, Viscous, QuadraticDrag, CubicSpring, Cogging)
 OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # linear forces are parameters of the FMU
-RATE_TERMS = (Leak, Overflow)
+RATE_TERMS = (Leak, GrowingLeak, Overflow)
 
 
 def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Iterator[type[Any]]:
