@@ -99,13 +99,17 @@ class _Places:
         self.names, self.inputs = [q.name for q in self.states], [q.name for q in s.inputs]
         self.units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
         self.parameters = {p.name: p.quantity for p in s.parameters}
-        self.ranges = {n: max(float(np.ptp(log.inputs[n])) for log in logs if n in log.inputs) for n in self.inputs}
 
     def size(self, name: str) -> float:
-        """Return the usual size of a signal: its spread, of an input half of its range; 1 for a constant."""
-        if name in self.ranges:
-            return 0.5 * self.ranges[name] or 1.0
-        return self.structure.scales.get(name) or 1.0
+        """Return the usual size of a signal, its spread.
+
+        Of an input it is half of its range within the logs, else over all logs, else its value; 1 for a constant of 0.
+        """
+        columns = [log.inputs[name] for log in self.logs if name in log.inputs]
+        if name not in self.inputs or not columns:
+            return self.structure.scales.get(name) or 1.0
+        every = np.concatenate(columns)
+        return 0.5 * max(map(np.ptp, columns)) or 0.5 * float(np.ptp(every)) or float(np.abs(every).max()) or 1.0
 
     def rate(self, name: str) -> float:
         """Return the usual rate of change of a signal."""
