@@ -51,7 +51,9 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
             low, high = max(low, ends[0]), min(high, ends[1])
         typical = abs(p.tried) if q.start == 0.0 else None
         parameters.append(Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high), typical=typical))
-    moving = tuple(with_place(name) for name, width in places.ranges.items() if width)
+    moving = tuple(
+        with_place(n) for n in places.inputs if any(np.ptp(log.inputs[n]) for log in logs if n in log.inputs)
+    )
     sensors: list[type[Any]] = []
     for q, name in zip(named_outputs, outputs, strict=True):
         signed = any(float(np.nanmin(log.outputs[name])) < 0.0 for log in logs if name in log.outputs)
@@ -88,7 +90,6 @@ class _Places:
 
     Attributes:
         states: The states, or the outputs in their place.
-        ranges: Input → range of the commands.
     """
 
     def __init__(self, structure: Structure, logs: Sequence[Log]) -> None:
