@@ -1,17 +1,24 @@
-"""Start states of free runs, which the first readings show in part only."""
+"""Free runs: start states, which the first readings show in part only, and fits to more and more rows.
+
+A free run that has left the motion of a log does not show which parameters would keep it there: large unknown inputs
+explain the rest of the log, and a fit ends in a local optimum. In the first rows it has not left the motion yet.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.estimation.fit import initial_fit
+from cosim.estimation.data import count_unscored
+from cosim.estimation.fit import Fit, fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import Free
 
+FIRST, GROWTH = 2.0, 1.5  # rows of the first fit, in multiples of those that are not scored; their growth
 ROUNDS = 6  # estimates, each from slopes at the one before
 SHARES = (1.0, 0.3, 0.1)  # of a step that makes the readings less likely
 ENOUGH = 0.5  # decrease of the negative log-likelihood of a log by the last estimate
@@ -61,3 +68,27 @@ def _next(problem: Problem, values: Mapping[str, float], noise: Noise, index: in
         if objective(moved) < before - ENOUGH:
             return moved
     return x0
+
+
+def leaves_the_motion(problem: Problem, at: Fit) -> bool:
+    """Return whether free runs leave the logs' motion.
+
+    Large unknown inputs then keep them at the logs.
+    """
+    return problem.layout.is_free_run and bool(np.any(at.noise.power > problem.noise.plain))
+
+
+def fit_growing(problem: Problem, free: Sequence[Free], start: Mapping[str, float]) -> Fit:
+    """Return a fit to all rows.
+
+    It starts from the values of fits to fewer rows, with unknown inputs at a detectable level.
+
+    Args:
+        start: Start values of the parameters.
+    """
+    values, rows = start, FIRST * max(1, *(count_unscored(data) for data in problem.logs))
+    while rows < max(len(data.u) for data in problem.logs):
+        first = problem.first_rows(round(rows))
+        values = fit(first, free, values, first.plain).values
+        rows *= GROWTH
+    return fit(problem, free, values, problem.plain)

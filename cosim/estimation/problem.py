@@ -187,6 +187,13 @@ class Problem:
         runs = [np.where(np.isfinite(log.y), short.own_run(k).outputs, np.nan) for k, log in enumerate(short.logs)]
         return replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
 
+    def first_rows(self, rows: int) -> Problem:
+        """Return the problem with logs cut short.
+
+        The range of process noise stays that of the whole logs.
+        """
+        return self.with_same_range(**self._first_rows(rows, range(len(self.logs))))
+
     def _first_rows(self, rows: int, chosen: Sequence[int]) -> dict[str, Any]:
         """Return the attributes that belong to the first rows of some logs."""
         logs = [self.logs[k].rows(0, rows) for k in chosen]

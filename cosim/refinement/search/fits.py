@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.estimation.fit import CONVERGED, ITERATIONS, Fit, fit, initial_fit
+from cosim.estimation.free_runs import fit_growing, leaves_the_motion
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
@@ -133,9 +134,10 @@ class Search:
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=not screen)
 
     def from_the_prior(self, h: Hypothesis) -> Hypothesis:
-        """Fit a hypothesis again from draws of its prior, as a fit may end in a local optimum; the best fit counts.
+        """Fit a hypothesis again from other starts, as a fit may end in a local optimum; the best fit counts.
 
         Sizes of parts and base numbers are drawn from their priors, unknown inputs from the range that logs can show.
+        Free runs that have left the motion of the logs are also fitted to the first rows, and from there to more.
         """
         problem, free, best = self.problem, self.free(h.candidates), h.fit
         rng = np.random.default_rng([*" ".join(h.names).encode()])
@@ -152,6 +154,9 @@ class Search:
                 power = rng.uniform(problem.noise.smallest, problem.noise.largest)
                 noise = replace(noise, power=power, memory=problem.plain.memory)
             best = min(best, fit(problem, free, values, noise, goal=best.objective - CONVERGED), key=_objective)
+        if not problem.trusted and leaves_the_motion(problem, best):
+            own = {n: best.values[n] for c in h.candidates for n in c.parameters}
+            best = min(best, fit_growing(problem, free, {**problem.values, **own}), key=_objective)
         return replace(h, fit=best, score=best.objective + self.cost(h.candidates))
 
     def _toward(
