@@ -100,11 +100,19 @@ def test_a_number_far_beyond_its_tolerance_is_found_within_its_bounds_however_fa
 
 
 @pytest.mark.thorough
-def test_a_number_a_little_beyond_its_tolerance_is_wrong_and_no_other(tmp_path: Path) -> None:
-    study = rail_study(tmp_path / "study", {"mass": 1.14 * SHEET["mass"]}, TOLERANCE + "candidates: [mass, coulomb]\n")
+def test_a_number_beyond_its_tolerance_is_wrong_and_no_other(tmp_path: Path) -> None:
+    study = rail_study(tmp_path / "study", {"mass": 1.3 * SHEET["mass"]}, TOLERANCE + "candidates: [mass, coulomb]\n")
     r = proven(study, tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("parameter_error", {"mass"})
-    assert holds(r, "mass", "value", 1.14 * SHEET["mass"])
+    assert holds(r, "mass", "value", 1.3 * SHEET["mass"])
+
+
+@pytest.mark.thorough
+def test_a_number_a_little_beyond_its_tolerance_may_be_within(tmp_path: Path) -> None:
+    study = rail_study(tmp_path / "study", {"mass": 1.14 * SHEET["mass"]}, TOLERANCE + "candidates: [mass, coulomb]\n")
+    decision = decided_of(study).decision
+    assert (decision.verdict, decision.claimed) == ("ambiguous", {})
+    assert set(decision.rivals) == {frozenset({"mass"}), frozenset()}
 
 
 @pytest.mark.thorough
