@@ -311,5 +311,11 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
         if region[0] <= f.low:
             return f"{name} at most {high}"
         return f"{name} at least {low}" if region[1] >= f.high else f"{name} between {low} and {high}"
-    digits = max(4, min(math.floor(math.log10(abs(value) / half)) + 3, 12)) if value and half else 4
-    return f"{name} = {value:.{digits}g} ± {half:.2g} {unit}".rstrip()
+    return f"{name} = {rounded(value, half)} ± {half:.2g} {unit}".rstrip()
+
+
+def rounded(value: float, half: float) -> str:
+    """Return a number with two digits of the half-width of its interval."""
+    if not (value and half and math.isfinite(half)):
+        return f"{value:g}"
+    return f"{value:.{max(2, math.ceil(math.log10(abs(value) / half)) + 2)}g}"
