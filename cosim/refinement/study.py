@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import with_prefix
@@ -28,7 +28,7 @@ from cosim.files.artefact import STUDY, kind_by_keys
 from cosim.files.files import FilePath
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
-from cosim.fmi.building.file import LoadedModel, load_model, own_terms
+from cosim.fmi.building.file import load_model, own_terms
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
@@ -45,10 +45,10 @@ MISSING_LOG = "{log}: no such file beside the study; its logs are named from the
 
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
-FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
-NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sheet; without information
+ROUNDING = float(np.finfo(np.float64).eps)
+WIDEST = 2.0  # share of a parameter: a tolerance without information
 
 
 def _check_share(value: Any) -> Any:
@@ -56,26 +56,14 @@ def _check_share(value: Any) -> Any:
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not NARROWEST <= value <= WIDEST:
-        text = f"a tolerance is a share of the parameter, at least {NARROWEST:g} and at most {WIDEST:g}: 0.1 for 10 %"
-        raise ValueError(text)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not ROUNDING < value <= WIDEST:
+        raise ValueError(f"a tolerance is a share of the parameter, above 0 and at most {WIDEST:g}: 0.1 for 10 %")
     return value
 
 
-def _check_file_name(name: str) -> str:
-    """Return a file name; raise ValueError for NUL characters."""
-    if "\0" in name:
-        raise ValueError("no name of a file holds a NUL character")
-    return name
-
-
-def _setting_tag(value: Any) -> str:
-    """Return the tag of a setting that is a single value or a mapping by name."""
-    return "«by name»" if isinstance(value, dict) else "«all»"
-
-
+ONE_OR_BY_NAME = Discriminator(lambda value: "«by name»" if isinstance(value, dict) else "«all»")
 Share = Annotated[float, BeforeValidator(_check_share)]
-FileName = Annotated[str, AfterValidator(_check_file_name)]
+FileName = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 
 
 class LogLists(BaseModel):
@@ -116,11 +104,10 @@ class StudyFile(BaseModel):
     noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     start_noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     tolerance: Annotated[
-        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], Discriminator(_setting_tag)
+        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], ONE_OR_BY_NAME
     ] = {}
     inputs: Annotated[
-        Annotated[Interpolation, Tag("«all»")] | Annotated[dict[str, Interpolation], Tag("«by name»")],
-        Discriminator(_setting_tag),
+        Annotated[Interpolation, Tag("«all»")] | Annotated[dict[str, Interpolation], Tag("«by name»")], ONE_OR_BY_NAME
     ] = "held"
     candidates: list[str] | None = None
     columns: dict[str, str] = {}
@@ -242,8 +229,7 @@ def read_study(path: Path, limits: str = "") -> Study:
     except InputError as error:
         faults, stepping = [*faults, *error.faults], subject
     logs, warnings, log_faults = _read_logs(yaml, content, stepping)
-    latency_faults = _latency_faults(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
-    refuse([*faults, *log_faults, *latency_faults])
+    refuse([*faults, *log_faults])
     loaded, notes = with_substep(loaded, logs["estimation"])
     warnings += [with_prefix(f"{content.model}: ", text) for text in notes]
     return Study(path, content, content.judged(ModelSubject(loaded)), tuple(logs["estimation"]), tuple(warnings))
@@ -448,12 +434,9 @@ def _read_logs(
         usable = _usable_stretches(log, subject.horizon)
         if not usable:
             longest = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
-            least, better = plain(_min_duration(log, subject.horizon), None), plain(20 * log.slowness)
+            least = plain(_min_duration(log, subject.horizon), None)
             duration = f"{longest} s" if len(stretches(log)) == 1 else f"at most {longest} s without a pause"
-            message = (
-                f"lasts {duration}, too short to be judged: it takes {least} s, and {better} s and more tell more; log "
-                "longer or leave it out"
-            )
+            message = f"lasts {duration}, too short to be judged: it takes {least} s; log longer or leave it out"
             faults.append(Fault(log.path, 0, 0, message))
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
@@ -519,30 +502,12 @@ def _usable_stretches(log: Log, horizon: float) -> list[Log]:
     return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
 
-def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of latencies too long for the logs."""
-    for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
-        latency = loaded.sensors.get(name, 0.0)
-        durations: dict[Path, float] = {}
-        for log in logs:
-            rest = float(log.time[-1] - log.time[0]) - latency
-            if rest < _min_duration(log, loaded.model.horizon) - 0.5 * log.step:
-                durations[log.path] = rest + latency
-        if latency > 0.0 and durations:
-            texts = ", ".join(f"{path.name} lasts {plain(duration)} s" for path, duration in durations.items())
-            message = (
-                f"{name} is {plain(latency)} s, and {texts}: the rest is too short to judge a model; correct "
-                "this value, or record longer logs"
-            )
-            yield YamlFile(model_file).fault(("sensors", name), message)
-
-
 def _implausible_noise(places: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
     """Yield faults of implausible sensor noise."""
     for name, level in noise.items():
         readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         largest = float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
-        if largest > 0.0 and not FINEST * largest < level < COARSEST * largest:
+        if largest > 0.0 and not ROUNDING * largest < level < largest:
             message = (
                 f"noise.{name}: {plain(level)} is no noise of readings of up to {plain(largest)}; state it in "
                 "their unit"

@@ -45,18 +45,19 @@ from cosim.isolation.limits import Limits
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.deciding import claims_of
 from cosim.refinement.decision.scatter import fit_given_model
-from cosim.refinement.decision.sentences import Proof, floor_warning
+from cosim.refinement.decision.sentences import Proof, floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.proof_replays import LogSets, replay_variants
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of
-from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs, repeated_motion
-from cosim.refinement.record import Floors, Measurements, Replayed, keep_finite, record, unfinished
+from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs
+from cosim.refinement.record import Floors, Replayed, record, unfinished
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.input_hold import Between, between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
+from cosim.residuals.residual_statistics import COUNTS_FROM
 
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
@@ -142,11 +143,23 @@ def refine(
             warnings.append(
                 f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"
             )
-        warnings += [*_floor_warnings(floors, played, claims, subject), *repeated_motion(sealed, study.logs)]
+        warnings += _floor_warnings(floors, played, claims, subject)
         study = replace(study, warnings=(*study.warnings, *warnings))
-        measured = Measurements(played, floors, noise, between, way, ends, time.perf_counter() - start)
-        proof = _proof(study, claims, played, floors, between, is_written=bool(files))
-        written = record(study, claims, proof, unfitted, problem.layout.outputs, measured)
+        text = sentence(claims, subject, _proof(study, claims, played, floors, between, is_written=bool(files)))
+        written = record(
+            study,
+            claims,
+            text,
+            problem.layout.outputs,
+            unfitted=unfitted,
+            noise=noise,
+            between=between,
+            played=played,
+            floors=floors,
+            way=way,
+            ends=ends,
+            seconds=time.perf_counter() - start,
+        )
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():
@@ -249,7 +262,7 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
 def _candidates(study: Study) -> list[Candidate]:
     """Return the candidates named by the study, or all; of an FMU, without the sensors of outputs that no log has."""
     subject, named = study.subject, study.content.candidates
-    varied = [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in study.logs)]
+    varied = [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 0.0 for log in study.logs)]
     candidates = list(drop_own_parameters(subject.candidates(varied), study.settings.per_log))
     if named is not None:
         return [c for c in candidates if c.name in named]
@@ -311,11 +324,12 @@ def _proof(
 
 
 def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:
-    """Yield a warning for each set of logs with a noise floor above the error of the delivered or the nearest model."""
+    """Yield a warning for each set of logs with a noise floor far above the error of the delivered or nearest model."""
     units = {q.name: q.unit for q in subject.outputs}
     names = ("after",) if claims.claimed is not None or "nearest" not in played else ("after", "nearest")
     for part, floor in floors.items():
-        errors = [keep_finite(rmse(played[name][part][subject.horizon])) for name in names]
-        least = {channel: min(e.get(channel, math.inf) for e in errors) for channel in floor.level}
-        if channels := floor.channels_above(keep_finite(least)):
+        errors = [rmse(played[name][part][subject.horizon]) for name in names]
+        least = {n: min(e.get(n, math.inf) for e in errors) for n in floor.level}
+        channels = {n: (level, least[n]) for n, level in floor.level.items() if level > COUNTS_FROM * least[n] > 0.0}
+        if channels:
             yield floor_warning(part, channels, units)

@@ -140,9 +140,7 @@ def _compare_residual(r: Refinement) -> EffectComparison:
     else:
         return _of_equation(subject, parts, column, _choose(subject, signals, (), value[:, column]))
     term = scale_to_missing(problem, best, column, term, value[:, column])
-    return _of_equation(
-        subject, parts, column, against, effect=first["signal"], term=term, recorded=residual["share"]
-    )
+    return _of_equation(subject, parts, column, against, effect=first["signal"], term=term, recorded=residual["share"])
 
 
 def _of_equation(subject: Subject, parts: Smoothed, column: int, against: Regressor, **more: Any) -> EffectComparison:

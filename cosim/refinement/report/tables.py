@@ -141,11 +141,17 @@ def parameter_tables(r: Refinement) -> Rows:
 
 def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
     """Return an estimate with its interval, and the places of both between the value before and the interval."""
-    declaration, value, start = r.study.subject.declared[free.name], h.fit.values[free.name], r.problem.values[free.name]
+    declaration, value, start = (
+        r.study.subject.declared[free.name],
+        h.fit.values[free.name],
+        r.problem.values[free.name],
+    )
     (unit, factor), half, (low, high) = display(declaration.unit), h.fit.sigma(free.name), h.fit.interval(free.name)
     least, most = min(start, low), max(start, high)
     places = {"neutral": start, "low": low, "high": high, "estimate": value}
-    at = {key: (min(max(x, least), most) - least) / (most - least) if most > least else 0.5 for key, x in places.items()}
+    at = {
+        key: (min(max(x, least), most) - least) / (most - least) if most > least else 0.5 for key, x in places.items()
+    }
     estimate, lower, upper = (rounded(x * factor, half * factor) for x in (value, low, high))
     neutral = amount(start, declaration.unit, None)
     if free.prior:  # the tolerance is the half-width of the 95 % interval of the prior
