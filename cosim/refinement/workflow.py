@@ -45,7 +45,7 @@ from cosim.isolation.limits import Limits
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.deciding import claims_of
 from cosim.refinement.decision.scatter import fit_given_model
-from cosim.refinement.decision.sentences import Proof, floor_warning, sentence
+from cosim.refinement.decision.sentences import floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.proof_replays import LogSets, replay_variants
@@ -54,7 +54,7 @@ from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs
 from cosim.refinement.record import Floors, Replayed, record, unfinished
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.refinement.search.input_hold import Between, between_rows, late_input
+from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.residual_statistics import COUNTS_FROM
@@ -145,7 +145,22 @@ def refine(
             )
         warnings += _floor_warnings(floors, played, claims, subject)
         study = replace(study, warnings=(*study.warnings, *warnings))
-        text = sentence(claims, subject, _proof(study, claims, played, floors, between, is_written=bool(files)))
+        risen: dict[str, tuple[float, float]] = {}
+        remaining: dict[str, float] = {}
+        delivered = "after" if claims.claimed is not None else "nearest"
+        if sealed and delivered in played:
+            before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
+            risen = find_rises(before, after)
+            remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
+        text = sentence(
+            claims,
+            subject,
+            risen=risen,
+            remaining=remaining,
+            restricted=study.content.candidates is not None,
+            inputs=between.other_line if between.is_otherwise else "",
+            is_written=bool(files),
+        )
         written = record(
             study,
             claims,
@@ -309,27 +324,12 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
         yield f"the FMU failed in {evaluations}, which count as diverged; the first time: {failures[0]}"
 
 
-def _proof(
-    study: Study, claims: Claims, played: Replayed, floors: Floors, between: Between, *, is_written: bool
-) -> Proof:
-    """Return what sealed logs and the study say beside the claims; they change none of them."""
-    risen, remaining = {}, {}
-    variant = "after" if claims.claimed is not None else "nearest"
-    if "validation" in played["before"] and variant in played:
-        before, after = (played[name]["validation"][study.subject.horizon] for name in ("before", variant))
-        risen = find_rises(before, after)
-        remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-    inputs = between.other_line if between.is_otherwise else ""
-    return Proof(risen, remaining, study.content.candidates is not None, inputs, is_written)
-
-
 def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:
     """Yield a warning for each set of logs with a noise floor far above the error of the delivered or nearest model."""
-    units = {q.name: q.unit for q in subject.outputs}
     names = ("after",) if claims.claimed is not None or "nearest" not in played else ("after", "nearest")
     for part, floor in floors.items():
         errors = [rmse(played[name][part][subject.horizon]) for name in names]
         least = {n: min(e.get(n, math.inf) for e in errors) for n in floor.level}
         channels = {n: (level, least[n]) for n, level in floor.level.items() if level > COUNTS_FROM * least[n] > 0.0}
         if channels:
-            yield floor_warning(part, channels, units)
+            yield floor_warning(part, channels, subject)
