@@ -52,14 +52,6 @@ def test_a_tolerance_that_is_absurd_is_told_in_one_line(tmp_path: Path, tanks: d
     assert line.endswith("a tolerance is a share of the parameter, above 0 and at most 2: 0.1 for 10 %")
 
 
-@pytest.mark.parametrize("value", ["1e-300", "1e300"])
-def test_noise_that_no_sensor_has_is_told(tmp_path: Path, tanks: dict[str, str], value: str) -> None:
-    study = f"model: tank.py:Tank\nnoise: {{level: {value}}}\nlogs: {{estimation: [a.csv]}}\n"
-    (line,) = told(tmp_path, tanks, study)
-    assert line.startswith("study.yaml:2:16: noise.level: 1.00e")
-    assert line.endswith("; state it in their unit")
-
-
 def test_a_unit_that_cannot_be_converted_is_told_of_every_log(tmp_path: Path, tanks: dict[str, str]) -> None:
     wrong = {name: text.replace("level", "level [kg]", 1) for name, text in tanks.items() if name.endswith(".csv")}
     wrong["b.csv"] = wrong["b.csv"].replace("inflow", "inflow [m/s]", 1)

@@ -179,14 +179,12 @@ class Study:
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the sealed logs; called once, after all decisions."""
-        logs = (_read(self.folder / name, self.content, self.subject) for name in self.content.logs.validation)
-        return tuple(
-            stretch
-            for log in logs
-            for stretch in _usable_stretches(
-                drop_outliers(log, find_spikes(log, self.subject.prediction(log))), self.subject.horizon
-            )
-        )
+        usable = []
+        for name in self.content.logs.validation:
+            log = _read(self.folder / name, self.content, self.subject)
+            log = drop_outliers(log, find_spikes(log, self.subject.prediction(log)))
+            usable += _usable_stretches(log, self.subject.horizon)[0]
+        return tuple(usable)
 
 
 def read_study(path: Path, limits: str = "") -> Study:
@@ -204,13 +202,8 @@ def read_study(path: Path, limits: str = "") -> Study:
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:
-        faults.append(
-            yaml.fault(
-                ("terms",),
-                f"terms are for an FMU, and {content.model} is none; a model lists its effects in its catalogue",
-                key=True,
-            )
-        )
+        message = f"terms are for an FMU, and {content.model} is none; a model lists its effects in its catalogue"
+        faults.append(yaml.fault(("terms",), message, key=True))
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -222,8 +215,7 @@ def read_study(path: Path, limits: str = "") -> Study:
     _refuse_without_states(yaml, subject)
     content, unit_faults = _in_units(yaml, content, subject)
     subject = content.judged(subject)
-    faults += unit_faults
-    faults += _key_faults(yaml, content, subject, unlisted=yaml.root["logs"].get("estimation", []) == [])
+    faults += [*unit_faults, *_key_faults(yaml, content, subject)]
     try:
         stepping = content.judged(ModelSubject(with_substep(loaded)[0]))
     except InputError as error:
@@ -256,12 +248,8 @@ def read_parts_of_fmu(
     folder = yaml.path.parent
     fmu = folder / content.model
     if not fmu.is_file():
-        refuse(
-            [
-                *faults,
-                yaml.fault(("model",), f"{content.model}: no such file; model names the FMU, relative to the study"),
-            ]
-        )
+        message = f"{content.model}: no such file; model names the FMU, relative to the study"
+        raise InputError([*faults, yaml.fault(("model",), message)])
     logs, terms = list[Log](), list[type[Any]]()
     for part, name in _entries(content.logs):
         if not os.path.exists(folder / name):
@@ -297,12 +285,12 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
     if probed.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
-        own = {"own": probed.own_step.length, "step": probed.structure.step}
+        step, own = probed.structure.step, f"{probed.own_step.length:.3g} s"
         message = (
-            "{name} has no usable model exchange ({reason}), and its co-simulation takes steps of its own of "
-            "about {own:.3g} s, above the {step:.3g} s of the logs, so its results are wrong there; export it "
-            "for model exchange or with a shorter step, or record rows every {own:.3g} s"
-        ).format(name=content.model, reason=probed.reason, **own)
+            f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation takes steps of its "
+            f"own of about {own}, above the {step:.3g} s of the logs, so its results are wrong there; export it for "
+            f"model exchange or with a shorter step, or record rows every {own}"
+        )
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
@@ -316,7 +304,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         update["candidates"] = [names.get(n, n) for n in content.candidates]
     content, unit_faults = _in_units(yaml, content.model_copy(update=update), subject)
     subject = content.judged(subject)
-    faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
+    faults += [*unit_faults, *_key_faults(yaml, content, subject)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
     refuse([*faults, *log_faults])
     found = [f"{content.model}: {probed.own_step.finding}"] if probed.own_step else []
@@ -373,7 +361,7 @@ def study_of(
     _refuse_without_states(places, subject)
     subject = content.judged(copy(subject))
     usable, warnings, log_faults = _read_logs(places, content, subject)
-    refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
+    refuse([*_key_faults(places, content, subject), *log_faults])
     return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
 
 
@@ -382,22 +370,6 @@ def _refuse_without_states(places: Places, subject: Subject) -> None:
     if not subject.states:
         cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or give it the state that it lacks"
         raise InputError([places.fault(("model",), f"{subject.title} has no states, so it cannot be refined; {cure}")])
-
-
-def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> Iterator[Fault]:
-    """Yield all faults of the study's keys.
-
-    Args:
-        unlisted: True if no estimation log is listed.
-    """
-    yield from _unknown_names(places, content, subject)
-    logs = content.logs.model_dump()
-    yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
-    if unlisted:
-        message = "no log is listed; list one"
-        if content.logs.validation:
-            message = "every log is sealed, and none is left to learn from; move one to estimation"
-        yield places.fault(("logs", "estimation"), message)
 
 
 def _read_logs(
@@ -419,7 +391,10 @@ def _read_logs(
         except InputError as error:
             faults += error.faults
             continue
-        digests[name] = _digest(log)
+        content_of = hashlib.sha256(log.time.tobytes())
+        for signal, values in sorted({**log.inputs, **log.outputs}.items()):
+            content_of.update(signal.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
+        digests[name] = content_of.hexdigest()
         spikes = find_spikes(log, subject.prediction(log))
         findings = gate(log, subject.rate, traits=subject.traits, spikes=spikes)
         faults += gate_faults(log, findings)
@@ -431,20 +406,21 @@ def _read_logs(
             )
             for output, rows in spikes.items()
         ]
-        usable = _usable_stretches(log, subject.horizon)
+        usable, least = _usable_stretches(log, subject.horizon)
+        parts = stretches(log)
         if not usable:
-            longest = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
-            least = plain(_min_duration(log, subject.horizon), None)
-            duration = f"{longest} s" if len(stretches(log)) == 1 else f"at most {longest} s without a pause"
-            message = f"lasts {duration}, too short to be judged: it takes {least} s; log longer or leave it out"
+            longest = plain(max(float(s.time[-1] - s.time[0]) for s in parts))
+            duration = f"{longest} s" if len(parts) == 1 else f"at most {longest} s without a pause"
+            message = (
+                f"lasts {duration}, too short to be judged: it takes {plain(least, None)} s; log longer or leave it out"
+            )
             faults.append(Fault(log.path, 0, 0, message))
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
-        if count := len(stretches(log)) - len(usable):
+        if count := len(parts) - len(usable):
             warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
         logs[part] += usable
-    faults += _implausible_noise(places, content.noise, logs["estimation"])
     faults += _repeated_logs(places, content.logs, digests)
     return logs, warnings, faults
 
@@ -480,43 +456,15 @@ def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -
             first.setdefault(key, (name, part))
 
 
-def _digest(log: Log) -> str:
-    """Return a digest of the numbers, equal for copies."""
-    content = hashlib.sha256(log.time.tobytes())
-    for name, values in sorted({**log.inputs, **log.outputs}.items()):
-        content.update(name.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
-    return content.hexdigest()
+def _usable_stretches(log: Log, horizon: float) -> tuple[list[Log], float]:
+    """Return the measured stretches of sufficient duration, and that duration [s]; a slow log needs more."""
+    least = (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
+    parts = [s for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least - 0.5 * log.step]
+    return [fill_holes(s) for s in parts], least
 
 
-def _min_duration(log: Log, horizon: float) -> float:
-    """Return the least useful duration of a log [s].
-
-    A slow log needs proportionally more.
-    """
-    return (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
-
-
-def _usable_stretches(log: Log, horizon: float) -> list[Log]:
-    """Return the measured stretches of sufficient duration."""
-    least = _min_duration(log, horizon) - 0.5 * log.step
-    return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
-
-
-def _implausible_noise(places: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of implausible sensor noise."""
-    for name, level in noise.items():
-        readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
-        largest = float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
-        if largest > 0.0 and not ROUNDING * largest < level < largest:
-            message = (
-                f"noise.{name}: {plain(level)} is no noise of readings of up to {plain(largest)}; state it in "
-                "their unit"
-            )
-            yield places.fault(("noise", name), message)
-
-
-def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Yield faults of unknown outputs, states, base parameters, inputs and candidates."""
+def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
+    """Yield all faults of the study's keys."""
     inputs, outputs = ([q.name for q in signals] for signals in (subject.inputs, subject.outputs))
     parameters = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     for key, names, kind in (
@@ -535,3 +483,10 @@ def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iter
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
             yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')
+    logs = content.logs.model_dump()
+    yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
+    if not content.logs.estimation:
+        message = "no log is listed; list one"
+        if content.logs.validation:
+            message = "every log is sealed, and none is left to learn from; move one to estimation"
+        yield places.fault(("logs", "estimation"), message)

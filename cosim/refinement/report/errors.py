@@ -11,7 +11,6 @@ import numpy as np
 from cosim.core.text import MISSING, append_unit, finer, percent, plain
 from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
-from cosim.report.html_tables import Row
 from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 
@@ -118,21 +117,3 @@ def second_sentence(r: Refinement) -> str:
         return f"{text}."
     cause = "sensor noise and the estimated unknown input" if has_unknown_input(r) else "sensor noise alone"
     return f"{text}; the noise floor (the error by {cause}) is {shown['floor']}."
-
-
-def error_words(r: Refinement, tables: list[dict[str, Any]]) -> list[Row]:
-    """Return explanations of the columns of errors."""
-    floor = "The error that sensor noise alone would cause, an estimate."
-    if has_unknown_input(r):
-        floor = "The error that sensor noise and the estimated unknown input would cause, an estimate. "
-        floor += "The unknown input may include what is missing."
-    words = [Row("Recalibrated", "The model with its own parameters fitted anew, nothing added.")]
-    if tables[-1]["nearest"]:
-        words.append(Row("Nearest", "The most probable model that predicts held-out logs no worse than the given one."))
-    words.append(Row("Sensor noise", "Standard deviation of the noise of one reading, estimated from the logs."))
-    words.append(Row("Noise floor", floor))
-    if r.verdict.claimed:
-        text = "The part of the squared error above the noise floor that the refined model keeps, relative to the model"
-        text += " before and to the model recalibrated. No number: the error was below twice the noise floor."
-        words.append(Row("Left of …", text))
-    return [*words, Row("Free run", "The model alone from the first row to the last.")]

@@ -20,7 +20,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import shown_effects
 from cosim.refinement.report.errors import (
     error_tables,
-    error_words,
+    has_unknown_input,
     horizon,
     horizon_table,
     leading_channel,
@@ -66,6 +66,9 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         last |= {key: [c for c in last[key] if c is not first] for key in ("channels", "quiet")}
     terms, white = shown_effects(r, charts), innovations(r, charts)
     coloured, (title, tone) = [w for w in white if w["tells"]], TITLES[r.verdict.name]
+    sealed = len(r.evidence["before"].get("validation", ()))
+    duration = plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))
+    tried = [entry for entry in record["candidates"] if entry["names"]]  # without the model recalibrated
     values = {
         "name": f"Study {r.study.name}",
         "description": f"{r.study.subject.title}, refined from measured logs.",
@@ -73,7 +76,14 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "details": details,
         "tone": "warn" if tone == "warn" else "plain",
         "second": second_sentence(r),
-        "badges": [Badge(title, tone), *_badges(r)],
+        "badges": [
+            Badge(title, tone),
+            *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
+            Badge(f"{counted(len(r.study.logs), 'log')} used for the fits, {duration} s"),
+            Badge(f"{counted(sealed, 'log')} sealed until the end") if sealed else Badge("no log sealed", "warn"),
+            Badge(f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted"),
+            Badge(f"{record['seconds']:.0f} s elapsed"),
+        ],
         "verdict": r.verdict,
         "claimed": claimed is not None,
         "shared": join_names([c.name for c in r.verdict.claimed_candidates]),
@@ -81,8 +91,8 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "warnings": record["warnings"],
         "tables": tables,
         "skipped": f"{SKIPPED:g}\u00a0s",
-        "error_words": error_words(r, tables),
-        "sealed": "validation" in record["error"]["before"],
+        "unknown_input": has_unknown_input(r),
+        "sealed": sealed,
         "lead": lead,
         "horizons": horizon_table(r),
         "horizon": horizon(r),
@@ -113,22 +123,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
     }
     with atomic_write(path) as stream:
         stream.write(render(TEMPLATE, values))
-
-
-def _badges(r: Refinement) -> list[Badge]:
-    """Return the badges beside the verdict."""
-    sealed, logs = len(r.evidence["before"].get("validation", ())), r.study.logs
-    hypotheses = [row for row in r.record["candidates"] if row["names"]]  # without the model recalibrated
-    fitted = sum(bool(row["fitted"]) for row in hypotheses)
-    screened = f", {len(hypotheses) - fitted} screened" if fitted < len(hypotheses) else ""
-    duration = plain(sum(float(log.time[-1] - log.time[0]) for log in logs))
-    return [
-        *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
-        Badge(f"{counted(len(logs), 'log')} used for the fits, {duration} s"),
-        Badge(f"{counted(sealed, 'log')} sealed until the end") if sealed else Badge("no log sealed", "warn"),
-        Badge(f"{fitted} hypotheses fitted{screened}"),
-        Badge(f"{r.record['seconds']:.0f} s elapsed"),
-    ]
 
 
 def _use(r: Refinement) -> Mapping[str, str]:
