@@ -293,16 +293,14 @@ def _variants(study: Study, claims: Claims, unfitted: Fit, free_noise: Noise | N
         unfitted: Given model with fitted unknown inputs.
     """
     subject, settings = study.subject, study.settings
-    given = variant_of(subject, settings, unfitted)
-
-    def variant(h: Hypothesis | None) -> Variant:
-        return given if h is None else variant_of(refined_subject(subject, settings, h), settings, h.fit)
-
-    variants = {"before": given, "recalibrated": variant(claims.base), "after": variant(claims.claimed)}
-    if claims.grade != "claimed":
-        variants["nearest"] = variants["after"] if claims.nearest is claims.claimed else variant(claims.nearest)
-    each = {id(v): replace(v, free_noise=free_noise) for v in variants.values()}  # one that stands twice stays one
-    return {name: each[id(v)] for name, v in variants.items()}
+    named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
+    named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
+    given = variant_of(subject, settings, unfitted, free_noise)
+    made = {id(None): given}  # one that stands twice is replayed once
+    for h in named.values():
+        if h is not None and id(h) not in made:
+            made[id(h)] = variant_of(refined_subject(subject, settings, h), settings, h.fit, free_noise)
+    return {"before": given, **{name: made[id(h)] for name, h in named.items()}}
 
 
 def _delivery_warnings(variants: Mapping[str, Variant]) -> Iterator[str]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 VARIABLE = "MPLCONFIGDIR"
 
 
-def new_figure(*size: float) -> Figure:
+def new_figure(width: float = 0.0, height: float = 0.0) -> Figure:
     """Return an empty figure of this width and height [inch], by default those of matplotlib."""
     if "matplotlib" not in sys.modules and VARIABLE not in os.environ:
         home = Path(os.path.expanduser("~"))
@@ -28,4 +28,4 @@ def new_figure(*size: float) -> Figure:
                 os.environ[VARIABLE] = str(process_folder() / "matplotlib")
     from matplotlib.figure import Figure
 
-    return Figure(figsize=size or None, layout="constrained")
+    return Figure(figsize=(width, height) if width else None, layout="constrained")

@@ -163,8 +163,7 @@ def _of_equation(subject: Subject, parts: Smoothed, column: int, against: Regres
 def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, _: Fit, with_it: Fit) -> EffectComparison:
     """Compare estimated and claimed error of a sensor, along the filtered states of the refined model.
 
-    The comparison is for the output with the largest error. The horizontal axis is the output itself for a linear
-    error, the rate of the output for late and lagging readings, otherwise the signal with the largest explained share.
+    The comparison is for the output with the largest error.
     """
     kind: Any = next(k for k in subject.sensors if k.name == c.name)
     names, parts = problem.layout.outputs, []
@@ -185,20 +184,15 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, _: Fit, wi
     sizes = np.sqrt(np.nanmean((wrong - clean) ** 2, axis=0) / problem.r)
     channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
     rows = np.isfinite(y[:, channel]) & np.isfinite(wrong[:, channel])
-    units, name = {q.name: q.unit for q in subject.outputs}, names[channel]
-    missing, term = (y - clean)[rows, channel], (wrong - clean)[rows, channel]
-    if kind.depends_on_past():
-        against = Regressor(f"rate of {name}, by the refined model", unit_of_rate(units[name]), rate[rows, channel])
-    elif kind.is_straight():
-        against = Regressor(f"{name}, by the refined model", units[name], clean[rows, channel])
-    else:
-        signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
-        against = _choose(subject, signals, subject.drawn_against.get(c.name, ()), term)
+    name, missing, term = names[channel], (y - clean)[rows, channel], (wrong - clean)[rows, channel]
+    signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
+    signals[f"rate of {name}"] = rate[rows, channel]
+    against = _choose(subject, signals, subject.drawn_against.get(c.name, ()), term)
     return EffectComparison(
         effect=c.name,
         kind="sensor",
         where=name,
-        unit=units[name],
+        unit=next(q.unit for q in subject.outputs if q.name == name),
         against=against,
         time=time[rows],
         estimated=missing,
@@ -212,6 +206,7 @@ def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[
     """Return the signal whose bins explain most of the variance of `values`; suggested signals have precedence."""
     units = {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}}
     units |= {q.name: q.unit for q in (*subject.states, *subject.outputs)}
+    units |= {f"rate of {q.name}": unit_of_rate(q.unit) for q in subject.outputs}
     names = [n for n in suggested if all(one in signals for one in n.split(TIMES))]
     found = []
     for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:
