@@ -11,7 +11,6 @@ from cosim.estimation.subject.candidates import Free
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.posterior import CERTAIN
 from cosim.refinement.decision.sentences import rounded
-from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.hypotheses import Hypothesis
 
@@ -20,8 +19,10 @@ LADDER_NOTE = (
     "last column is the standard error of the difference from the best over {count}: within it, a model with fewer "
     "candidates is as good."
 )
+INTERVALS = "Bar: 95 % interval; dashed line: the value before. Of one log, intervals do not show how logs differ."
 TOLERANCE = (
-    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance."
+    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance. "
+    "Beside sensor errors alone, the model keeps its values."
 )
 WITHDRAWN = {  # reason → why a part is not claimed
     "held out": "held-out logs are predicted no better with it",
@@ -111,31 +112,16 @@ def inclusion_rows(r: Refinement) -> Rows:
 
 
 def parameter_tables(r: Refinement) -> Rows:
-    """Return the tables of added and of base parameters."""
-    subject, claim, near = r.study.subject, r.verdict.claimed, r.verdict.nearest
-    h = claim or r.verdict.base
-    title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
-    note = "Bar: 95 % interval; dashed line: the value before."
-    if len(r.study.logs) == 1:
-        note += " The intervals are of one log: how much the values differ from log to log is not in them."
-    tables = [(title, note, h, True)]
-    title, note = "Base parameters, recalibrated", TOLERANCE
-    base = {n: value for n, value in subject.values.items() if n not in subject.sensor_parameters}
-    if h.is_of_sensors and base.items() <= refined_subject(subject, r.study.settings, h).values.items():
-        title = "Base parameters, fitted beside it"
-        note = "The model keeps its values: the error is in a sensor, not in the plant."
-    tables.append((title, note, h, False))
-    if claim is None and near is not None and near.candidates:
-        note = "The nearest model contains them; they are not claimed."
-        if near.fit.scattered is None and len(r.study.logs) > 1:
-            note += " The intervals leave out how much the values differ from log to log."
-        tables.append(("Added parameters of the nearest model", note, near, True))
-        tables.append(("Base parameters of the nearest model", TOLERANCE, near, False))
-    found = []
-    for title, note, h, added in tables:
+    """Return the tables of added and of base parameters, of the claim or the recalibrated and the nearest model."""
+    near, found = r.verdict.nearest, []
+    shown = [(r.verdict.claimed or r.verdict.base, "")]
+    if r.verdict.claimed is None and near is not None and near.candidates:
+        shown.append((near, " of the nearest model, not claimed"))
+    for h, of in shown:
         own = {n for c in h.candidates for n in c.parameters}
-        rows = [_parameter_row(r, f, h) for f in h.fit.free if not f.group and (f.name in own) == added]
-        found += [{"title": title, "note": note, "rows": rows}] if rows else []
+        for title, note, added in (("Added parameters", INTERVALS, True), ("Base parameters", TOLERANCE, False)):
+            rows = [_parameter_row(r, f, h) for f in h.fit.free if not f.group and (f.name in own) == added]
+            found += [{"title": title + of, "note": note, "rows": rows}] if rows else []
     return found
 
 
@@ -173,15 +159,16 @@ def per_log_rows(r: Refinement) -> Rows:
     rows = []
     for name, entry in r.record["per_log"].items():
         unit = entry["unit"]
-        for group, e in entry["groups"].items():
-            interval = " … ".join(amount(bound, unit) for bound in e["ci95"])
-            rows.append((name, group, e["value"], interval, "fitted"))
-        for group, f in entry["followed"].items():
-            start = f"{amount(f['expected'], unit)} ± {amount(f['spread'], unit, 2)}"
-            how = f"by the filter at the end of the log, from {start} (one standard deviation)"
-            rows.append((name, group, f["value"], MISSING, how))
-    keys, units = ("name", "group", "value", "interval", "how"), r.record["per_log"]
-    return [dict(zip(keys, row, strict=True)) | {"value": amount(row[2], units[row[0]]["unit"], None)} for row in rows]
+        for group, e in (entry["groups"] | entry["followed"]).items():
+            interval, how = MISSING, "fitted"
+            if "ci95" in e:
+                interval = " … ".join(amount(bound, unit) for bound in e["ci95"])
+            else:
+                start = f"{amount(e['expected'], unit)} ± {amount(e['spread'], unit, 2)}"
+                how = f"by the filter at the end of the log, from {start} (one standard deviation)"
+            value = amount(e["value"], unit, None)
+            rows.append({"name": name, "group": group, "value": value, "interval": interval, "how": how})
+    return rows
 
 
 def noise_rows(r: Refinement) -> Rows:
