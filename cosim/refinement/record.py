@@ -206,7 +206,7 @@ class Record(_Entry):
     warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
     residual: Residual
     replays: Replays
-    horizon: Finite | Literal["free run", "row"] = Field(description="how long a replay in `error` is [s]")
+    horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]")
     error: Errors
     horizons: dict[Literal["0.5 s", "free run"], Errors] = Field(description="as `error`, over other horizons")
     noise_floor: Channels = Field(description="on the validation logs where there are any")
