@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 from cosim.core.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, written
 from cosim.estimation.subject.candidates import WIDTHS, Free, kind_within
@@ -180,7 +180,8 @@ def _unexplained_text(c: Claims, something: str) -> str:
 
 def _dependence_text(c: Claims) -> str:
     """Return a phrase on the dependence of the residual on a signal, from its first term."""
-    signal, first = c.residual["signals"][0], next(iter(c.residual["terms"]), {})
+    signal: str = c.residual["signals"][0]
+    first: Mapping[str, Any] = next(iter(c.residual["terms"]), {})
     if not first.get("local"):
         return "is constant" if signal == "1" else f"depends on {signal}"
     if first.get("like"):
