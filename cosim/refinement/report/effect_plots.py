@@ -56,7 +56,7 @@ class EffectComparison:
         estimated: Estimate without the claim, row by row; `sigma`: its standard deviation.
         term: Claimed value; None without a claim.
         first: Number of rows of the first log.
-        recorded: Share in refine.json.
+        share: Mean square share explained by the term.
     """
 
     effect: str
@@ -69,17 +69,12 @@ class EffectComparison:
     sigma: Array
     term: Array | None
     first: int
-    recorded: float | None = None
+    share: float
 
     @property
     def quantity(self) -> str:
         """Return the missing quantity in words."""
         return f"error of {self.where}" if self.kind == "sensor" else f"missing derivative of {self.where}"
-
-    @property
-    def share(self) -> float:
-        """Return the mean square share explained by the term."""
-        return _explained(self.estimated, self.term) if self.recorded is None else self.recorded
 
 
 def _explained(values: Array, term: Array | None) -> float:
@@ -140,24 +135,27 @@ def _compare_residual(r: Refinement) -> EffectComparison:
     else:
         return _of_equation(subject, parts, column, _choose(subject, signals, (), value[:, column]))
     term = scale_to_missing(problem, best, column, term, value[:, column])
-    return _of_equation(subject, parts, column, against, effect=first["signal"], term=term, recorded=residual["share"])
+    return _of_equation(subject, parts, column, against, effect=first["signal"], term=term, share=residual["share"])
 
 
-def _of_equation(subject: Subject, parts: Smoothed, column: int, against: Regressor, **more: Any) -> EffectComparison:
+def _of_equation(
+    subject: Subject,
+    parts: Smoothed,
+    column: int,
+    against: Regressor,
+    *,
+    effect: str = "",
+    kind: str = "nameless",
+    term: Array | None = None,
+    share: float | None = None,
+) -> EffectComparison:
     """Return the comparison of an equation's missing input with a term."""
     where, logs = parts[0][1].equations[column], [m for _, m in parts]
-    unit = next((q.unit for q in subject.states if q.name == where), "")
     value, sigma = (np.concatenate([getattr(m, of)[:, column] for m in logs]) for of in ("value", "sigma"))
-    return EffectComparison(
-        **{"effect": "", "kind": "nameless", "term": None, **more},
-        where=where,
-        unit=unit_of_rate(unit),
-        against=against,
-        time=np.concatenate([m.time for m in logs]),
-        estimated=value,
-        sigma=sigma,
-        first=len(logs[0].time),
-    )
+    unit = next((unit_of_rate(q.unit) for q in subject.states if q.name == where), "")
+    time, share = np.concatenate([m.time for m in logs]), _explained(value, term) if share is None else share
+    first = len(logs[0].time)
+    return EffectComparison(effect, kind, where, unit, against, time, value, sigma, term, first, share)
 
 
 def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, _: Fit, with_it: Fit) -> EffectComparison:
@@ -188,18 +186,10 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, _: Fit, wi
     signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
     signals[f"rate of {name}"] = rate[rows, channel]
     against = _choose(subject, signals, subject.drawn_against.get(c.name, ()), term)
-    return EffectComparison(
-        effect=c.name,
-        kind="sensor",
-        where=name,
-        unit=next(q.unit for q in subject.outputs if q.name == name),
-        against=against,
-        time=time[rows],
-        estimated=missing,
-        sigma=np.full(len(term), float(np.sqrt(problem.r[channel]))),
-        term=term,
-        first=int(rows[: len(parts[0][0])].sum()),
-    )
+    unit = next(q.unit for q in subject.outputs if q.name == name)
+    sigma, first = np.full(len(term), float(np.sqrt(problem.r[channel]))), int(rows[: len(parts[0][0])].sum())
+    share = _explained(missing, term)
+    return EffectComparison(c.name, "sensor", name, unit, against, time[rows], missing, sigma, term, first, share)
 
 
 def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
