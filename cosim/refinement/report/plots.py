@@ -64,8 +64,6 @@ def _channel(
     whole += [Trace(label, (reading - e) * factor, style, anew=True) for label, style, e in errors]
     residuals = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
     panels = [Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals)]
-    if sizes[0] > COUNTS_FROM * sizes[-1]:  # the smaller error on a scale of its own
-        panels.append(Panel(f"{name}: measured − {curves[-1][0]}", fine or "1", residuals[-1:]))
     starts, inside, shaded = sorted(old.starts), np.zeros(log.time.size, dtype=bool), []
     for k in starts[::2]:
         inside |= (log.time >= log.time[k]) & (log.time <= log.time[k] + old.horizon)
