@@ -41,8 +41,6 @@ from cosim.refinement.search.groups import Places, full_name, group_of, per_log_
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
 
-MISSING_LOG = "{log}: no such file beside the study; its logs are named from there"
-
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 Interpolation = Literal["held", "interpolated"]
@@ -252,11 +250,8 @@ def read_parts_of_fmu(
         raise InputError([*faults, yaml.fault(("model",), message)])
     logs, terms = list[Log](), list[type[Any]]()
     for part, name in _entries(content.logs):
-        if not os.path.exists(folder / name):
-            place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(yaml.fault(place, MISSING_LOG.format(log=name)))
-            continue
         try:
+            _check_exists(yaml, content, part, name)
             log = log_of_fmu(folder / name, fmu, content.columns, alone=False)
         except InputError as error:
             faults += error.faults
@@ -296,12 +291,12 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     subject.source += f", because {probed.reason}"
     names = subject.names  # in place of the FMU's variables
     update: dict[str, Any] = {}
-    for key in ("noise", "start_noise", "tolerance", "inputs"):
+    for key in ("noise", "start_noise", "tolerance", "inputs", "candidates"):
         setting = getattr(content, key)
         if isinstance(setting, dict):
             update[key] = {names.get(n, n): value for n, value in setting.items()}
-    if content.candidates is not None:
-        update["candidates"] = [names.get(n, n) for n in content.candidates]
+        elif isinstance(setting, list):
+            update[key] = [names.get(n, n) for n in setting]
     content, unit_faults = _in_units(yaml, content.model_copy(update=update), subject)
     subject = content.judged(subject)
     faults += [*unit_faults, *_key_faults(yaml, content, subject)]
@@ -381,13 +376,9 @@ def _read_logs(
     warnings: list[str] = []
     faults: list[Fault] = []
     for part, name in _entries(content.logs):
-        path = places.path.parent / name
-        if not os.path.exists(path):
-            place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(places.fault(place, MISSING_LOG.format(log=name)))
-            continue
         try:
-            log = _read(path, content, subject)
+            _check_exists(places, content, part, name)
+            log = _read(places.path.parent / name, content, subject)
         except InputError as error:
             faults += error.faults
             continue
@@ -428,6 +419,14 @@ def _read_logs(
 def _entries(logs: LogLists) -> list[tuple[str, str]]:
     """Return each log with the name of its list."""
     return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
+
+
+def _check_exists(places: Places, content: StudyFile, part: str, name: str) -> None:
+    """Raise InputError for a log that is missing."""
+    if not os.path.exists(places.path.parent / name):
+        place = ("logs", part, getattr(content.logs, part).index(name))
+        message = f"{name}: no such file beside the study; its logs are named from there"
+        raise InputError([places.fault(place, message)])
 
 
 def _read(path: Path, content: StudyFile, subject: Subject) -> Log:

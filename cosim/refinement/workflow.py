@@ -263,15 +263,11 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
         with np.errstate(over="ignore", invalid="ignore"):
             diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
-        yield Fault(
-            log.path,
-            0,
-            0,
-            (
-                f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:.6g} s; check "
-                "its parameters, start values and the units of the log, or state a shorter substep in its class"
-            ),
+        message = (
+            f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:g} s; check its "
+            "parameters, start values and the units of the log, or state a shorter substep in its class"
         )
+        yield Fault(log.path, 0, 0, message)
 
 
 def _candidates(study: Study) -> list[Candidate]:
