@@ -244,10 +244,12 @@ class _KernelReplays:
             if sensor.is_straight():
                 gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
         self.gains = np.column_stack(list(gains.values()))
+        begins = {k: problem.begin_replay(self.filtered, k) for k in self.rows}
+        self.predicted = self._simulate(variant.values, begins)
 
     def errors(self) -> Array:
         """Return corrected measurement − model, shape (rows, outputs)."""
-        return np.asarray((self.data.y - self._predict()) / self.gains)
+        return np.asarray((self.data.y - self.predicted) / self.gains)
 
     def random_errors(self, rng: np.random.Generator) -> Array:
         """Return the errors against a simulation with random noise and random deviations of the starts."""
@@ -269,7 +271,7 @@ class _KernelReplays:
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
             memory = {LASTS: math.exp(noise.memory)} if layout.is_coloured else {}
-            errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self._predict()
+            errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
     def _random_deviations(self, rng: np.random.Generator) -> Array:
@@ -284,11 +286,6 @@ class _KernelReplays:
             deviations[k + 1] = propagation[k - 1] @ both + data.step * inputs[k - 1]
             inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
         return deviations[1:]
-
-    def _predict(self) -> Array:
-        """Return the outputs of the replays, NaN elsewhere."""
-        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
-        return self._simulate(self.variant.values, starts)
 
     def _simulate(
         self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None
