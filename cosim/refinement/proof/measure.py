@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -244,8 +245,12 @@ class _KernelReplays:
             if sensor.is_straight():
                 gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
         self.gains = np.column_stack(list(gains.values()))
-        begins = {k: problem.begin_replay(self.filtered, k) for k in self.rows}
-        self.predicted = self._simulate(variant.values, begins)
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Return the outputs of the replays, NaN elsewhere."""
+        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
+        return self._simulate(self.variant.values, starts)
 
     def errors(self) -> Array:
         """Return corrected measurement − model, shape (rows, outputs)."""
