@@ -132,7 +132,11 @@ def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
         h.fit.values[free.name],
         r.problem.values[free.name],
     )
-    (unit, factor), half, (low, high) = display(declaration.unit), h.fit.sigma(free.name), h.fit.interval(free.name)
+    (unit, factor), half, (low, high) = (
+        display(declaration.unit),
+        NORMAL_95 * h.fit.sigma(free.name),
+        h.fit.interval(free.name),
+    )
     least, most = min(start, low), max(start, high)
     places = {"neutral": start, "low": low, "high": high, "estimate": value}
     at = {
