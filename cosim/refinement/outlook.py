@@ -11,7 +11,6 @@ from cosim.core.messages import Note
 from cosim.core.text import counted, join_names
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.files.artefact import Checking
-from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.file import is_execution_allowed
 from cosim.probing.fmu_structure import Structure
 from cosim.refinement.study import FMU_SUFFIX, Study, keys_of, read_parts_of_fmu, read_study
@@ -26,10 +25,10 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     Raises:
         InputError: The study has faults.
     """
-    content = YamlFile(path).root
-    model = str(content.get("model", "")) if isinstance(content, dict) else ""
+    keys = keys_of(path)
+    model = keys[1].model
     if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
-        read_parts_of_fmu(*keys_of(path))
+        read_parts_of_fmu(*keys)
         return [
             f"warning: {model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not "
             "checked"

@@ -152,15 +152,9 @@ def refine(
             before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
             risen = find_rises(before, after)
             remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-        text = sentence(
-            claims,
-            subject,
-            risen=risen,
-            remaining=remaining,
-            restricted=study.content.candidates is not None,
-            inputs=between.other_line if between.is_otherwise else "",
-            is_written=bool(files),
-        )
+        inputs, is_restricted = between.other_line if between.is_otherwise else "", bool(study.content.candidates)
+        told = {"is_restricted": is_restricted, "is_written": bool(files)}
+        text = sentence(claims, subject, risen, remaining, inputs, **told)
         written = record(
             study,
             claims,

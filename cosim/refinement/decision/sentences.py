@@ -35,11 +35,11 @@ OPENINGS = {  # kind → before up to three names, and in place of more
 def sentence(
     c: Claims,
     subject: Subject,
-    *,
     risen: Mapping[str, tuple[float, float]],
     remaining: Mapping[str, float],
-    restricted: bool,
     inputs: str,
+    *,
+    is_restricted: bool,
     is_written: bool,
 ) -> str:
     """Return the verdict in words: a rise on sealed logs, the answer, what remains, the nearest model, remarks.
@@ -47,8 +47,8 @@ def sentence(
     Args:
         risen: Channel → error before and after, if it rises significantly on sealed logs.
         remaining: Channel → share of the squared error above the noise floor that remains on sealed logs.
-        restricted: Whether the study limits the candidates.
         inputs: Line of a study that takes inputs between rows the other way, if that is clearly likelier.
+        is_restricted: Whether the study limits the candidates.
         is_written: Whether files of the delivered subject are written.
     """
     name: Literal["refined", "nearest"] = "nearest" if c.claimed is None else "refined"
@@ -60,7 +60,7 @@ def sentence(
         *_answer_texts(c, subject),
         *_remaining_texts(c, remaining, file),
         *_remark_texts(c, inputs, nearest),
-        "Only the candidates that the study names were tried." if restricted else "",
+        "Only the candidates that the study names were tried." if is_restricted else "",
     )
     return " ".join(filter(None, texts))
 

@@ -127,34 +127,27 @@ def parameter_tables(r: Refinement) -> Rows:
 
 def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
     """Return an estimate with its interval, and the places of both between the value before and the interval."""
-    declaration, value, start = (
-        r.study.subject.declared[free.name],
-        h.fit.values[free.name],
-        r.problem.values[free.name],
-    )
-    (unit, factor), half, (low, high) = (
-        display(declaration.unit),
-        NORMAL_95 * h.fit.sigma(free.name),
-        h.fit.interval(free.name),
-    )
+    declared, fit, start = r.study.subject.declared[free.name], h.fit, r.problem.values[free.name]
+    (unit, factor), value, (low, high) = display(declared.unit), fit.values[free.name], fit.interval(free.name)
     least, most = min(start, low), max(start, high)
     places = {"neutral": start, "low": low, "high": high, "estimate": value}
     at = {
         key: (min(max(x, least), most) - least) / (most - least) if most > least else 0.5 for key, x in places.items()
     }
+    half = NORMAL_95 * fit.sigma(free.name)
     estimate, lower, upper = (rounded(x * factor, half * factor) for x in (value, low, high))
-    neutral = amount(start, declaration.unit, None)
+    neutral = amount(start, declared.unit, None)
     if free.prior:  # the tolerance is the half-width of the 95 % interval of the prior
-        tolerance = amount(NORMAL_95 * free.prior[1], declaration.unit, 2)
+        tolerance = amount(NORMAL_95 * free.prior[1], declared.unit, 2)
         neutral = f"{plain(start * factor, None)} ± {tolerance}"
     return {
         "name": free.name,
         "neutral": neutral,
         "value": append_unit(estimate, unit),
         "interval": f"{lower} … {append_unit(upper, unit)}",
-        "bounds": f"{plain(free.low * factor, None)} … {amount(free.high, declaration.unit, None)}",
+        "bounds": f"{plain(free.low * factor, None)} … {amount(free.high, declared.unit, None)}",
         "at": at,
-        "meaning": declaration.doc,
+        "meaning": declared.doc,
     }
 
 
