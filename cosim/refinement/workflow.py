@@ -27,7 +27,7 @@ from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import cell_warnings, first_noise, noise_warnings, sensor_noise
 from cosim.estimation.subject.candidates import Candidate
-from cosim.estimation.subject.interface import Subject, Workplace
+from cosim.estimation.subject.interface import Workplace
 from cosim.files.files import (
     FilePath,
     check_writable,
@@ -51,7 +51,7 @@ from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noi
 from cosim.refinement.proof.proof_replays import LogSets, replay_variants
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of
 from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs
-from cosim.refinement.record import Floors, Replayed, record, unfinished
+from cosim.refinement.record import Floors, Replayed, Replays, record, unfinished
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.input_hold import between_rows, late_input
@@ -138,12 +138,7 @@ def refine(
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
-        warnings += [*failure_warnings(problem), *_delivery_warnings(variants)]
-        if way.through == "python" and way.log:
-            warnings.append(
-                f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"
-            )
-        warnings += _floor_warnings(floors, played, claims, subject)
+        warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
         study = replace(study, warnings=(*study.warnings, *warnings))
         risen: dict[str, tuple[float, float]] = {}
         remaining: dict[str, float] = {}
@@ -293,17 +288,6 @@ def _variants(study: Study, claims: Claims, unfitted: Fit, free_noise: Noise | N
     return {"before": given, **{name: made[id(h)] for name, h in named.items()}}
 
 
-def _delivery_warnings(variants: Mapping[str, Variant]) -> Iterator[str]:
-    """Yield the reason for a missing FMU, and the platforms that a delivered FMU lacks."""
-    subjects = [variant.subject for variant in variants.values()]
-    yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
-    for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
-        yield (
-            f"the delivered FMU lacks the platforms {join_names(names)} of the original: the library around it "
-            "cannot be compiled for them here; pip install 'fmu-cosim[native]' has a compiler for most"
-        )
-
-
 def failure_warnings(problem: Problem) -> Iterator[str]:
     """Yield a warning if the FMU crashed, hung or refused values during the search."""
     failures: Sequence[Exception] = getattr(problem.kernel, "failures", ())
@@ -312,11 +296,20 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
         yield f"the FMU failed in {evaluations}, which count as diverged; the first time: {failures[0]}"
 
 
-def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:
-    """Yield a warning for each set of logs with a noise floor far above the error of the delivered or nearest model."""
-    names = ("after",) if claims.claimed is not None or "nearest" not in played else ("after", "nearest")
+def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floors, played: Replayed) -> Iterator[str]:
+    """Yield a warning for a missing FMU or platform, for slow replays, and for noise floors far above the errors."""
+    subjects = [variant.subject for variant in variants.values()]
+    yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
+    for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
+        yield (
+            f"the delivered FMU lacks the platforms {join_names(names)} of the original: the library around it "
+            "cannot be compiled for them here; pip install 'fmu-cosim[native]' has a compiler for most"
+        )
+    if way.through == "python" and way.log:
+        yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"
+    subject, delivered = subjects[0], [name for name in ("after", "nearest") if name in played]
     for part, floor in floors.items():
-        errors = [rmse(played[name][part][subject.horizon]) for name in names]
+        errors = [rmse(played[name][part][subject.horizon]) for name in delivered]
         least = {n: min(e.get(n, math.inf) for e in errors) for n in floor.level}
         channels = {n: (level, least[n]) for n, level in floor.level.items() if level > COUNTS_FROM * least[n] > 0.0}
         if channels:
