@@ -14,7 +14,7 @@ import cosim.model
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.page import Compared
 from cosim.core.registry import resolve
-from cosim.refinement.refined_result import Refined
+from cosim.refinement.refinement import Refined
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals
 from cosim.sweeps.store import Runs

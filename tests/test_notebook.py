@@ -17,7 +17,7 @@ from cosim.comparison.page import drawn
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.results import Results
-from cosim.refinement.refined_result import Refined
+from cosim.refinement.refinement import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
 from cosim.simulation.run_files import RecordedRun
 from cosim.simulation.run_signals import Signals

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cosim.fmi.building.file import load_model
-from cosim.logs.log import read_log
 from cosim.model import Stepper
-from cosim.refinement.proof.sealed import is_significant_rise, repeated_motion
+from cosim.refinement.proof.sealed import is_significant_rise
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import write_refine_report
 from tests.logs import write_log
@@ -75,17 +73,3 @@ def test_chance_alone_makes_a_rise_as_rarely_as_it_says() -> None:
     rng = np.random.default_rng(1)
     told = sum(is_significant_rise(rng.standard_normal(5).tolist(), 0.01) for _ in range(4000))
     assert 20 < told < 65  # 40 expected, give or take 6.3
-
-
-def test_a_sealed_log_of_the_same_motion_is_named_and_one_of_another_is_not(tmp_path: Path) -> None:
-    (tmp_path / "motor.py").write_text(MOTOR)
-    model = load_model("motor.py:Motor", tmp_path).model
-    for name, seed in (("a", 0), ("other", 1)):
-        motor_log(tmp_path / f"{name}.csv", seed, 0.0)
-    first, other = (read_log(tmp_path / f"{name}.csv", model.inputs, model.outputs) for name in ("a", "other"))
-    spread = float(np.std(first.outputs["tacho"]))
-    for size, expected in ((0.003, ["again.csv repeats the motion of a.csv"]), (0.03, [])):
-        noise = size * spread * np.random.default_rng(3).standard_normal(first.rows)
-        again = replace(first, path=Path("again.csv"), outputs={"tacho": first.outputs["tacho"] + noise})
-        found = [str(message) for message in repeated_motion([again, other], [first])]
-        assert [text.partition(":")[0] for text in found] == expected

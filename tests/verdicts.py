@@ -88,13 +88,11 @@ def _left(record: Record) -> Iterator[str]:
 def _floors(record: Record) -> Iterator[str]:
     """Yield floors far above the error without a warning that names the channel."""
     for part, floors in record["noise_floors"].items():
-        scatters = record["floor_scatters"][part]
         for name, floor in floors.items():
             errors = record["error"]
             variants = ("after",) if record["effects"] or not errors.get("nearest") else ("after", "nearest")
             after = min(errors[variant][part].get(name, math.inf) for variant in variants)
-            beyond = after > 0.0 and floor > after * max(1.2, math.exp(3.0 * scatters.get(name, 0.0)))
-            if beyond and not any(f"{name} " in w for w in record["warnings"]):
+            if floor > 2.0 * after > 0.0 and not any(f"{name} " in w for w in record["warnings"]):
                 yield f"the floor of {name} on {part} logs is {floor}, the error {after}; no warning"
     if record["noise_floor"] != record["noise_floors"].get("validation", record["noise_floors"]["estimation"]):
         yield "noise_floor is none of noise_floors"

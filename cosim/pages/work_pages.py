@@ -26,7 +26,7 @@ from cosim.pages.rows import Store
 from cosim.pages.runs import RunPlace, ViewedRun
 from cosim.pages.server import FIRST_PAGE, RELOAD, Handler, Json, Part, ServedPage, html_response
 from cosim.pages.view_page import Viewer, view_html
-from cosim.refinement.stages import ORDER, Ranked, Watcher, stage_number
+from cosim.refinement.stages import ORDER, Watcher, stage_number
 from cosim.report.template import render
 from cosim.simulation.criteria import sentence
 from cosim.simulation.workflow import Outcome
@@ -357,7 +357,7 @@ class LiveRefine(WorkPage, Watcher):
             self._number, self._words, self._share = max(number, self._number), stage, share
         self.update(phase="running")
 
-    def ranking(self, hypotheses: Sequence[Ranked]) -> None:
+    def ranking(self, hypotheses: Sequence[Any]) -> None:
         """Show the best hypotheses so far."""
         base = next((h.score for h in hypotheses if not h.names), None)
         best = sorted(hypotheses, key=lambda h: h.score)[:MAX_RANKED]

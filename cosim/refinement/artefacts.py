@@ -32,6 +32,6 @@ ARTEFACTS = (
         folder="the folder of a refine",
         folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment "
         "that decides",
-        reader="cosim.refinement.refined_result:read_refined",
+        reader="cosim.refinement.refinement:read_refined",
     ),
 )

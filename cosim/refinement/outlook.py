@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from operator import attrgetter
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +11,12 @@ from cosim.core.messages import Note
 from cosim.core.text import counted, join_names
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.files.artefact import Checking
-from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.file import is_execution_allowed
-from cosim.logs.log import Log
-from cosim.probing.fmu_structure import Pair, Structure
+from cosim.probing.fmu_structure import Structure
 from cosim.refinement.study import FMU_SUFFIX, Study, keys_of, read_parts_of_fmu, read_study
 from cosim.terms.language import with_place
 
 FEWEST_STEPPED = 2  # estimation logs in co-simulation, where the filter has no process noise inside the FMU
-RARE = 0.02  # least share of rows against the usual direction, for a velocity that reverses
 
 
 def check_study(path: Path, checking: Checking) -> list[str]:
@@ -29,10 +25,10 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     Raises:
         InputError: The study has faults.
     """
-    content = YamlFile(path).root
-    model = str(content.get("model", "")) if isinstance(content, dict) else ""
+    keys = keys_of(path)
+    model = keys[1].model
     if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
-        read_parts_of_fmu(*keys_of(path))
+        read_parts_of_fmu(*keys)
         return [
             f"warning: {model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not "
             "checked"
@@ -59,7 +55,11 @@ def outlook(study: Study) -> list[str]:
 
 def _places(s: Structure) -> Iterator[str]:
     """Yield each kind of place with its names."""
-    velocities = [_force_place(s, p) for p in s.pairs if p.ports or s.way == "model-exchange"]
+    velocities = []
+    for pair in (p for p in s.pairs if p.ports or s.way == "model-exchange"):
+        damping = next((f" (as {d.parameter} acts)" for d in s.directions if d.pair == pair and d.in_step), "")
+        through = f" (through {pair.ports[0].input})" if pair.ports else ""
+        velocities.append(f"{pair.velocity}{damping or through}")
     for text, names in (
         ("at inputs", [q.name for q in s.inputs]),
         ("forces at", velocities),
@@ -72,18 +72,16 @@ def _places(s: Structure) -> Iterator[str]:
             yield f"{text} {join_names(names)}"
 
 
-def _force_place(s: Structure, pair: Pair) -> str:
-    ports = [p.input for p in pair.ports]
-    damping = next((d.parameter for d in s.directions if d.pair == pair and d.in_step), "")
-    if damping:
-        return f"{pair.velocity} (as {damping} acts)"
-    return f"{pair.velocity} (through {ports[0]})" if ports else pair.velocity
-
-
 def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
     """Yield what these logs, or this interface, cannot show."""
     s, logs, names, is_stepped = subject.structure, study.logs, subject.names, subject.structure.way == "co-simulation"
     logged = set().union(*(log.outputs for log in logs))
+    one_way = []  # velocities that keep their sign in all logs
+    for pair in s.pairs:
+        name = with_place(s.shown_as(pair.velocity))
+        readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
+        if readings.size and (np.nanmin(readings) >= 0.0 or np.nanmax(readings) <= 0.0):
+            one_way.append(pair.velocity)
     places = (
         (
             "terms at {}, which never changes in the estimation logs",
@@ -100,11 +98,11 @@ def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
         ),
         (
             "dry friction at {} apart from a constant force, because the velocity never reverses",
-            [p.velocity for p in s.pairs if _goes_one_way(logs, with_place(s.shown_as(p.velocity)))],
+            one_way,
         ),
     )
     yield from (f"not visible: {text.format(join_names(names))}" for text, names in places if names)
-    if is_stepped and len(set(map(attrgetter("path"), logs))) < FEWEST_STEPPED:
+    if is_stepped and len({log.path for log in logs}) < FEWEST_STEPPED:
         yield (
             f"co-simulation has free runs only, so at least {FEWEST_STEPPED} estimation logs are needed to judge "
             "a claim"
@@ -114,13 +112,3 @@ def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
             f"no validation log: a claim from {counted(len(study.content.logs.estimation), 'log')} will not be "
             "proven on data that no decision has used"
         )
-
-
-def _goes_one_way(logs: Sequence[Log], name: str) -> bool:
-    """Return whether a measured velocity keeps its sign in all logs; False for one that no log has."""
-    readings = [log.outputs[name] for log in logs if name in log.outputs]
-    if not readings:
-        return False
-    values = np.concatenate(readings)
-    values = values[np.isfinite(values)]
-    return bool(values.size and min(np.mean(values > 0.0), np.mean(values < 0.0)) < RARE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any
 
 ORDER: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage does not return
     ("reading the logs",),
@@ -35,29 +35,17 @@ def stage_number(words: str) -> tuple[int, int]:
     return _PLACE.get(words.partition(":")[0], 0), len(ORDER)
 
 
-class Ranked(Protocol):
-    """A hypothesis in a ranking: names of its candidates and score, lower is better; the base model has no names."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the candidates."""
-
-    @property
-    def score(self) -> float:
-        """Return the score."""
-
-
 class Watcher:
     """Base class of progress functions that also receive the ranking so far."""
 
     def __call__(self, stage: str, share: float) -> None:
         """Take the current stage and its completed share."""
 
-    def ranking(self, hypotheses: Sequence[Ranked]) -> None:
+    def ranking(self, hypotheses: Sequence[Any]) -> None:
         """Take all hypotheses fitted so far."""
 
 
-def report_ranking(progress: Callable[[str, float], None], hypotheses: Sequence[Ranked]) -> None:
+def report_ranking(progress: Callable[[str, float], None], hypotheses: Sequence[Any]) -> None:
     """Report all hypotheses fitted so far to a progress function that takes them."""
     if isinstance(progress, Watcher):
         progress.ranking(hypotheses)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import with_prefix
@@ -28,7 +28,7 @@ from cosim.files.artefact import STUDY, kind_by_keys
 from cosim.files.files import FilePath
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
-from cosim.fmi.building.file import LoadedModel, load_model, own_terms
+from cosim.fmi.building.file import load_model, own_terms
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
@@ -41,14 +41,12 @@ from cosim.refinement.search.groups import Places, full_name, group_of, per_log_
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
 
-MISSING_LOG = "{log}: no such file beside the study; its logs are named from there"
-
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
-FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
-NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sheet; without information
+ROUNDING = float(np.finfo(np.float64).eps)
+WIDEST = 2.0  # share of a parameter: a tolerance without information
 
 
 def _check_share(value: Any) -> Any:
@@ -56,26 +54,14 @@ def _check_share(value: Any) -> Any:
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not NARROWEST <= value <= WIDEST:
-        text = f"a tolerance is a share of the parameter, at least {NARROWEST:g} and at most {WIDEST:g}: 0.1 for 10 %"
-        raise ValueError(text)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not ROUNDING < value <= WIDEST:
+        raise ValueError(f"a tolerance is a share of the parameter, above 0 and at most {WIDEST:g}: 0.1 for 10 %")
     return value
 
 
-def _check_file_name(name: str) -> str:
-    """Return a file name; raise ValueError for NUL characters."""
-    if "\0" in name:
-        raise ValueError("no name of a file holds a NUL character")
-    return name
-
-
-def _setting_tag(value: Any) -> str:
-    """Return the tag of a setting that is a single value or a mapping by name."""
-    return "«by name»" if isinstance(value, dict) else "«all»"
-
-
+ONE_OR_BY_NAME = Discriminator(lambda value: "«by name»" if isinstance(value, dict) else "«all»")
 Share = Annotated[float, BeforeValidator(_check_share)]
-FileName = Annotated[str, AfterValidator(_check_file_name)]
+FileName = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 
 
 class LogLists(BaseModel):
@@ -116,11 +102,10 @@ class StudyFile(BaseModel):
     noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     start_noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     tolerance: Annotated[
-        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], Discriminator(_setting_tag)
+        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], ONE_OR_BY_NAME
     ] = {}
     inputs: Annotated[
-        Annotated[Interpolation, Tag("«all»")] | Annotated[dict[str, Interpolation], Tag("«by name»")],
-        Discriminator(_setting_tag),
+        Annotated[Interpolation, Tag("«all»")] | Annotated[dict[str, Interpolation], Tag("«by name»")], ONE_OR_BY_NAME
     ] = "held"
     candidates: list[str] | None = None
     columns: dict[str, str] = {}
@@ -192,14 +177,12 @@ class Study:
 
     def unseal(self) -> tuple[Log, ...]:
         """Read the sealed logs; called once, after all decisions."""
-        logs = (_read(self.folder / name, self.content, self.subject) for name in self.content.logs.validation)
-        return tuple(
-            stretch
-            for log in logs
-            for stretch in _usable_stretches(
-                drop_outliers(log, find_spikes(log, self.subject.prediction(log))), self.subject.horizon
-            )
-        )
+        usable = []
+        for name in self.content.logs.validation:
+            log = _read(self.folder / name, self.content, self.subject)
+            log = drop_outliers(log, find_spikes(log, self.subject.prediction(log)))
+            usable += _usable_stretches(log, self.subject.horizon)[0]
+        return tuple(usable)
 
 
 def read_study(path: Path, limits: str = "") -> Study:
@@ -217,13 +200,8 @@ def read_study(path: Path, limits: str = "") -> Study:
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:
-        faults.append(
-            yaml.fault(
-                ("terms",),
-                f"terms are for an FMU, and {content.model} is none; a model lists its effects in its catalogue",
-                key=True,
-            )
-        )
+        message = f"terms are for an FMU, and {content.model} is none; a model lists its effects in its catalogue"
+        faults.append(yaml.fault(("terms",), message, key=True))
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -235,15 +213,13 @@ def read_study(path: Path, limits: str = "") -> Study:
     _refuse_without_states(yaml, subject)
     content, unit_faults = _in_units(yaml, content, subject)
     subject = content.judged(subject)
-    faults += unit_faults
-    faults += _key_faults(yaml, content, subject, unlisted=yaml.root["logs"].get("estimation", []) == [])
+    faults += [*unit_faults, *_key_faults(yaml, content, subject)]
     try:
         stepping = content.judged(ModelSubject(with_substep(loaded)[0]))
     except InputError as error:
         faults, stepping = [*faults, *error.faults], subject
     logs, warnings, log_faults = _read_logs(yaml, content, stepping)
-    latency_faults = _latency_faults(path.parent / content.model, loaded, [*logs["estimation"], *logs["validation"]])
-    refuse([*faults, *log_faults, *latency_faults])
+    refuse([*faults, *log_faults])
     loaded, notes = with_substep(loaded, logs["estimation"])
     warnings += [with_prefix(f"{content.model}: ", text) for text in notes]
     return Study(path, content, content.judged(ModelSubject(loaded)), tuple(logs["estimation"]), tuple(warnings))
@@ -270,19 +246,12 @@ def read_parts_of_fmu(
     folder = yaml.path.parent
     fmu = folder / content.model
     if not fmu.is_file():
-        refuse(
-            [
-                *faults,
-                yaml.fault(("model",), f"{content.model}: no such file; model names the FMU, relative to the study"),
-            ]
-        )
+        message = f"{content.model}: no such file; model names the FMU, relative to the study"
+        raise InputError([*faults, yaml.fault(("model",), message)])
     logs, terms = list[Log](), list[type[Any]]()
     for part, name in _entries(content.logs):
-        if not os.path.exists(folder / name):
-            place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(yaml.fault(place, MISSING_LOG.format(log=name)))
-            continue
         try:
+            _check_exists(yaml, content, part, name)
             log = log_of_fmu(folder / name, fmu, content.columns, alone=False)
         except InputError as error:
             faults += error.faults
@@ -311,26 +280,26 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
     if probed.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
-        own = {"own": probed.own_step.length, "step": probed.structure.step}
+        step, own = probed.structure.step, f"{probed.own_step.length:.3g} s"
         message = (
-            "{name} has no usable model exchange ({reason}), and its co-simulation takes steps of its own of "
-            "about {own:.3g} s, above the {step:.3g} s of the logs, so its results are wrong there; export it "
-            "for model exchange or with a shorter step, or record rows every {own:.3g} s"
-        ).format(name=content.model, reason=probed.reason, **own)
+            f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation takes steps of its "
+            f"own of about {own}, above the {step:.3g} s of the logs, so its results are wrong there; export it for "
+            f"model exchange or with a shorter step, or record rows every {own}"
+        )
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
     names = subject.names  # in place of the FMU's variables
     update: dict[str, Any] = {}
-    for key in ("noise", "start_noise", "tolerance", "inputs"):
+    for key in ("noise", "start_noise", "tolerance", "inputs", "candidates"):
         setting = getattr(content, key)
         if isinstance(setting, dict):
             update[key] = {names.get(n, n): value for n, value in setting.items()}
-    if content.candidates is not None:
-        update["candidates"] = [names.get(n, n) for n in content.candidates]
+        elif isinstance(setting, list):
+            update[key] = [names.get(n, n) for n in setting]
     content, unit_faults = _in_units(yaml, content.model_copy(update=update), subject)
     subject = content.judged(subject)
-    faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
+    faults += [*unit_faults, *_key_faults(yaml, content, subject)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
     refuse([*faults, *log_faults])
     found = [f"{content.model}: {probed.own_step.finding}"] if probed.own_step else []
@@ -387,7 +356,7 @@ def study_of(
     _refuse_without_states(places, subject)
     subject = content.judged(copy(subject))
     usable, warnings, log_faults = _read_logs(places, content, subject)
-    refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
+    refuse([*_key_faults(places, content, subject), *log_faults])
     return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
 
 
@@ -396,22 +365,6 @@ def _refuse_without_states(places: Places, subject: Subject) -> None:
     if not subject.states:
         cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or give it the state that it lacks"
         raise InputError([places.fault(("model",), f"{subject.title} has no states, so it cannot be refined; {cure}")])
-
-
-def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> Iterator[Fault]:
-    """Yield all faults of the study's keys.
-
-    Args:
-        unlisted: True if no estimation log is listed.
-    """
-    yield from _unknown_names(places, content, subject)
-    logs = content.logs.model_dump()
-    yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
-    if unlisted:
-        message = "no log is listed; list one"
-        if content.logs.validation:
-            message = "every log is sealed, and none is left to learn from; move one to estimation"
-        yield places.fault(("logs", "estimation"), message)
 
 
 def _read_logs(
@@ -423,17 +376,16 @@ def _read_logs(
     warnings: list[str] = []
     faults: list[Fault] = []
     for part, name in _entries(content.logs):
-        path = places.path.parent / name
-        if not os.path.exists(path):
-            place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(places.fault(place, MISSING_LOG.format(log=name)))
-            continue
         try:
-            log = _read(path, content, subject)
+            _check_exists(places, content, part, name)
+            log = _read(places.path.parent / name, content, subject)
         except InputError as error:
             faults += error.faults
             continue
-        digests[name] = _digest(log)
+        content_of = hashlib.sha256(log.time.tobytes())
+        for signal, values in sorted({**log.inputs, **log.outputs}.items()):
+            content_of.update(signal.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
+        digests[name] = content_of.hexdigest()
         spikes = find_spikes(log, subject.prediction(log))
         findings = gate(log, subject.rate, traits=subject.traits, spikes=spikes)
         faults += gate_faults(log, findings)
@@ -445,23 +397,21 @@ def _read_logs(
             )
             for output, rows in spikes.items()
         ]
-        usable = _usable_stretches(log, subject.horizon)
+        usable, least = _usable_stretches(log, subject.horizon)
+        parts = stretches(log)
         if not usable:
-            longest = plain(max(float(s.time[-1] - s.time[0]) for s in stretches(log)))
-            least, better = plain(_min_duration(log, subject.horizon), None), plain(20 * log.slowness)
-            duration = f"{longest} s" if len(stretches(log)) == 1 else f"at most {longest} s without a pause"
+            longest = plain(max(float(s.time[-1] - s.time[0]) for s in parts))
+            duration = f"{longest} s" if len(parts) == 1 else f"at most {longest} s without a pause"
             message = (
-                f"lasts {duration}, too short to be judged: it takes {least} s, and {better} s and more tell more; log "
-                "longer or leave it out"
+                f"lasts {duration}, too short to be judged: it takes {plain(least, None)} s; log longer or leave it out"
             )
             faults.append(Fault(log.path, 0, 0, message))
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
-        if count := len(stretches(log)) - len(usable):
+        if count := len(parts) - len(usable):
             warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
         logs[part] += usable
-    faults += _implausible_noise(places, content.noise, logs["estimation"])
     faults += _repeated_logs(places, content.logs, digests)
     return logs, warnings, faults
 
@@ -469,6 +419,14 @@ def _read_logs(
 def _entries(logs: LogLists) -> list[tuple[str, str]]:
     """Return each log with the name of its list."""
     return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
+
+
+def _check_exists(places: Places, content: StudyFile, part: str, name: str) -> None:
+    """Raise InputError for a log that is missing."""
+    if not os.path.exists(places.path.parent / name):
+        place = ("logs", part, getattr(content.logs, part).index(name))
+        message = f"{name}: no such file beside the study; its logs are named from there"
+        raise InputError([places.fault(place, message)])
 
 
 def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
@@ -497,61 +455,15 @@ def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -
             first.setdefault(key, (name, part))
 
 
-def _digest(log: Log) -> str:
-    """Return a digest of the numbers, equal for copies."""
-    content = hashlib.sha256(log.time.tobytes())
-    for name, values in sorted({**log.inputs, **log.outputs}.items()):
-        content.update(name.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
-    return content.hexdigest()
+def _usable_stretches(log: Log, horizon: float) -> tuple[list[Log], float]:
+    """Return the measured stretches of sufficient duration, and that duration [s]; a slow log needs more."""
+    least = (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
+    parts = [s for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least - 0.5 * log.step]
+    return [fill_holes(s) for s in parts], least
 
 
-def _min_duration(log: Log, horizon: float) -> float:
-    """Return the least useful duration of a log [s].
-
-    A slow log needs proportionally more.
-    """
-    return (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
-
-
-def _usable_stretches(log: Log, horizon: float) -> list[Log]:
-    """Return the measured stretches of sufficient duration."""
-    least = _min_duration(log, horizon) - 0.5 * log.step
-    return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
-
-
-def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of latencies too long for the logs."""
-    for name in (f"{kind.name}.value" for kind in loaded.model.sensors if kind.late):
-        latency = loaded.sensors.get(name, 0.0)
-        durations: dict[Path, float] = {}
-        for log in logs:
-            rest = float(log.time[-1] - log.time[0]) - latency
-            if rest < _min_duration(log, loaded.model.horizon) - 0.5 * log.step:
-                durations[log.path] = rest + latency
-        if latency > 0.0 and durations:
-            texts = ", ".join(f"{path.name} lasts {plain(duration)} s" for path, duration in durations.items())
-            message = (
-                f"{name} is {plain(latency)} s, and {texts}: the rest is too short to judge a model; correct "
-                "this value, or record longer logs"
-            )
-            yield YamlFile(model_file).fault(("sensors", name), message)
-
-
-def _implausible_noise(places: Places, noise: Mapping[str, float], logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of implausible sensor noise."""
-    for name, level in noise.items():
-        readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
-        largest = float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
-        if largest > 0.0 and not FINEST * largest < level < COARSEST * largest:
-            message = (
-                f"noise.{name}: {plain(level)} is no noise of readings of up to {plain(largest)}; state it in "
-                "their unit"
-            )
-            yield places.fault(("noise", name), message)
-
-
-def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Yield faults of unknown outputs, states, base parameters, inputs and candidates."""
+def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
+    """Yield all faults of the study's keys."""
     inputs, outputs = ([q.name for q in signals] for signals in (subject.inputs, subject.outputs))
     parameters = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     for key, names, kind in (
@@ -570,3 +482,10 @@ def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iter
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
             yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')
+    logs = content.logs.model_dump()
+    yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
+    if not content.logs.estimation:
+        message = "no log is listed; list one"
+        if content.logs.validation:
+            message = "every log is sealed, and none is left to learn from; move one to estimation"
+        yield places.fault(("logs", "estimation"), message)

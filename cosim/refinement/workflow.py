@@ -27,7 +27,7 @@ from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import cell_warnings, first_noise, noise_warnings, sensor_noise
 from cosim.estimation.subject.candidates import Candidate
-from cosim.estimation.subject.interface import Subject, Workplace
+from cosim.estimation.subject.interface import Workplace
 from cosim.files.files import (
     FilePath,
     check_writable,
@@ -45,18 +45,19 @@ from cosim.isolation.limits import Limits
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.deciding import claims_of
 from cosim.refinement.decision.scatter import fit_given_model
-from cosim.refinement.decision.sentences import Proof, floor_warning
+from cosim.refinement.decision.sentences import floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.proof_replays import LogSets, replay_variants
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of
-from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs, repeated_motion
-from cosim.refinement.record import Floors, Measurements, Replayed, keep_finite, record, unfinished
+from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs
+from cosim.refinement.record import Floors, Replayed, Replays, record, unfinished
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.refinement.search.input_hold import Between, between_rows, late_input
+from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
+from cosim.residuals.residual_statistics import COUNTS_FROM
 
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
@@ -137,16 +138,32 @@ def refine(
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
-        warnings += [*failure_warnings(problem), *_delivery_warnings(variants)]
-        if way.through == "python" and way.log:
-            warnings.append(
-                f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"
-            )
-        warnings += [*_floor_warnings(floors, played, claims, subject), *repeated_motion(sealed, study.logs)]
+        warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
         study = replace(study, warnings=(*study.warnings, *warnings))
-        measured = Measurements(played, floors, noise, between, way, ends, time.perf_counter() - start)
-        proof = _proof(study, claims, played, floors, between, is_written=bool(files))
-        written = record(study, claims, proof, unfitted, problem.layout.outputs, measured)
+        risen: dict[str, tuple[float, float]] = {}
+        remaining: dict[str, float] = {}
+        delivered = "after" if claims.claimed is not None else "nearest"
+        if sealed and delivered in played:
+            before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
+            risen = find_rises(before, after)
+            remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
+        inputs, is_restricted = between.other_line if between.is_otherwise else "", bool(study.content.candidates)
+        told = {"is_restricted": is_restricted, "is_written": bool(files)}
+        text = sentence(claims, subject, risen, remaining, inputs, **told)
+        written = record(
+            study,
+            claims,
+            text,
+            problem.layout.outputs,
+            unfitted=unfitted,
+            noise=noise,
+            between=between,
+            played=played,
+            floors=floors,
+            way=way,
+            ends=ends,
+            seconds=time.perf_counter() - start,
+        )
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():
@@ -235,21 +252,17 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
         with np.errstate(over="ignore", invalid="ignore"):
             diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
-        yield Fault(
-            log.path,
-            0,
-            0,
-            (
-                f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:.6g} s; check "
-                "its parameters, start values and the units of the log, or state a shorter substep in its class"
-            ),
+        message = (
+            f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:g} s; check its "
+            "parameters, start values and the units of the log, or state a shorter substep in its class"
         )
+        yield Fault(log.path, 0, 0, message)
 
 
 def _candidates(study: Study) -> list[Candidate]:
     """Return the candidates named by the study, or all; of an FMU, without the sensors of outputs that no log has."""
     subject, named = study.subject, study.content.candidates
-    varied = [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 1e-9 for log in study.logs)]
+    varied = [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 0.0 for log in study.logs)]
     candidates = list(drop_own_parameters(subject.candidates(varied), study.settings.per_log))
     if named is not None:
         return [c for c in candidates if c.name in named]
@@ -265,27 +278,14 @@ def _variants(study: Study, claims: Claims, unfitted: Fit, free_noise: Noise | N
         unfitted: Given model with fitted unknown inputs.
     """
     subject, settings = study.subject, study.settings
-    given = variant_of(subject, settings, unfitted)
-
-    def variant(h: Hypothesis | None) -> Variant:
-        return given if h is None else variant_of(refined_subject(subject, settings, h), settings, h.fit)
-
-    variants = {"before": given, "recalibrated": variant(claims.base), "after": variant(claims.claimed)}
-    if claims.grade != "claimed":
-        variants["nearest"] = variants["after"] if claims.nearest is claims.claimed else variant(claims.nearest)
-    each = {id(v): replace(v, free_noise=free_noise) for v in variants.values()}  # one that stands twice stays one
-    return {name: each[id(v)] for name, v in variants.items()}
-
-
-def _delivery_warnings(variants: Mapping[str, Variant]) -> Iterator[str]:
-    """Yield the reason for a missing FMU, and the platforms that a delivered FMU lacks."""
-    subjects = [variant.subject for variant in variants.values()]
-    yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
-    for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
-        yield (
-            f"the delivered FMU lacks the platforms {join_names(names)} of the original: the library around it "
-            "cannot be compiled for them here; pip install 'fmu-cosim[native]' has a compiler for most"
-        )
+    named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
+    named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
+    given = variant_of(subject, settings, unfitted, free_noise)
+    made = {id(None): given}  # one that stands twice is replayed once
+    for h in named.values():
+        if h is not None and id(h) not in made:
+            made[id(h)] = variant_of(refined_subject(subject, settings, h), settings, h.fit, free_noise)
+    return {"before": given, **{name: made[id(h)] for name, h in named.items()}}
 
 
 def failure_warnings(problem: Problem) -> Iterator[str]:
@@ -296,26 +296,21 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
         yield f"the FMU failed in {evaluations}, which count as diverged; the first time: {failures[0]}"
 
 
-def _proof(
-    study: Study, claims: Claims, played: Replayed, floors: Floors, between: Between, *, is_written: bool
-) -> Proof:
-    """Return what sealed logs and the study say beside the claims; they change none of them."""
-    risen, remaining = {}, {}
-    variant = "after" if claims.claimed is not None else "nearest"
-    if "validation" in played["before"] and variant in played:
-        before, after = (played[name]["validation"][study.subject.horizon] for name in ("before", variant))
-        risen = find_rises(before, after)
-        remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-    inputs = between.other_line if between.is_otherwise else ""
-    return Proof(risen, remaining, study.content.candidates is not None, inputs, is_written)
-
-
-def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:
-    """Yield a warning for each set of logs with a noise floor above the error of the delivered or the nearest model."""
-    units = {q.name: q.unit for q in subject.outputs}
-    names = ("after",) if claims.claimed is not None or "nearest" not in played else ("after", "nearest")
+def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floors, played: Replayed) -> Iterator[str]:
+    """Yield a warning for a missing FMU or platform, for slow replays, and for noise floors far above the errors."""
+    subjects = [variant.subject for variant in variants.values()]
+    yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
+    for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
+        yield (
+            f"the delivered FMU lacks the platforms {join_names(names)} of the original: the library around it "
+            "cannot be compiled for them here; pip install 'fmu-cosim[native]' has a compiler for most"
+        )
+    if way.through == "python" and way.log:
+        yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"
+    subject, delivered = subjects[0], [name for name in ("after", "nearest") if name in played]
     for part, floor in floors.items():
-        errors = [keep_finite(rmse(played[name][part][subject.horizon])) for name in names]
-        least = {channel: min(e.get(channel, math.inf) for e in errors) for channel in floor.level}
-        if channels := floor.channels_above(keep_finite(least)):
-            yield floor_warning(part, channels, units)
+        errors = [rmse(played[name][part][subject.horizon]) for name in delivered]
+        least = {n: min(e.get(n, math.inf) for e in errors) for n in floor.level}
+        channels = {n: (level, least[n]) for n, level in floor.level.items() if level > COUNTS_FROM * least[n] > 0.0}
+        if channels:
+            yield floor_warning(part, channels, subject)

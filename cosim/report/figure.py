@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 VARIABLE = "MPLCONFIGDIR"
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of this size [inch]."""
+def new_figure(width: float = 0.0, height: float = 0.0) -> Figure:
+    """Return an empty figure of this width and height [inch], by default those of matplotlib."""
     if "matplotlib" not in sys.modules and VARIABLE not in os.environ:
         home = Path(os.path.expanduser("~"))
         settings = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
@@ -28,4 +28,4 @@ def new_figure(width: float, height: float) -> Figure:
                 os.environ[VARIABLE] = str(process_folder() / "matplotlib")
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height) if width else None, layout="constrained")

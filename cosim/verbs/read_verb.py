@@ -12,7 +12,7 @@ from cosim.files.folders import newest_run
 
 if TYPE_CHECKING:
     from cosim.calibration.fitted import Fitted
-    from cosim.refinement.refined_result import Refined
+    from cosim.refinement.refinement import Refined
     from cosim.residuals.replay_signals import Replay
     from cosim.simulation.run_signals import Run, Signals
     from cosim.sweeps.store import Runs

@@ -17,7 +17,7 @@ from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, w
 
 if TYPE_CHECKING:
     from cosim.estimation.subject.interface import Subject
-    from cosim.refinement.refined_result import Refined
+    from cosim.refinement.refinement import Refined
 
 FILES = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
 
@@ -57,7 +57,7 @@ def refine(
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The simulation failed; the rows so far are in `out`.
     """
-    from cosim.refinement.refined_result import Refined
+    from cosim.refinement.refinement import Refined
     from cosim.refinement.study import study_of
     from cosim.refinement.workflow import refine as refine_study
 
@@ -70,7 +70,7 @@ def refine(
         source = study_of(study, logs, validation, **(settings or {}))
     with new_run(out, "", "cosim refine", force=force) as place:
         result = refine_study(source, place, progress, report=report, in_process=in_process, limits=limits)
-    return Refined(result.record, place, result.refined, result)
+    return Refined(result.record, place, result.variants["after"].subject, result)
 
 
 def command(

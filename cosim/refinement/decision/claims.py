@@ -18,37 +18,21 @@ NO_EFFECT = "no_effect"
 
 @dataclass(frozen=True, eq=False)
 class Claims:
-    """What a study claims.
+    """What a study claims."""
 
-    Attributes:
-        bundle: What the decision depends on.
-        decision: Verdict, probabilities and reasons.
-        base: The recalibrated model.
-        claimed: Hypothesis that is delivered as refined, with intervals; None without a certain part.
-        nearest: Hypothesis that is delivered as nearest; None for the given model, or with a complete claim.
-        tried: Every fitted hypothesis with its log posterior odds to the recalibrated model, most probable first.
-        experiment: Input that separates the rivals.
-        equivalent: Groups of names that act alike for every input.
-        residual: Deficient equation, its signals and process noise.
-        moves: Forced state → size of its unknown input relative to its derivative.
-        hidden: Effects that these logs cannot show.
-        still: Whether nothing moves in the logs.
-        ladder: Models with the log error of their predictions on each log left out, simplest first.
-    """
-
-    bundle: Bundle
+    bundle: Bundle  # what the decision depends on
     decision: Decision
-    base: Hypothesis
-    claimed: Hypothesis | None
-    nearest: Hypothesis | None
-    tried: Sequence[tuple[Hypothesis, float]]
-    experiment: str
-    equivalent: Sequence[Sequence[str]]
-    residual: Mapping[str, Any]
-    moves: Mapping[str, float]
-    hidden: Sequence[str]
-    still: bool
-    ladder: Sequence[tuple[Hypothesis | None, Any]]
+    base: Hypothesis  # the recalibrated model
+    claimed: Hypothesis | None  # delivered as refined, with intervals; None without a certain part
+    nearest: Hypothesis | None  # delivered as nearest; None for the given model, or with a complete claim
+    tried: Sequence[tuple[Hypothesis, float]]  # with log posterior odds to the recalibrated model, best first
+    experiment: str  # input that separates the rivals
+    equivalent: Sequence[Sequence[str]]  # groups of names that act alike for every input
+    residual: Mapping[str, Any]  # deficient equation, its signals and process noise
+    moves: Mapping[str, float]  # forced state → size of its unknown input relative to its derivative
+    hidden: Sequence[str]  # effects that these logs cannot show
+    still: bool  # whether nothing moves in the logs
+    ladder: Sequence[tuple[Hypothesis | None, Any]]  # models with log errors on each log left out, simplest first
 
     @property
     def name(self) -> Verdict:

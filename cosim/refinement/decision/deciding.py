@@ -63,9 +63,10 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     if leftover.fit is not None and best.candidates:
         beside = beside_unnamed_terms(search, best, leftover.fit, first.dispersion, len(bundle.kinds))
     settings = study.settings
-    after = variant_of(refined_subject(subject, settings, best), settings, best.fit)
-    given = variant_of(subject, settings, fit_given_model(search.problem, base.fit))
-    variants = {name: replace(v, free_noise=result.free_noise) for name, v in (("before", given), ("after", after))}
+    variants = {
+        "before": variant_of(subject, settings, fit_given_model(search.problem, base.fit), result.free_noise),
+        "after": variant_of(refined_subject(subject, settings, best), settings, best.fit, result.free_noise),
+    }
     errors = {name: predicted_errors(variant, search.problem, study.logs) for name, variant in variants.items()}
     quiet = replace(variants["after"], noise=log_noise(best.fit.noise, result.free_noise))
     floor = noise_floor(quiet, search.problem, study.logs, np.random.default_rng(FLOOR_SEED))

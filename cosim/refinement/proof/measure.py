@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from cosim.core.linear_algebra import square_roots
 from cosim.estimation.data import data_of, start_state
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
-from cosim.estimation.kernel.kernel import Begin, Data, Filtered, simulate_all
+from cosim.estimation.kernel.kernel import Begin, Filtered, simulate_all
 from cosim.estimation.past_readings import past_reading, replayed
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
@@ -28,7 +29,6 @@ from cosim.estimation.readings import readings_of
 from cosim.estimation.subject.interface import Replayer, Start, Subject
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
-from cosim.model.sensors import SensorError
 from cosim.refinement.proof.refined_models import Variant
 from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
@@ -38,13 +38,12 @@ FLOOR_SEED = 20121
 
 DRAWS = 20
 PARTS = 8  # parts of a free run, each counted as one replay
-CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, from which a floor is too high
 
 
 ReplayedLogs = list[tuple[Log, Replay]]
 
 
-def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
+def _posed(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
     """Return a subject's fitting problem on other logs.
 
     The kernel of `problem` takes all parameters, including those of the variant.
@@ -60,8 +59,7 @@ def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> P
 
 def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
     """Return a variant's fitting problem on other logs, of free runs with the variant's likely start states."""
-    posed = filter_problem(problem, variant.subject, logs)
-    return with_likely_starts(posed, variant.values, variant.noise)
+    return with_likely_starts(_posed(problem, variant.subject, logs), variant.values, variant.noise)
 
 
 def replay_logs(
@@ -87,9 +85,8 @@ def replay_logs(
                 if horizon == judged:
                     raise
                 break  # A stopped FMU must not be called again.
-            played[horizon].append(
-                (remove_sensor_errors(log, variant, per_log.get(horizon, {}), replay.outputs), replay)
-            )
+            corrected = _remove_sensor_errors(log, variant, per_log[horizon], replay.outputs)
+            played[horizon].append((corrected, replay))
         results.close()
     return played
 
@@ -122,7 +119,7 @@ def rmse(evidence: ReplayedLogs) -> dict[str, float]:
     return pool_errors(replay.errors(log) for log, replay in evidence)
 
 
-def remove_sensor_errors(
+def _remove_sensor_errors(
     log: Log, variant: Variant, per_log: Mapping[str, Array], simulated: Mapping[str, Array]
 ) -> Log:
     """Return the log without the modelled sensor errors.
@@ -133,41 +130,33 @@ def remove_sensor_errors(
     """
     outputs = dict(log.outputs)
     for sensor in _sensors(variant, per_log):
+        read = [n for n in sensor.affected() if n in outputs]
         if sensor.is_straight():
             at_zero, gain = _line(sensor)
-            outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
-        elif not sensor.dormant:
-            outputs |= {
-                n: outputs[n] - by
-                for n, by in _sensor_errors(sensor, log.time, simulated, outputs).items()
-                if n in outputs
-            }
+            outputs |= {n: (outputs[n] - at_zero) / gain for n in read}
+        elif sensor.dormant:
+            continue
+        elif sensor.depends_on_past():
+            late = {n: past_reading(sensor, log.time, simulated[n], outputs[n]) - simulated[n] for n in read}
+            outputs |= {n: outputs[n] - error for n, error in late.items()}
+        else:
+            clean = {n: np.nan_to_num(simulated[n]) for n in sensor.affected()}
+            readings = sensor.readings(arrays(), log.time, {**simulated, **clean})
+            outputs |= {n: outputs[n] - np.asarray(readings[n] - clean[n]) for n in read}
     return replace(log, outputs=outputs)
 
 
-def _sensors(variant: Variant, per_log: Mapping[str, Array]) -> Iterator[SensorError]:
+def _sensors(variant: Variant, per_log: Mapping[str, Array]) -> Iterator[Any]:
     """Yield the sensor errors in reverse order."""
     values = {**variant.values, **per_log}
     for kind in reversed(variant.subject.sensors):
         yield kind(value=values[f"{kind.name}.value"])
 
 
-def _line(sensor: SensorError) -> tuple[Any, Any]:
+def _line(sensor: Any) -> tuple[Any, Any]:
     """Return the reading at zero and the gain of a sensor with a linear error."""
     at_zero = sensor.measure(0.0)
     return at_zero, sensor.measure(1.0) - at_zero
-
-
-def _sensor_errors(
-    sensor: Any, time: Array, outputs: Mapping[str, Array], measured: Mapping[str, Array]
-) -> dict[str, Array]:
-    """Return output → error of a nonlinear sensor."""
-    inputs = {n: outputs[n] for n in sensor.affected()}
-    if sensor.depends_on_past():
-        return {n: past_reading(sensor, time, values, measured.get(n)) - values for n, values in inputs.items()}
-    inputs = {n: np.nan_to_num(values) for n, values in inputs.items()}
-    readings = sensor.readings(arrays(), time, {**outputs, **inputs})
-    return {n: np.asarray(readings[n] - values) for n, values in inputs.items()}
 
 
 def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
@@ -184,10 +173,9 @@ def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, ro
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the RMSE of each channel in kernel replays."""
     problem = _begun(variant, problem, logs)
-    replays = (
-        _KernelReplays.of(variant, problem, log, k, problem.data(variant.values, k)) for k, log in enumerate(logs)
+    return _root_mean_squares(
+        problem, [_KernelReplays(variant, problem, log, k).errors() for k, log in enumerate(logs)]
     )
-    return _root_mean_squares(problem, [replay.errors() for replay in replays])
 
 
 @dataclass(frozen=True)
@@ -202,19 +190,6 @@ class Floor:
     level: Mapping[str, float]
     scatter: Mapping[str, float]
 
-    @classmethod
-    def of(cls, level: Mapping[str, float], draws: Sequence[Mapping[str, float]]) -> Floor:
-        """Return the floor with the scatter of draws."""
-        sizes = {name: [size for draw in draws if (size := draw[name]) > 0.0] for name in level}
-        scatter = {name: float(np.std(np.log(s), ddof=1)) for name, s in sizes.items() if len(s) > 1}
-        return cls(level, scatter)
-
-    def channels_above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """Return channel → floor and error, for floors clearly above the error."""
-        pairs = {n: (f, error[n]) for n, f in self.level.items() if error.get(n, 0.0) > 0.0}
-        limits = {n: max(math.log(CALMER), UNLIKE * self.scatter.get(n, 0.0)) for n in pairs}
-        return {n: (f, e) for n, (f, e) in pairs.items() if f > 0.0 and math.log(f / e) > limits[n]}
-
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
     """Return the noise floor: errors of the model against itself, simulated with random noise.
@@ -225,26 +200,28 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     problem = _begun(variant, problem, logs)
     draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
-        replays = _KernelReplays.of(variant, problem, log, index, problem.data(variant.values, index))
+        replays = _KernelReplays(variant, problem, log, index)
         for draw in draws:
             draw.append(replays.random_errors(rng))
-    level = _root_mean_squares(problem, [errors for draw in draws for errors in draw])
-    level = {name: size for name, size in level.items() if not size > _standard_deviation(logs, name)}
-    return Floor.of(level, [_root_mean_squares(problem, draw) for draw in draws])
-
-
-def _standard_deviation(logs: Sequence[Log], name: str) -> float:
-    """Return the standard deviation of an output over all logs; infinite with fewer than two readings."""
-    readings = [log.outputs[name][np.isfinite(log.outputs[name])] for log in logs if name in log.outputs]
-    values = np.concatenate(readings) if readings else np.empty(0)
-    return float(np.std(values)) if values.size > 1 else math.inf
+    each = [_root_mean_squares(problem, draw) for draw in draws]
+    level, scatter = {}, {}
+    for name, size in _root_mean_squares(problem, [errors for draw in draws for errors in draw]).items():
+        readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
+        readings = readings[np.isfinite(readings)]
+        if readings.size > 1 and size > float(np.std(readings)):
+            continue
+        level[name] = size
+        sizes = [draw[name] for draw in each if draw[name] > 0.0]
+        if len(sizes) > 1:
+            scatter[name] = float(np.std(np.log(sizes), ddof=1))
+    return Floor(level, scatter)
 
 
 def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the last filtered values of parameters per log."""
     if not logs or not problem.layout.constants:
         return {}
-    problem, ends = filter_problem(problem, variant.subject, logs), dict[str, float]()
+    problem, ends = _posed(problem, variant.subject, logs), dict[str, float]()
     for index, origin in enumerate(problem.origins):
         last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index, states=True).states[-1])
         for name, place in problem.layout.constants.items():
@@ -252,41 +229,32 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
     return ends
 
 
-@dataclass(frozen=True, eq=False)
 class _KernelReplays:
-    """Kernel replays of a log over the model's horizon, each from the state filtered from past data.
+    """Kernel replays of a log over the model's horizon, each from the state filtered from past data."""
 
-    Attributes:
-        index: Index of the log in the problem.
-        rows: First row of each replay; none for a table.
-        gains: Gain of each output's sensor, by row.
-    """
-
-    variant: Variant
-    problem: Problem
-    index: int
-    data: Data
-    rows: Sequence[int]
-    filtered: Filtered
-    gains: Array
-
-    @classmethod
-    def of(cls, variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> _KernelReplays:
-        """Return the replays of a log from filtered starts."""
+    def __init__(self, variant: Variant, problem: Problem, log: Log, index: int) -> None:
+        data, horizon = problem.data(variant.values, index), variant.subject.horizon
+        self.variant, self.problem, self.index, self.data = variant, problem, index, data
+        self.rows: list[int] = log.grid[first_rows(log, horizon)].tolist()  # of the replays
+        noise = variant.noise_of_starts(horizon)
+        self.filtered = problem.filter_causally(data, variant.values, noise, index, self.rows)
+        starts, every_row = np.array(self.rows, np.intp), np.arange(len(data.u))
+        per_log = _parameters_at_starts(problem, self.filtered, starts, every_row)
         gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
-        rows = log.grid[first_rows(log, variant.subject.horizon)].tolist()
-        noise = variant.noise_of_starts(variant.subject.horizon)
-        filtered = problem.filter_causally(data, variant.values, noise, index, rows)
-        starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
-        per_log = _parameters_at_starts(problem, filtered, starts, every_row)
         for sensor in _sensors(variant, per_log):
             if sensor.is_straight():
                 gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
-        return cls(variant, problem, index, data, rows, filtered, np.column_stack(list(gains.values())))
+        self.gains = np.column_stack(list(gains.values()))
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Return the outputs of the replays, NaN elsewhere."""
+        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
+        return self._simulate(self.variant.values, starts)
 
     def errors(self) -> Array:
         """Return corrected measurement − model, shape (rows, outputs)."""
-        return np.asarray((self.data.y - self._predict()) / self.gains)
+        return np.asarray((self.data.y - self.predicted) / self.gains)
 
     def random_errors(self, rng: np.random.Generator) -> Array:
         """Return the errors against a simulation with random noise and random deviations of the starts."""
@@ -308,7 +276,7 @@ class _KernelReplays:
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
             memory = {LASTS: math.exp(noise.memory)} if layout.is_coloured else {}
-            errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self._predict()
+            errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
     def _random_deviations(self, rng: np.random.Generator) -> Array:
@@ -323,11 +291,6 @@ class _KernelReplays:
             deviations[k + 1] = propagation[k - 1] @ both + data.step * inputs[k - 1]
             inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
         return deviations[1:]
-
-    def _predict(self) -> Array:
-        """Return the outputs of the replays, NaN elsewhere."""
-        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
-        return self._simulate(self.variant.values, starts)
 
     def _simulate(
         self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None

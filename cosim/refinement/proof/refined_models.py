@@ -62,6 +62,6 @@ def log_noise(fitted: Noise, free: Noise | None) -> Noise:
     return fitted if free is None else replace(fitted, sensors=free.sensors)
 
 
-def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:
+def variant_of(subject: Subject, settings: Settings, f: Fit, free_noise: Noise | None) -> Variant:
     """Return a subject with the noise and the parameters per log of a fit."""
-    return Variant(subject, {**subject.values, **group_values(f, settings.groups.values())}, f.noise)
+    return Variant(subject, {**subject.values, **group_values(f, settings.groups.values())}, f.noise, free_noise)

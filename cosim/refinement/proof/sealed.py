@@ -1,76 +1,39 @@
-"""Sealed logs: the error that remains, errors that rise by more than their scatter, and repeated motion."""
+"""Sealed logs: the error that remains, and errors that rise by more than their scatter."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from cosim.core.text import percent
-from cosim.logs.log import Log
 from cosim.refinement.proof.measure import PARTS, ReplayedLogs, rmse
 from cosim.residuals.residual_statistics import remaining_excess
 
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
-SAME = 0.01  # difference of two logs, relative to the spread of an output, below which the motion is the same
 
 
 def find_rises(before: ReplayedLogs, after: ReplayedLogs) -> dict[str, tuple[float, float]]:
     """Return channel → error before and after, if significantly risen.
 
-    With d = ln(Σe² after / Σe² before) of each replay, t = d̄·√n / s_d is compared with Student's t of n − 1 degrees of
-    freedom. Every replay has the same weight, also with large errors. The channels share the false-alarm probability
-    (Bonferroni).
+    Student's t test is for the mean of ln(Σe² after / Σe² before) over the replays, so that every replay has the same
+    weight, also with large errors. The channels share the false-alarm probability (Bonferroni).
     """
-    errors = rmse(before), rmse(after)
-    chance = CHANCE / max(1, len(errors[0]))
-    pairs = {name: (errors[0][name], errors[1][name]) for name in errors[0].keys() & errors[1].keys()}
+    old, new = rmse(before), rmse(after)
     rises = {
-        name: (old, new)
-        for name, (old, new) in pairs.items()
-        if new > old and is_significant_rise(_log_ratios(before, after, name), chance)
+        name: (old[name], new[name])
+        for name in old.keys() & new.keys()
+        if new[name] > old[name] and is_significant_rise(_log_ratios(before, after, name), CHANCE / len(old))
     }
     return dict(sorted(rises.items(), key=lambda item: item[1][0] / item[1][1]))  # largest ratio first
 
 
-def repeated_motion(sealed: Sequence[Log], logs: Sequence[Log]) -> Iterator[str]:
-    """Yield a warning for each sealed log that repeats the motion of an estimation log, such as of one reference."""
-    for log in sealed:
-        for other in logs:
-            if (share := _difference(log, other)) < SAME:
-                yield (
-                    f"{log.path.name} repeats the motion of {other.path.name}: their outputs differ by "
-                    f"{percent(share)} of their spread, so that it shows how the refined model predicts this "
-                    "motion again, not how it predicts another one"
-                )
-                break
-
-
-def _difference(log: Log, other: Log) -> float:
-    """Return the largest difference (RMS) of the outputs of two logs, relative to their spread; infinite for others."""
-    late, largest = log.time - log.time[0], 0.0
-    within = late <= other.time[-1] - other.time[0]
-    if log.outputs.keys() != other.outputs.keys() or 2 * np.count_nonzero(within) < log.rows:
-        return math.inf
-    for name, values in log.outputs.items():
-        difference = values[within] - np.interp(late[within], other.time - other.time[0], other.outputs[name])
-        spread = float(np.nanstd(values)) if np.isfinite(values).any() else 0.0
-        size = math.sqrt(float(np.nanmean(difference**2))) if np.isfinite(difference).any() else math.inf
-        largest = max(largest, size / spread if spread > 0.0 else 0.0)
-    return largest if largest > 0.0 else math.inf
-
-
 def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
     """Return True if the mean rise is significantly positive."""
-    from scipy.special import stdtrit
+    from scipy.stats import ttest_1samp  # only here: it takes a second to import
 
-    count = len(rises)
-    if count < 2:
-        return False
-    mean, scatter = float(np.mean(rises)), float(np.std(rises, ddof=1))
-    return mean * math.sqrt(count) > float(stdtrit(count - 1, 1.0 - chance)) * scatter
+    return len(rises) > 1 and bool(ttest_1samp(rises, 0.0, alternative="greater").pvalue < chance)
 
 
 def remaining_on_sealed_logs(before: ReplayedLogs, after: ReplayedLogs, floor: Mapping[str, float]) -> dict[str, float]:

@@ -16,20 +16,14 @@ from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.report.charts import Abscissa, Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, extent
-from cosim.residuals.report import every_lag, lag_drawing, neighbours
-from cosim.residuals.residual_statistics import lags_of, rmse, whiteness
-
-CHANNELS = 8  # at most, drawn of a log
-TELLS = 1.1  # ratio of errors before and after; a larger one is worth a plot
-FAR = 1.5  # times the noise floor; a larger error is worth a plot
-FLAT = 5.0  # ratio of errors before and after from which the smaller one is drawn on a scale of its own too
-STEMS = 50  # about, lags of an autocorrelation
+from cosim.residuals.report import neighbours
+from cosim.residuals.residual_statistics import COUNTS_FROM, lags_of, rmse, whiteness
 
 
 def runs(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     """Return title and channels of the first estimation and sealed log.
 
-    Channels explained by noise and unchanged by the claim are under `quiet`, unless all are.
+    Channels whose error is near the noise floor are under `quiet`, unless all are.
     """
     pages = []
     words: dict[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
@@ -45,11 +39,10 @@ def runs(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
             curves = [("model", "s1", before), ("nearest", "true", near)]
         floor = r.record["noise_floors"].get(part, {})
         drawing = charts.over(log.time, Abscissa(breaks=sorted(old.starts)))
-        channels = [_channel(drawing, curves, name, floor.get(name, 0.0)) for name in list(log.outputs)[:CHANNELS]]
+        channels = [_channel(drawing, curves, name, floor.get(name, 0.0)) for name in log.outputs]
         loud, quiet = ([c for c in channels if c["tells"] == tells] for tells in (True, False))
-        if not loud:
-            loud, quiet = quiet, []
-        pages.append({"title": f"{log.path.name}, {word}", "channels": loud, "quiet": quiet})
+        title = f"{log.path.name}, {word}"
+        pages.append({"title": title, "channels": loud or quiet, "quiet": quiet if loud else []})
     return pages
 
 
@@ -71,8 +64,6 @@ def _channel(
     whole += [Trace(label, (reading - e) * factor, style, anew=True) for label, style, e in errors]
     residuals = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
     panels = [Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals)]
-    if sizes[0] > FLAT * sizes[-1]:
-        panels.append(Panel(f"{name}: measured − {curves[-1][0]}", fine or "1", residuals[-1:]))
     starts, inside, shaded = sorted(old.starts), np.zeros(log.time.size, dtype=bool), []
     for k in starts[::2]:
         inside |= (log.time >= log.time[k]) & (log.time <= log.time[k] + old.horizon)
@@ -81,8 +72,7 @@ def _channel(
         if span is not None and len(starts) > 1:
             panel = replace(panel, band=Band("every other replay", *(np.where(inside, end, np.nan) for end in span)))
         shaded.append(panel)
-    tells = sizes[0] > TELLS * sizes[-1] or sizes[-1] > TELLS * sizes[0] or sizes[-1] > FAR * floor > 0
-    return {"channel": name, "plots": drawing.plots(shaded), "tells": tells}
+    return {"channel": name, "plots": drawing.plots(shaded), "tells": max(sizes) > COUNTS_FROM * floor}
 
 
 def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
@@ -101,14 +91,12 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
             run = problem.run({**problem.values, **variant.values}, noise, k)
             first = min(count_unscored(data), max(0, len(run.errors) - 2))
             scaled = (run.errors / np.sqrt(run.variances))[first:]
-            parts.append(np.where(np.abs(scaled) < 1e6, scaled, np.nan))
+            parts.append(np.where(np.isfinite(scaled), scaled, np.nan))
         both.append(parts)
     names, styles, step = modes(r), ("s1", "true"), problem.logs[0].step
     drawing = charts.over(problem.logs[0].times[-len(both[0][0]) :])
     lags = lags_of(min(len(part) for part in both[0]), step)
-    rows = every_lag(lags, STEMS)
-    over = lag_drawing(charts, rows, step)
-    offset = 0.16 * (over.x[1] - over.x[0] if over.x.size > 1 else over.x[0])
+    over_lags = charts.over(step * np.arange(1.0, lags + 1.0), Abscissa(("lag", "s")))
     gap = np.full(lags + 1, np.nan)  # beyond any lag, between logs
     found = []
     for channel in dict.fromkeys(n for log in r.study.logs for n in log.outputs if n in problem.layout.outputs):
@@ -118,19 +106,16 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
         traces = [Trace(n, s[0], style) for n, s, style in zip(names, series, styles, strict=True)]
         edge = np.full(series[0][0].size, NORMAL_95)
         panel = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
-        stems = [
-            Trace(name, test.rho[rows], style, stems=True, shift=shift)
-            for name, test, style, shift in zip(names, tests, ("s1 solid", "true"), (-offset, offset), strict=True)
-        ]
-        width = np.full(rows.size, tests[1].band if np.isfinite(tests[1].band) else 0.0)
-        beside = Panel(f"Autocorrelation of {channel}", "1", stems, Band("95 % band if white", -width, width))
+        rho = [Trace(name, test.rho[1:], style) for name, test, style in zip(names, tests, styles, strict=True)]
+        width = np.full(lags, np.nan_to_num(tests[1].band))
+        beside = Panel(f"Autocorrelation of {channel}", "1", rho, Band("95 % band if white", -width, width))
         row = {
             "channel": channel,
             "size": [plain(rmse(np.concatenate(s)), 2) for s in series],
             "neighbours": [neighbours(t) for t in tests],
             "white": [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests],
             "tells": not all(t.white for t in tests),
-            "plots": [drawing.plots([panel])[0], over.plots([beside])[0]],
+            "plots": [drawing.plots([panel])[0], over_lags.plots([beside])[0]],
         }
         found.append(row)
     return found

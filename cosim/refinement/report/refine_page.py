@@ -7,11 +7,11 @@ import platform
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from cosim.core.text import MISSING, counted, join_names, percent, plain, split_sentence
+from cosim.core.text import counted, join_names, percent, plain, split_sentence
 from cosim.core.version import __version__
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
@@ -20,7 +20,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import shown_effects
 from cosim.refinement.report.errors import (
     error_tables,
-    error_words,
+    has_unknown_input,
     horizon,
     horizon_table,
     leading_channel,
@@ -28,8 +28,8 @@ from cosim.refinement.report.errors import (
 )
 from cosim.refinement.report.plots import innovations, modes, runs
 from cosim.refinement.report.tables import (
-    NOISE_NOTE,
     inclusion_rows,
+    ladder,
     noise_rows,
     parameter_tables,
     per_log_rows,
@@ -50,35 +50,14 @@ TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
     "ambiguous": ("ambiguous", "warn"),
     "unexplained": ("unexplained", "warn"),
 }
-SEALED = "Sealed logs were used for no fit and no choice; they were opened once, at the end, as a test."
-INNOVATIONS = (
-    "An innovation is a reading minus its prediction by a filter one step before, in units of the expected standard "
-    "deviation σ. A complete model leaves innovations of size 1 that are uncorrelated (white noise). "
-)
 DISPERSED = 2.0  # dispersion κ from which a page says that no hypothesis fits
-WITH_CLAIM = "One filter, tuned to the refined model, ran on the model before and on the refined one."
-WITHOUT_CLAIM = "The model ran in a filter that trusts its equations, and in one that allows for a disturbance."
 
 
 def write_refine_report(path: Path, r: Refinement) -> None:
     """Write the self-contained page of a refinement."""
-    with atomic_write(path) as stream:
-        stream.write(render(TEMPLATE, _context(r)))
-
-
-def _context(r: Refinement) -> Mapping[str, Any]:
-    """Return the variables of the page's template."""
     charts, record, claimed = Charts(), r.record, r.verdict.claimed
     headline, details = split_sentence(str(record["sentence"]))
-    tables, over = error_tables(r), horizon(r)
-    error_lead = f"Root mean square of measured − model over replays of {over} through the FMU, each started from the "
-    error_lead += "state that the model's own filter had estimated by then. "
-    error_lead += f"The first {SKIPPED:g}\u00a0s of each log are left out."
-    if over == "a whole run":
-        error_lead = (
-            "Root mean square of measured − model over a whole run through the FMU, from the first row to the last."
-        )
-    plots, lead = runs(r, charts), None
+    tables, plots, lead = error_tables(r), runs(r, charts), None
     if plots:  # a channel of the last log, which is sealed if any is
         last = plots[-1]
         channels = [*last["channels"], *last["quiet"]]
@@ -86,106 +65,64 @@ def _context(r: Refinement) -> Mapping[str, Any]:
         lead = {"run": last["title"], "channel": first["channel"], "plots": first["plots"]}
         last |= {key: [c for c in last[key] if c is not first] for key in ("channels", "quiet")}
     terms, white = shown_effects(r, charts), innovations(r, charts)
-    coloured, title, tone = [w for w in white if w["tells"]], *TITLES[r.verdict.name]
-    return {
+    coloured, (title, tone) = [w for w in white if w["tells"]], TITLES[r.verdict.name]
+    sealed = len(r.evidence["before"].get("validation", ()))
+    duration = plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))
+    tried = [entry for entry in record["candidates"] if entry["names"]]  # without the model recalibrated
+    values = {
         "name": f"Study {r.study.name}",
         "description": f"{r.study.subject.title}, refined from measured logs.",
         "headline": headline,
         "details": details,
         "tone": "warn" if tone == "warn" else "plain",
         "second": second_sentence(r),
-        "badges": [Badge(title, tone), *_badges(r)],
-        "disputed": r.verdict.name == "ambiguous",
+        "badges": [
+            Badge(title, tone),
+            *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
+            Badge(f"{counted(len(r.study.logs), 'log')} used for the fits, {duration} s"),
+            Badge(f"{counted(sealed, 'log')} sealed until the end") if sealed else Badge("no log sealed", "warn"),
+            Badge(f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted"),
+            Badge(f"{record['seconds']:.0f} s elapsed"),
+        ],
+        "verdict": r.verdict,
         "claimed": claimed is not None,
-        "rivals": r.verdict.rivals,
-        "next_step": _next_step(r),
+        "shared": join_names([c.name for c in r.verdict.claimed_candidates]),
+        "unchanged": r.study.subject.main_file("refined"),
         "warnings": record["warnings"],
         "tables": tables,
-        "error_lead": error_lead,
-        "error_words": error_words(r, tables),
-        "sealed": SEALED if "validation" in record["error"]["before"] else "",
+        "skipped": f"{SKIPPED:g}\u00a0s",
+        "unknown_input": has_unknown_input(r),
+        "sealed": sealed,
         "lead": lead,
         "horizons": horizon_table(r),
-        "horizon": over,
-        "windowed": over != "a whole run",
+        "horizon": horizon(r),
+        "windowed": horizon(r) != "a whole run",
         "terms": terms,
-        "term_lead": _term_lead(r),
+        "beside": join_names(r.verdict.best.names),
         "runs": [run for run in plots if run["channels"] or run["quiet"]],
         "whiteness": white,
         "coloured": coloured or white,
         "quiet": [w for w in white if not w["tells"]] if coloured else [],
         "modes": modes(r),
-        "innovation_lead": INNOVATIONS + (WITH_CLAIM if claimed else WITHOUT_CLAIM),
         **ranking(r),
+        **ladder(r),
         "posterior": posterior_rows(r),
         "inclusion": inclusion_rows(r),
-        "certain": 100.0 * CERTAIN,
-        "posterior_lead": _posterior_lead(r),
+        "certain": CERTAIN,
+        "certain_text": percent(CERTAIN),
+        "percent": percent,
+        "dispersion": plain(record["dispersion"]) if record["dispersion"] > 1.0 else "",
+        "dispersed": record["dispersion"] > DISPERSED,
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
-        "noise_note": NOISE_NOTE,
         **_use(r),
         "provenance": _provenance(r),
         "data": charts.data(),  # after all drawings
         "version": __version__,
     }
-
-
-def _next_step(r: Refinement) -> str:
-    """Return a text on the next step after a verdict without a complete claim."""
-    if r.verdict.name == "ambiguous":
-        shared = [c.name for c in r.verdict.claimed_candidates]
-        every = f"Claimed, since the rivals share it: {join_names(shared)}. " if shared else "Nothing is claimed. "
-        return f"Next step: record a log with {r.verdict.experiment}. {every}Possible are:"
-    if r.verdict.name == "unexplained":
-        as_it_was = r.study.subject.main_file("refined")
-        return (
-            "Next step: look at the figure of the remainder for what an effect of your own would have to do. "
-            f"{as_it_was} is the model as it was."
-        )
-    return ""
-
-
-def _term_lead(r: Refinement) -> str:
-    if r.verdict.name == "sensor_error":
-        return "Each reading minus the output of the refined model, and over it the estimated sensor error."
-    way = "A smoother estimates, row by row, the input that an equation lacks, without knowing the proposed effect. "
-    if r.verdict.claimed:
-        with_it = "Over it the claimed term: a step of the refined model minus a step of the model without the term"
-        return f"{way}{with_it}, recalibrated."
-    best = f" beside {join_names(r.verdict.best.names)}" if r.verdict.best.names else ""
-    return f"{way}Over the remainder{best}: the unnamed term that would explain most of it, if there is one."
-
-
-def _posterior_lead(r: Refinement) -> str:
-    """Return a text on the probabilities of sets of parts."""
-    lead = (
-        "How probable it is, given these logs, that the model lacks each set of parts. A part is claimed from "
-        f"{percent(CERTAIN)}, summed over all sets that contain it. Errors are relative to the model of the study: "
-        "held-out logs are predicted by fits to the other logs; sealed logs had no part in any choice."
-    )
-    kappa = float(r.record["dispersion"])
-    if kappa > 1.0:
-        lead += f" Log-likelihoods are divided by {plain(kappa, 3)}, the dispersion of the scores over blocks of time."
-    return f"{lead} A dispersion above {DISPERSED:g} is a sign that no hypothesis fits." if kappa > DISPERSED else lead
-
-
-def _badges(r: Refinement) -> list[Badge]:
-    """Return the badges beside the verdict."""
-    sealed, logs = len(r.evidence["before"].get("validation", ())), r.study.logs
-    hypotheses = [row for row in r.record["candidates"] if row["names"]]  # without the model recalibrated
-    fitted = sum(bool(row["fitted"]) for row in hypotheses)
-    screened = f", {len(hypotheses) - fitted} screened" if fitted < len(hypotheses) else ""
-    badges = [Badge("a part of it", "warn")] if r.verdict.grade == "part" else []
-    duration = plain(sum(float(log.time[-1] - log.time[0]) for log in logs))
-    return [
-        *badges,
-        Badge(f"{counted(len(logs), 'log')} used for the fits, {duration} s"),
-        Badge(f"{counted(sealed, 'log')} sealed until the end") if sealed else Badge("no log sealed", "warn"),
-        Badge(f"{fitted} hypotheses fitted{screened}"),
-        Badge(f"{r.record['seconds']:.0f} s elapsed"),
-    ]
+    with atomic_write(path) as stream:
+        stream.write(render(TEMPLATE, values))
 
 
 def _use(r: Refinement) -> Mapping[str, str]:
@@ -207,21 +144,19 @@ def _use(r: Refinement) -> Mapping[str, str]:
 
 def _provenance(r: Refinement) -> list[Row]:
     """Return the files of the study and of its results, and the versions."""
-    study, subject, claim, inputs = r.study, r.study.subject, r.verdict.claimed, r.record.get("inputs")
+    study, subject, claim, inputs = r.study, r.study.subject, r.verdict.claimed, r.record["inputs"]
     rows = [Row("Study", str(path_from_here(study.path)))] if study.path else []
     rows.append(Row("Model", str(path_from_here(subject.source)), study.content.model if study.path else ""))
     logs = [("Estimation log", log) for log in study.logs]
     logs += [("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
     for label, log in logs:
-        note = f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s, measures {', '.join(log.outputs)}"
+        note = f"{log.rows} rows, t = {log.time[0]:g} … {log.time[-1]:g} s, measures {', '.join(log.outputs)}"
         rows.append(Row(label, str(path_from_here(log.path)), f"{note}\n{_digest(log.path)}"))
-    if inputs:
-        gain, note = inputs["gain_otherwise"], ""
-        if gain is not None:
-            raises = "raises" if gain > 0.0 else "lowers"
-            note = f"the other way, held or interpolated, {raises} the log-likelihood by {plain(abs(gain))}"
-        taken = ", ".join(f"{name} {way}" for name, way in inputs["taken"].items())
-        rows.append(Row("Inputs between rows", taken, note))
+    gain, note = inputs["gain_otherwise"], ""
+    if gain is not None:
+        raises = "raises" if gain > 0.0 else "lowers"
+        note = f"the other way, held or interpolated, {raises} the log-likelihood by {plain(abs(gain))}"
+    rows.append(Row("Inputs between rows", ", ".join(f"{n} {way}" for n, way in inputs["taken"].items()), note))
     labels = ("Refined model", "Refined FMU") if claim else ("Model, unchanged", "FMU, unchanged")
     for name, label in zip((*REFINED, *NEAREST), (*labels, "Nearest model", "Nearest FMU"), strict=True):
         if (file := r.folder / name).is_file():
@@ -234,7 +169,5 @@ def _provenance(r: Refinement) -> list[Row]:
 
 
 def _digest(path: Path) -> str:
-    if not path.is_file():
-        return MISSING
     with path.open("rb") as stream:
-        return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()[:16]}…"
+        return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()}"
