@@ -67,11 +67,11 @@ VERBS["read"] = Verb(function="cosim.verbs.read_verb:read")
 
 
 def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
-    """Yield name and declaration of every verb, or of one of cosim.
+    """Yield name and declaration of every verb, or of the one of cosim with this name.
 
     Warns of each package that redefines a verb of cosim.
     """
-    yield from [(only, VERBS[only])] if only else VERBS.items()
+    yield from [(only, VERBS[only])] if only in VERBS else VERBS.items()
     for name in names(ADDED):
         if name in VERBS:
             warnings.warn(
@@ -79,5 +79,5 @@ def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
                 ExtensionWarning,
                 stacklevel=2,
             )
-    if not only:
+    if only not in VERBS:
         yield from ((name, verb) for name, verb in added_verbs() if name not in VERBS)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.core.errors import CriterionMissed, InputError
 from cosim.core.settings import Count, NotNegative
 from cosim.files.files import FilePath
-from cosim.verbs.terminal import say, say_json, show, some, table, warn
+from cosim.verbs.cli import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared as ComparedPair
@@ -44,7 +44,7 @@ def compare(
         baseline: Baseline of a list of runs; by default its first run.
         tolerance: Allowed difference as a share of each signal's range in the baseline.
         absolute: Allowed difference in each signal's unit, added to `tolerance`.
-        force: Write into `out` even if it is not empty; results in it are replaced.
+        force: Write even if the folder is not empty; results in it are replaced.
 
     Returns:
         The difference of each signal, and the verdict if there is a tolerance: `Compared` of two runs `a` and `b`,
@@ -139,7 +139,7 @@ def command(
     tolerance: float | None = None,
     absolute: float = 0.0,
     results: Path | None = None,
-    out: Path | None = None,
+    out: FilePath | None = None,
     report: bool = True,
     force: bool = False,
     open: bool = False,
@@ -152,9 +152,9 @@ def command(
     Args:
         runs (RUN...): Folders of runs, their numbers, names or patterns in `cosim list`, or CSV files of rows.
         baseline (RUN): Baseline (default: the first run).
-        tolerance (--tol): Allowed difference as a share of each signal's range; exit code 5 if exceeded.
-        absolute (--abs): Allowed difference in each signal's unit, added to --tol.
-        out: Folder for the results (default: a new number in results/A-and-B).
+        tolerance (--tol NUMBER): Allowed difference as a share of each signal's range; exit code 5 if exceeded.
+        absolute (--abs NUMBER): Allowed difference in each signal's unit, added to --tol.
+        out (--out -o PATH): Folder for the results (default: a new number in results/A-and-B).
 
     Example: cosim compare results/one results/two --tol 1e-3
     """

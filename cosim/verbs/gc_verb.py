@@ -13,7 +13,7 @@ from cosim.core.errors import InputError, refuse
 from cosim.core.settings import NotNegative, Whole
 from cosim.core.text import counted
 from cosim.files.folders import RESULTS
-from cosim.verbs.terminal import say, say_json, some, warn
+from cosim.verbs.cli import say, say_json, some, warn
 
 if TYPE_CHECKING:
     from cosim.files.run_selection import Removal
@@ -37,9 +37,9 @@ def command(
 
     Args:
         names ([RUN]): Numbers, names or patterns such as 'tank/*' (default: all).
-        keep: Earlier runs of each name that stay.
-        older: Remove runs older than this number of days.
-        yes: Remove without a question.
+        keep (NUMBER): Earlier runs of each name that stay.
+        older (DAYS): Remove runs older than this number of days.
+        yes (--yes -y): Remove without a question.
 
     Example: cosim gc --keep 5
     """

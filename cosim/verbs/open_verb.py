@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cosim.core.errors import InputError
 from cosim.files.folders import RESULTS
-from cosim.verbs.terminal import say, say_json, show, some, warn
+from cosim.verbs.cli import say, say_json, show, some, warn
 
 PAGE = "report.html"
 MOST_NAMES = 5
