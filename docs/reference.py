@@ -12,7 +12,7 @@ import typer.main
 
 import cosim.model
 from cosim.calibration.fitted import Fitted
-from cosim.comparison.page import Compared
+from cosim.comparison.differences import Compared
 from cosim.core.registry import resolve
 from cosim.refinement.refined_result import Refined
 from cosim.residuals.replay_signals import Replay

@@ -23,27 +23,48 @@ from cosim.simulation.run_files import RecordedRun
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 MAX_LISTED = 12  # signals in a short text
+MAX_DRAWN = 4  # signals in a figure by default
 
 
 class Comparison:
-    """What comparisons of two and of several runs have in common: a text."""
+    """What comparisons of two and of several runs show in Python: a text, the cell of a notebook, a figure."""
 
-    @property
-    def summary(self) -> str:
-        """Return the outcome in a sentence."""
-        raise NotImplementedError
-
-    @property
-    def cells(self) -> list[tuple[str, ...]]:
-        """Return the headings of a table, and a row for each signal, largest share first."""
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
+    def __repr__(self: Any) -> str:
         rows = self.cells[1:]
         more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
         return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
+
+    def _repr_html_(self: Any) -> str:
+        from cosim.comparison.page import panels_of
+        from cosim.core.notebook import heading, table
+        from cosim.report.cell.cell import cell_of, rows_to_show
+
+        heads, *cells = self.cells
+        drawn = {name: self.values[name] for name in self.drawable[:MAX_DRAWN]}
+        rows = rows_to_show([values for curves in drawn.values() for values in curves])
+        panels = [p for name, curves in drawn.items() for p in panels_of(self, name, [v[rows] for v in curves])]
+        omitted = len(cells) - len(drawn)
+        chart = cell_of(self.time[rows], panels, self.summary, rows=len(self.time), omitted=omitted)
+        return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
+
+    def plot(self: Any, *names: str) -> Figure:
+        """Return a matplotlib figure of all runs, by default for the most different signals.
+
+        Raises:
+            KeyError: A signal has no curves.
+        """
+        from cosim.comparison.page import panels_of
+        from cosim.files.yaml_file import did_you_mean
+        from cosim.simulation.report.figures import sheet
+
+        for name in names:
+            if name not in self.drawable:
+                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.drawable)}')
+        shown = names or self.drawable[:MAX_DRAWN]
+        return sheet(self.time, [panel for name in shown for panel in panels_of(self, name, self.values[name])])
 
 
 @dataclass(frozen=True, repr=False)

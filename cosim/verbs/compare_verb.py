@@ -13,10 +13,8 @@ from cosim.files.files import FilePath
 from cosim.verbs.cli import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
-    from cosim.comparison.differences import Compared as ComparedPair
-    from cosim.comparison.page import Compared, ComparedRuns
-    from cosim.comparison.several import ComparedRuns as ComparedSeveral
-    from cosim.comparison.several import RunSource
+    from cosim.comparison.differences import Compared
+    from cosim.comparison.several import ComparedRuns, RunSource
     from cosim.simulation.run_signals import Signals
 
 MAX_SIGNALS = 12  # on the terminal
@@ -53,7 +51,7 @@ def compare(
     Raises:
         InputError: No such run, or runs without a common signal or a common time.
     """
-    from cosim.comparison.page import comparison_page, drawn
+    from cosim.comparison.page import comparison_page
     from cosim.comparison.workflow import compare as compare_runs
 
     is_pair = not isinstance(a, (list, tuple))
@@ -72,7 +70,7 @@ def compare(
         force=force,
         as_pair=is_pair,
     )
-    return drawn(comparison)
+    return comparison
 
 
 def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
@@ -193,13 +191,12 @@ def command(
         raise CriterionMissed("; ".join(comparison.reasons))
 
 
-def _lines_of_several(c: ComparedSeveral) -> list[str]:
+def _lines_of_several(c: ComparedRuns) -> list[str]:
     """Return the lines to print: verdict, runs, inputs that differ, signals with the largest differences."""
-    from cosim.comparison.several import sentence
     from cosim.comparison.signals import format_share, format_size
     from cosim.files.run_inputs import input_text
 
-    lines = [sentence(c)]
+    lines = [c.summary]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
     shown = c.drawn
     heads = [c.shorts[k] for k in shown]
@@ -216,7 +213,7 @@ def _lines_of_several(c: ComparedSeveral) -> list[str]:
     return lines
 
 
-def _lines(comparison: ComparedPair) -> list[str]:
+def _lines(comparison: Compared) -> list[str]:
     """Return the lines to print: verdict, signals with the largest differences, signals in a single run."""
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import format_share, format_size
