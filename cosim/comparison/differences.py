@@ -12,7 +12,7 @@ import numpy as np
 from cosim.blocks.component import Signal
 from cosim.comparison import signals
 from cosim.comparison.intermediate_rows import surroundings
-from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
+from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.text import amount, counted
@@ -201,7 +201,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
         raise InputError.at(b.path, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")
-    allowed, has_tolerance = Tolerance(tolerance, absolute), tolerance is not None
+    has_tolerance = tolerance is not None
     of_a, of_b = a.results, b.results
     values: dict[str, tuple[Array, Array]] = {}
     between = jumps = held = None
@@ -230,16 +230,15 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
             at_times = np.interp(time, of_b.time, second)
             at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], at_times)
         values[name] = first[rows], at_times
-        found = signals.compare_numbers(name, unit or other, time, values[name], allowed, by)
+        found = signals.compare_numbers(name, unit or other, time, values[name], by)
         found = replace(found, note=signals.unit_note(unit, other, found, by))
-        if around is None:
-            return found
-        outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
-        if outside <= max(found.largest, signals.ROUNDING * found.scale):
-            return found
-        share, beyond = outside / found.scale, found.beyond or allowed.is_exceeded(outside, found.scale)
-        note = "; ".join(filter(None, [found.note, signals.BETWEEN]))
-        return replace(found, largest=outside, at=at, share=share, beyond=beyond, note=note)
+        if around is not None:
+            outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
+            if outside > max(found.largest, signals.ROUNDING * found.scale):
+                note = "; ".join(filter(None, [found.note, signals.BETWEEN]))
+                found = replace(found, largest=outside, at=at, share=outside / found.scale, note=note)
+        is_beyond = tolerance is not None and not found.largest <= absolute + tolerance * found.scale  # also of NaN
+        return replace(found, beyond=is_beyond)
 
     step = float(np.max(np.diff(of_a.time))) if of_a.time.size > 1 else 0.0
     ends = []

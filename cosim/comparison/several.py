@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     import pandas
 
 MAX_RUNS, MAX_SIGNALS = 12, 12  # drawn
-MOST_CELLS = 50_000_000  # values of runs that stay in memory; beyond, drawn runs are read twice
+MOST_IN_MEMORY = 4  # runs; beyond, drawn runs are read twice
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
 
 
@@ -216,19 +217,7 @@ def compare_several(
     Raises:
         InputError: Every run that cannot be read, or that shares no signal or time with the baseline.
     """
-    in_memory, cells = dict[int, RecordedRun](), 0
-
-    def read(k: int) -> RecordedRun:
-        """Return a run, which stays in memory as far as there is room."""
-        nonlocal cells
-        if k in in_memory:
-            return in_memory[k]
-        run = sources[k].read()
-        cells += run.results.values.size
-        if cells <= MOST_CELLS:
-            in_memory[k] = run
-        return run
-
+    read = lru_cache(MOST_IN_MEMORY)(lambda k: sources[k].read())
     base = read(baseline)
     comparisons: dict[int, Compared] = {}
     faults: list[Fault] = []

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from cosim.files.run_selection import Removal
 
 MOST_NAMES = 10
-UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
 def command(
@@ -74,7 +73,6 @@ def command(
 
 def _amount(removal: Removal) -> str:
     """Return a number of runs and their size as text."""
-    size, unit = float(removal.size), 0
-    while size >= 1000 and unit < len(UNITS) - 1:
-        size, unit = size / 1000, unit + 1
-    return f"{counted(len(removal.entries), 'earlier run')}, {size:.3g} {UNITS[unit]}"
+    from rich.filesize import decimal
+
+    return f"{counted(len(removal.entries), 'earlier run')}, {decimal(removal.size)}"
