@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import pkgutil
 import warnings
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -120,6 +120,13 @@ def page_for(components: Iterable[Collection[str]]) -> Page | None:
         if isinstance(page := load(PAGES, name), Page) and any(map(page.variables.issubset, sets)):
             return page
     return None
+
+
+def added_verbs() -> Iterator[tuple[str, Verb]]:
+    """Yield (name, verb) for each verb that an installed package adds."""
+    for name in names(VERBS):
+        if isinstance(verb := load(VERBS, name), Verb):
+            yield name, verb
 
 
 def names(group: str) -> list[str]:
