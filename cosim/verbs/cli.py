@@ -19,7 +19,6 @@ Args:
 from __future__ import annotations
 
 import functools
-import io
 import json
 import math
 import os
@@ -161,8 +160,9 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float]
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = TimeElapsedColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=20)
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not is_terminal) as bar:
-        task = bar.tasks[bar.add_task("starting", total=None)]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        bar.add_task("starting", total=None)
+        (task,) = bar.tasks
 
         def advance(first: Any, second: float) -> None:
             share = second if isinstance(first, str) else first / max(second, 1)
@@ -266,7 +266,7 @@ def entry() -> None:
         if getattr(sys, name) is None:  # closed; a file opened later would take its number
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "w" if number else "r", encoding="utf-8"))
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
+        if hasattr(stream, "reconfigure"):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = lambda message, category, *place: warn(str(message))
     try:
