@@ -15,7 +15,7 @@ from cosim.comparison.intermediate_rows import surroundings
 from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
-from cosim.core.text import amount, counted
+from cosim.core.text import amount, counted, some
 from cosim.core.times import rounding
 from cosim.core.units import Conversion, conversion, definition_of
 from cosim.files.results import is_rounded
@@ -124,7 +124,7 @@ class Compared(Comparison):
         reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
         reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
-            names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
+            names = some(self.only_a, MAX_LISTED)
             verb = "is" if missing == 1 else "are"
             reasons.append(f"{counted(missing, 'signal')} of {self.a.path} {verb} missing in {self.b.path}: {names}")
         return reasons + ([self.shorter] if self.shorter else [])

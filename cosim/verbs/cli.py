@@ -83,9 +83,8 @@ def say(*lines: str, met: bool | None = None) -> None:
 def warn(*texts: str) -> None:
     """Print warnings and notes on stderr, and keep them for JSON; -q omits notes."""
     for text in texts:
-        is_note = isinstance(text, Note)
-        MANNER.messages.append({"kind": "note" if is_note else "warning", "message": str(text)})
-        if not (MANNER.quiet and is_note):
+        MANNER.messages.append({"kind": "note" if isinstance(text, Note) else "warning", "message": str(text)})
+        if not (MANNER.quiet and isinstance(text, Note)):
             echo(with_severity(text), err=True)
 
 
@@ -131,11 +130,6 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     columns = [column for column in zip(*shown, strict=True) if any(column[1:])]
     padded = ([cell.ljust(max(map(len, column))) for cell in column] for column in columns)
     return ["  ".join(line).rstrip() for line in zip(*padded, strict=True)]
-
-
-def some(names: Sequence[str], most: int) -> str:
-    """Return the first `most` names as a list, with an ellipsis for omitted names."""
-    return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
 def show(report: Path, opens: bool) -> None:
@@ -224,7 +218,7 @@ def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[P
     """Return a parameter for Typer, whose values are text, and its name on the command line."""
     default = [] if parameter.default == () else parameter.default
     written = getattr(parameter.annotation, "__name__", str(parameter.annotation))
-    is_list = re.search(r"^(list|Given|Names|Values)\b|Files", written)
+    is_list = re.search("^(list|Given|Names|Values)|Files", written)
     kind: Any = bool if written == "bool" else list[str] if is_list else str
     flags, metavar = [n for n in names if n[0] == "-"], " ".join(n for n in names if n[0] != "-")
     if not flags and (default is Parameter.empty or metavar.startswith("[")):
@@ -239,19 +233,25 @@ def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[P
     return Parameter(parameter.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation), label
 
 
-def _main(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
-    if version:
+def _show_version(value: bool) -> None:
+    if value:
         say(f"cosim {__version__} (FMU co-simulation; not the command of the Open Simulation Platform)")
         raise typer.Exit
+
+
+VERSION = typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
 
 
 @functools.cache
 def command_line(chosen: str = "") -> typer.Typer:
     """Return the command line; if a verb is chosen, only it has options, because those of the others need imports."""
-    about = "Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model."
     keys = {"help_option_names": ["-h", "--help"]}
-    line = typer.Typer(help=about, context_settings=keys, no_args_is_help=True, pretty_exceptions_enable=False)
-    line.callback(invoke_without_command=True)(_main)
+    line = typer.Typer(context_settings=keys, no_args_is_help=True, pretty_exceptions_enable=False)
+
+    @line.callback()
+    def main(version: Annotated[bool, VERSION] = False) -> None:
+        """Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model."""
+
     for name, verb in () if chosen == "--version" else verbs(chosen):
         if verb.command and (command := attempt(name, verb.command)) is not None:
             run = _with_options(command, verb) if chosen in {"", name} else lambda: None

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.core.errors import CriterionMissed, InputError
 from cosim.core.settings import Count, NotNegative
+from cosim.core.text import some
 from cosim.files.files import FilePath
-from cosim.verbs.cli import say, say_json, show, some, table, warn
+from cosim.verbs.cli import say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared

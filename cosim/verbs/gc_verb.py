@@ -11,9 +11,9 @@ import typer
 
 from cosim.core.errors import InputError, refuse
 from cosim.core.settings import NotNegative, Whole
-from cosim.core.text import counted
+from cosim.core.text import counted, some
 from cosim.files.folders import RESULTS
-from cosim.verbs.cli import say, say_json, some, warn
+from cosim.verbs.cli import say, say_json, warn
 
 if TYPE_CHECKING:
     from cosim.files.run_selection import Removal

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from cosim.verbs.cli import say, say_json, some, table
+from cosim.core.text import some
+from cosim.verbs.cli import say, say_json, table
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable

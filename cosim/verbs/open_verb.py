@@ -6,8 +6,9 @@ import shlex
 from pathlib import Path
 
 from cosim.core.errors import InputError
+from cosim.core.text import some
 from cosim.files.folders import RESULTS
-from cosim.verbs.cli import say, say_json, show, some, warn
+from cosim.verbs.cli import say, say_json, show, warn
 
 PAGE = "report.html"
 MOST_NAMES = 5

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from cosim.core.settings import Port
-from cosim.core.text import counted
+from cosim.core.text import counted, some
 from cosim.files.folders import RESULTS
-from cosim.verbs.cli import progress_bar, say, say_json, show_page, some, warn
+from cosim.verbs.cli import progress_bar, say, say_json, show_page, warn
 
 MOST_NAMES = 5
 LAYOUTS = "view.json"
