@@ -229,7 +229,7 @@ def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[P
         metavar = metavar or written.partition(" ")[0].upper()
         info = typer.Option(*flags, metavar=None if kind is bool else metavar, help=meaning)
         default = None if default is Parameter.empty else default
-    annotation = Annotated[kind | None if default is None else kind, info]
+    annotation: Any = Annotated[kind | None if default is None else kind, info]
     return Parameter(parameter.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation), label
 
 
@@ -288,7 +288,7 @@ def entry() -> None:
     except Exception as error:
         if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
             raise
-        error.show()
+        error.show()  # type: ignore[attr-defined]
         if "--json" in sys.argv:
             say_json({"error": error.format_message(), "kind": "UsageError", "exit_code": 2, "faults": []})
         code = 2
