@@ -68,7 +68,8 @@ def check(
     faults: list[Fault] = []
     lines: list[str] = []
     paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
-    names = columns if isinstance(columns, Mapping) else read_column_names(columns or (), (paths or [Path("columns")])[0])
+    first = paths[0] if paths else Path("columns")
+    names = columns if isinstance(columns, Mapping) else read_column_names(columns or (), first)
     with compiling(compile):
         if permission.get() and not load:
             text = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
