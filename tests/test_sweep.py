@@ -190,7 +190,7 @@ def runs_in(folder: Path) -> int:
 def command(*words: object) -> Iterator[subprocess.Popen[bytes]]:
     """The command line in a group of processes of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    line = [sys.executable, "-m", "cosim.verbs.cli", *map(str, words)]
+    line = [sys.executable, "-m", "cosim", *map(str, words)]
 
     def heed_interrupts() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell's background job ignores it, and its children do
