@@ -229,7 +229,7 @@ def dormant_over_base() -> float:
 def startup_over_import(place: Path) -> float:
     """Compare a one-step run with its imports."""
     options = ["--no-report", "--force", "--out", str(place / "out")]
-    run = [sys.executable, "-m", "cosim.verbs.cli", "run", str(place / "one.yaml"), *options]
+    run = [sys.executable, "-m", "cosim", "run", str(place / "one.yaml"), *options]
     # As installed: with this variable set, each run would compile this package's modules, but no others.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 

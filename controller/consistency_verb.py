@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from cosim.core.settings import Seed
-from cosim.files.files import write_json, write_text
+from cosim.files.files import FilePath, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier
-from cosim.verbs.terminal import progress_bar, say, say_json, show, table
+from cosim.verbs.cli import progress_bar, say, say_json, show, table
 
 VERB, FILES = "cosim consistency", ("consistency.json", "report.html")
 
@@ -17,7 +15,7 @@ def command(
     runs: int = 50,
     steps: int = 500,
     seed: Seed = 1,
-    out: Path | None = None,
+    out: FilePath | None = None,
     report: bool = True,
     open: bool = False,
     force: bool = False,
@@ -31,7 +29,7 @@ def command(
         runs: Number of Monte Carlo runs of each case, at least 2.
         steps: Number of samples of each run, at least 100.
         seed: Seed for all random numbers.
-        out: Folder for the results (default: a new number in results/consistency).
+        out (--out -o PATH): Folder for the results (default: a new number in results/consistency).
 
     Example: cosim consistency --runs 50 --seed 1
     """

@@ -12,7 +12,7 @@ import typer.main
 
 import cosim.model
 from cosim.calibration.fitted import Fitted
-from cosim.comparison.page import Compared
+from cosim.comparison.differences import Compared
 from cosim.core.registry import resolve
 from cosim.refinement.refinement import Refined
 from cosim.residuals.replay_signals import Replay
@@ -20,7 +20,7 @@ from cosim.simulation.run_signals import Run, Signals
 from cosim.sweeps.store import Runs
 from cosim.sweeps.sweep_result import Swept
 from cosim.verbs import verbs
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 
 RESULTS = (Run, Signals, Replay, Fitted, Refined, Compared, Swept, Runs)
 ALIASES = {"Number", "Values"}  # of types: they have no docstring
@@ -30,7 +30,7 @@ SECTIONS = re.compile(r"^(Args|Attributes|Returns|Raises):$", re.MULTILINE)
 def format_command_line() -> str:
     """Return the reference of all verbs, by group."""
     parts, group = [], ""
-    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, command in typer.main.get_command(command_line()).commands.items():  # type: ignore[attr-defined]
         if command.rich_help_panel != group:
             group = command.rich_help_panel
             parts.append(f"## {group}")
@@ -82,7 +82,7 @@ def format_sections(docstring: str) -> Iterator[str]:
         if title == "Returns":
             yield f"Returns: {' '.join(content.split())}"
             continue
-        items = re.findall(r"^    (\w+): (.*?)(?=^    \w+: |\Z)", content, re.MULTILINE | re.DOTALL)
+        items = re.findall(r"^    (\w+)(?: \(.*?\))?: (.*?)(?=^    \w|\Z)", content, re.MULTILINE | re.DOTALL)
         heading = {"Args": "argument", "Attributes": "attribute", "Raises": "error"}[title]
         yield format_table((heading, "meaning"), [(f"`{name}`", " ".join(meaning.split())) for name, meaning in items])
 

@@ -13,7 +13,7 @@ from cosim.core.version import __version__
 from cosim.files.artefact import MANIFEST
 from cosim.files.kinds import kind_of
 from cosim.files.results import read_results
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from tests.test_first_steps import told
 
 ROWS = "time,a.x\n0.0,0.0\n0.5,0.25\n1.0,0.125\n"
@@ -36,7 +36,7 @@ def _write(folder: Path, **record: Any) -> None:
 
 
 def _invoke(*words: str) -> Any:
-    return CliRunner().invoke(app, [*words])
+    return CliRunner().invoke(command_line(), [*words])
 
 
 @pytest.mark.parametrize(

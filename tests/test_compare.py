@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import cosim
 from cosim.comparison.differences import Compared, compare_runs
-from cosim.comparison.several import RunSource
-from cosim.comparison.workflow import compare
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.artefact import kind_by_keys
@@ -258,8 +255,7 @@ def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is()
 
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
 def test_a_tolerance_that_is_none_is_refused(value: float, tmp_path: Path) -> None:
-    sources = [RunSource(name, Path(name), partial(ran, name, x=TIME)) for name in "abc"]
-    for count, option in itertools.product((2, 3), ("tolerance", "absolute")):
-        with pytest.raises(InputError):
-            compare(sources[:count], tmp_path / "out", as_pair=count == 2, **{option: value})  # type: ignore[arg-type]
+    for option in ("tolerance", "absolute"):
+        with pytest.raises(InputError, match=f"^{option}: is {value}"):
+            cosim.compare(["a.csv", "b.csv"], out=tmp_path / "out", **{option: value})
     assert not (tmp_path / "out").exists()

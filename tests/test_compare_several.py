@@ -15,7 +15,7 @@ import cosim
 from cosim.comparison.several import ComparedRuns
 from cosim.core.errors import CriterionMissed, InputError
 from cosim.files.results import Results
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 
 TIME = np.linspace(0, 1, 101)
 SCENARIO = "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
@@ -34,7 +34,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _invoke(words: Sequence[str]) -> Any:
-    return CliRunner().invoke(app, ["compare", *words])
+    return CliRunner().invoke(command_line(), ["compare", *words])
 
 
 def test_the_command_compares_runs_of_a_pattern(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

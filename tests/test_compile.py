@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import cosim
 from cosim.core.errors import CosimError, FmuError, InputError
 from cosim.fmi.native.compiler import compiler
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from tests.bounce1 import bounce_fmu, library
 from tests.corpus.inputs import FMU_SOURCES
 from tests.typed import TYPED2
@@ -91,7 +91,7 @@ def test_every_verb_that_runs_an_fmu_compiles_it(
     (tmp_path / "log.csv").write_text("time,wind,h\n" + "".join(f"{k / 100:.2f},0,1\n" for k in range(30)))
 
     def done(*command: str) -> str:
-        result = CliRunner().invoke(app, list(command))
+        result = CliRunner().invoke(command_line(), list(command))
         assert result.exit_code == 0, (command, result.output, result.exception)
         return result.output
 
@@ -143,4 +143,4 @@ def test_the_permission_ends_with_the_command(tmp_path: Path, compiled: Callable
     cosim.simulate(fmu, in_process=True, compile=True)
     with pytest.raises(FmuError, match="--compile"):
         cosim.simulate(fmu, in_process=True)
-    assert json.loads(CliRunner().invoke(app, ["info", str(fmu), "--json"]).output)["runs_here"] is False
+    assert json.loads(CliRunner().invoke(command_line(), ["info", str(fmu), "--json"]).output)["runs_here"] is False

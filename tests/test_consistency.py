@@ -19,7 +19,7 @@ from controller.consistency import (
 )
 from controller.monte_carlo import CASES, FlightCase, squares_of
 from cosim.core.errors import InputError
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 
 
 def test_chi_squares_are_consistent_and_scaled_ones_are_told_by_how_much() -> None:
@@ -97,7 +97,9 @@ def test_elsewhere_it_is_said_which_way_an_estimator_is_wrong() -> None:
 @pytest.mark.thorough
 def test_the_command_prints_every_case_with_its_verdict_and_leaves_a_page(tmp_path: Path) -> None:
     out = tmp_path / "new" / "folder"
-    done = CliRunner().invoke(app, ["consistency", "--runs", "2", "--steps", "100", "--json", "--out", str(out)])
+    done = CliRunner().invoke(
+        command_line(), ["consistency", "--runs", "2", "--steps", "100", "--json", "--out", str(out)]
+    )
     assert done.exit_code == 0, done.output
     rows = json.loads(done.output)
     assert json.loads((out / "consistency.json").read_text()) == {"runs": 2, "steps": 100, "seed": 1, "rows": rows}
@@ -119,7 +121,7 @@ def test_the_command_prints_every_case_with_its_verdict_and_leaves_a_page(tmp_pa
 def test_too_few_or_too_many_runs_are_refused_before_a_folder_is_made(
     asked: list[str], told: str, tmp_path: Path
 ) -> None:
-    done = CliRunner().invoke(app, ["consistency", *asked, "--out", str(tmp_path / "new")])
+    done = CliRunner().invoke(command_line(), ["consistency", *asked, "--out", str(tmp_path / "new")])
     assert getattr(done.exception, "exit_code", done.exit_code) == 2
     assert str(done.exception).startswith(told)
     assert not (tmp_path / "new").exists()

@@ -20,7 +20,7 @@ import typer.main
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.fmi.fmu_build import build
 from cosim.verbs import verbs
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.test_first_steps import told
@@ -101,7 +101,7 @@ def test_the_recipes_for_a_refined_model_run_and_overwrite_no_fmu_of_a_scenario(
     for line in lines:
         if "excite" not in line:  # tests/test_excite.py has it
             arguments = shlex.split(line, comments=True)[1:]
-            app([*arguments, *(short if "run" in arguments else ())], standalone_mode=False)
+            command_line()([*arguments, *(short if "run" in arguments else ())], standalone_mode=False)
     assert (project / "build" / "plant.fmu").read_bytes() == before
 
 
@@ -207,7 +207,7 @@ def script_of_docs(name: str) -> ModuleType:
 def test_the_reference_of_the_command_line_has_every_verb_and_option() -> None:
     sections = re.split(r"^### ", script_of_docs("reference").format_command_line(), flags=re.MULTILINE)[1:]
     text_of = {section.split("\n")[0]: section for section in sections}
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    commands = typer.main.get_command(command_line()).commands  # type: ignore[attr-defined]
     assert set(text_of) == set(commands)
     for name, command in commands.items():
         for parameter in command.params:

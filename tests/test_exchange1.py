@@ -14,7 +14,7 @@ from cosim.files.results import Results
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from tests.bounce1 import bounce_fmu
 
 
@@ -65,7 +65,7 @@ def test_every_verb_takes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.chdir(tmp_path)
 
     def done(*command: str) -> str:
-        result = CliRunner().invoke(app, list(command))
+        result = CliRunner().invoke(command_line(), list(command))
         assert result.exit_code == 0, result.output
         return result.output
 

@@ -26,7 +26,7 @@ from cosim.experiment.excite import excite
 from cosim.logs.log import read_log
 from cosim.refinement.search.attribution import Attributor
 from cosim.simulation.workflow import run
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from plant.hovercraft import Hovercraft
 from tests.blind.truth import VARIANCE
 from tests.blind.truth_craft import STEP, Craft, Flight
@@ -214,7 +214,7 @@ def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path:
 def test_a_question_that_cannot_be_asked_is_told_with_its_cure(
     tmp_path: Path, arguments: list[str], words: str
 ) -> None:
-    done = command.invoke(app, ["excite", *arguments, "--out", str(tmp_path)])
+    done = command.invoke(command_line(), ["excite", *arguments, "--out", str(tmp_path)])
     assert isinstance(done.exception, InputError)
     assert done.exception.exit_code == 2
     assert words in str(done.exception)

@@ -15,7 +15,7 @@ from cosim.blocks.component import Signal
 from cosim.core.errors import CosimError
 from cosim.files.results import read_results
 from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from cosim.verbs.run_verb import run
 from cosim.verbs.simulate_verb import simulate
 from tests.typed import typed_fmu
@@ -26,7 +26,7 @@ RUNS = '<DefaultExperiment startTime="0" stopTime="2" stepSize="0.5"/>'
 
 def told(*arguments: str | Path, code: int = 0) -> str:
     """What a command says on stdout, or of what is wrong, with its exit code."""
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    done = CliRunner().invoke(command_line(), [str(a) for a in arguments])
     if isinstance(done.exception, CosimError):
         assert done.exception.exit_code == code, done.exception
         return str(done.exception)
@@ -183,7 +183,9 @@ def test_a_folder_of_another_run_or_a_scenario_of_ones_own_is_not_written_over(t
 )  # fmt: skip
 def test_a_run_ends_at_a_whole_step(tmp_path: Path, options: list[str], last: float) -> None:
     fmu, out = typed_fmu(tmp_path, **{EXPERIMENT: RUNS}), tmp_path / "out"
-    done = CliRunner().invoke(app, ["simulate", "--in-process", str(fmu), *options, "--out", str(out), "--no-report"])
+    done = CliRunner().invoke(
+        command_line(), ["simulate", "--in-process", str(fmu), *options, "--out", str(out), "--no-report"]
+    )
     assert done.exit_code == 0
     assert float((out / "results.csv").read_text().splitlines()[-1].partition(",")[0]) == last
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from cosim.core.errors import CosimError
 from cosim.files.artefact import BINARY, LOG, RESULTS, SCENARIO
 from cosim.files.kinds import kind_of
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 
 SHORT = 400  # characters that are read before one gives up
 NAMES = (
@@ -175,7 +175,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _refused(command: str, name: str) -> str:
     here = ["--in-process"] if command.split()[0] in {"run", "replay"} else []  # no worker has to be started
     out = ["--out", "made.yaml"] if command == "init" else []
-    done = CliRunner().invoke(app, [*command.split(), name, *here, *out])
+    done = CliRunner().invoke(command_line(), [*command.split(), name, *here, *out])
     assert isinstance(done.exception, CosimError), (done.exception, done.output)
     assert done.exception.exit_code == 2, done.exception
     lines = str(done.exception).splitlines()

@@ -15,14 +15,14 @@ import typer.main
 from typer.testing import CliRunner
 
 from cosim.files.folders import runs_named
-from cosim.verbs.cli import app, entry
+from cosim.verbs.cli import command_line, entry
 from tests.cart import cart_fmu
 from tests.deeds import deeds_scenario
 from tests.logs import times, write_log
 from tests.tank import MODEL as TANK
 from tests.typed import typed_fmu
 
-COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+COMMANDS = typer.main.get_command(command_line()).commands  # type: ignore[attr-defined]
 WITHOUT_FILES = {"bench", "consistency", "gc", "list", "open", "schema"}  # some print JSON alone
 ASKED = {"build": ["--model"], "compare": ["none.csv"], "fit": ["--fmu", "none.fmu"]}
 
@@ -52,7 +52,7 @@ def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureF
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help_quiet_verbose_and_an_example_that_its_parser_takes(command: str) -> None:
-    done = CliRunner().invoke(app, [command, "-h"])
+    done = CliRunner().invoke(command_line(), [command, "-h"])
     assert done.exit_code == 0
     for option in ("-q", "-v", "-h", *(("--json",) if command not in {"bench", "schema"} else ())):
         assert option in done.output, option

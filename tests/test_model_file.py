@@ -17,7 +17,7 @@ from cosim.fmi.building.source import ModelText
 from cosim.fmi.description import read_description
 from cosim.simulation.trial import check_fmu
 from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from plant.hovercraft import Hovercraft
 from tests.table import TABLE
 
@@ -288,7 +288,7 @@ def test_a_study_in_place_of_a_model_is_refused_by_its_kind(tmp_path: Path) -> N
     (study := tmp_path / "study.yaml").write_text("logs: {estimation: [a.csv]}\n")
     out = ["--out", str(tmp_path / "out")]
     for call in (["excite", str(study), *out], ["build", "--model", str(study), *out]):
-        refused = CliRunner().invoke(app, call).exception
+        refused = CliRunner().invoke(command_line(), call).exception
         assert isinstance(refused, InputError)
         (fault,) = refused.faults
         assert (fault.file, refused.exit_code) == (study, 2)
@@ -298,7 +298,7 @@ def test_the_fmu_of_a_model_in_volts_and_amperes_defines_its_units(tmp_path: Pat
     volts = ('Quantity("torque", "N.m"', 'Quantity("torque", "V"')
     table(tmp_path, volts, ('unit="N.m.s/rad"', 'unit="V.A.s2/rad"'), ('unit="kg.m2"', 'unit="kΩ.A.s/rad"'))
     call = ["build", "--model", f"{tmp_path / 'table.py'}:Table", "--out", str(tmp_path)]
-    assert CliRunner().invoke(app, call).exit_code == 0
+    assert CliRunner().invoke(command_line(), call).exit_code == 0
     assert not check_fmu(tmp_path / "plant.fmu")
     definitions = read_description(tmp_path / "plant.fmu").unitDefinitions
     found = {u.name: (u.baseUnit.kg, u.baseUnit.m, u.baseUnit.s, u.baseUnit.A, u.baseUnit.factor) for u in definitions}

@@ -14,7 +14,7 @@ from cosim.core.errors import InputError
 from cosim.fmi.fmu_build import build
 from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from fmus.recipes import plant_recipe
 from tests.test_log import RECORDED
 
@@ -152,6 +152,6 @@ def test_a_file_of_another_kind_is_told_with_the_command_that_reads_it(
     (tmp_path / "case.yaml").write_text("components: {}\n")
     (tmp_path / "study.yaml").write_text("logs: {estimation: [log.CSV]}\n")
     with pytest.raises(InputError) as caught:
-        app(arguments.split(), standalone_mode=False)
+        command_line()(arguments.split(), standalone_mode=False)
     assert words in str(caught.value)
     assert caught.value.exit_code == 2

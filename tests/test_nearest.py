@@ -13,7 +13,7 @@ from cosim.core.errors import InputError
 from cosim.fmi.building.build import build
 from cosim.fmi.description import read_description
 from cosim.simulation.workflow import run
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 
 
 def refine_left(folder: Path, grade: str | None = "nearest", fmu: Path | None = None) -> Path:
@@ -39,7 +39,7 @@ def mass_of(fmu: Path) -> float:
 def test_build_takes_the_nearest_model_of_a_refine_however_it_is_named(tmp_path: Path, named: str) -> None:
     refined = refine_left(tmp_path / "refined")
     done = CliRunner().invoke(
-        app, ["build", "--model", str(refined / named), "--nearest", "--out", str(tmp_path / "built")]
+        command_line(), ["build", "--model", str(refined / named), "--nearest", "--out", str(tmp_path / "built")]
     )
     assert done.exit_code == 0, done.output
     assert mass_of(tmp_path / "built" / "plant.fmu") == 0.9

@@ -13,7 +13,6 @@ import pytest
 import cosim
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
-from cosim.comparison.page import drawn
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.results import Results
@@ -86,7 +85,7 @@ def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
         return RecordedRun(Path(name), name, results, {})
 
     compared = compare_runs(ran("a", np.arange(9.0)), ran("b", np.arange(9.0) ** 2))
-    (frame,) = frames(drawn(compared)._repr_html_())
+    (frame,) = frames(compared._repr_html_())
     assert "x, b − a" in frame
     entry = {"start": 1.0, "value": 2.0, "unit": "kg", "ci95": [1.5, 2.5], "status": "estimated"}
     fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})

@@ -20,7 +20,7 @@ from cosim.logs.log import read_log
 from cosim.refinement.study import StudyFile, read_study
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.sweeps.reading import read_sweep
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from tests.typed import typed_fmu
 
 TANK = """
@@ -203,8 +203,8 @@ def test_units_are_taken_from_set_and_from_python(tmp_path: Path) -> None:
     assert file.scenario.components["r"].signals["T"].start == 0.0  # type: ignore[union-attr]
     made = cosim.run(path, set={"duration": "2 s", "start_time": 0}, in_process=True, report=False)
     assert made.time[-1] == 2.0
-    done = CliRunner().invoke(app, ["simulate", str(tmp_path / "typed.fmu"), "--stop", "200ms", "--step", "0.1 s",
-                                    "--in-process", "--no-report", "--out", str(tmp_path / "out")])  # fmt: skip
+    words = f"simulate {tmp_path}/typed.fmu --stop 200ms --in-process --no-report --out {tmp_path}/out --step"
+    done = CliRunner().invoke(command_line(), [*words.split(), "0.1 s"])
     assert done.exit_code == 0, done.output
     assert cosim.read(tmp_path / "out").time[-1] == pytest.approx(0.2)  # type: ignore[union-attr]
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import cosim
 from cosim.core.errors import CosimError, InputError
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from tests.conftest import ROOT
 from tests.deeds import deeds_scenario
 from tests.test_verbs import desk as desk
@@ -32,7 +32,7 @@ SOON = 60.0  # [s]
 
 def do(*words: object, code: int = 0) -> str:
     """Return the output of a command."""
-    done = CliRunner().invoke(app, [*map(str, words)])
+    done = CliRunner().invoke(command_line(), [*map(str, words)])
     ended = done.exception.exit_code if isinstance(done.exception, CosimError) else done.exit_code
     assert ended == code, (words, done.output, done.exception)
     return done.stdout

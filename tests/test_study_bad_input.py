@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from cosim.core.errors import InputError
 from cosim.refinement.study import read_study
 from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from tests.cases import some
 from tests.tank import MODEL, tank_log
 
@@ -37,7 +37,7 @@ def told(folder: Path, files: dict[str, str], study: str) -> list[str]:
     with pytest.raises(InputError) as checked:
         check_files(path)
     assert checked.value.faults == refused.value.faults
-    done = CliRunner().invoke(app, ["refine", str(path), "--out", str(folder / "out")])
+    done = CliRunner().invoke(command_line(), ["refine", str(path), "--out", str(folder / "out")])
     assert isinstance(done.exception, InputError)
     assert done.exception.faults == refused.value.faults
     assert not (folder / "out").exists()

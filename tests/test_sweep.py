@@ -29,7 +29,7 @@ from cosim.sweeps.sampling import Factor, columns_of, distribution
 from cosim.sweeps.store import read_table, signal_of
 from cosim.sweeps.sweep_result import repeat_command
 from cosim.sweeps.workflow import sweep
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 from tests.full_disk import full_disk
 from tests.tank import MODEL
 
@@ -89,7 +89,7 @@ def swept(path: Path, out: str, **options: Any) -> Any:
 
 
 def exit_code(*words: object) -> int:
-    done = CliRunner().invoke(app, [*map(str, words)])
+    done = CliRunner().invoke(command_line(), [*map(str, words)])
     return int(getattr(done.exception, "exit_code", done.exit_code))
 
 
@@ -190,7 +190,7 @@ def runs_in(folder: Path) -> int:
 def command(*words: object) -> Iterator[subprocess.Popen[bytes]]:
     """The command line in a group of processes of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    line = [sys.executable, "-m", "cosim.verbs.cli", *map(str, words)]
+    line = [sys.executable, "-m", "cosim", *map(str, words)]
 
     def heed_interrupts() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell's background job ignores it, and its children do
@@ -243,7 +243,7 @@ def test_parts_are_joined_to_the_table_of_a_whole_sweep(tanks: Callable[..., Pat
     out = path.parent / "out"
 
     part = ("sweep", path, "--workers", 1, "--json", "--out", out)
-    first = CliRunner().invoke(app, [*map(str, part), "--part", "1/3"])
+    first = CliRunner().invoke(command_line(), [*map(str, part), "--part", "1/3"])
     assert (first.exit_code, json.loads(first.output)["runs"]) == (0, 4)
     assert exit_code(*part, "--join") == 2  # runs are missing
     for each in ("2/3", "3/3", "2/3"):

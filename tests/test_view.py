@@ -29,7 +29,7 @@ from cosim.pages.runs import RunPlace, ViewedRun, find_runs, open_runs
 from cosim.pages.server import ServedPage
 from cosim.pages.tables import ColumnTypes, open_rows
 from cosim.pages.view_page import view_page
-from cosim.verbs.cli import app
+from cosim.verbs.cli import command_line
 
 RNG = np.random.default_rng
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -293,7 +293,7 @@ def test_bad_input_ends_with_code_2_and_leaves_all_as_it_is(folder: Path, words:
         taken.listen()
         words = words.replace("-p {port}", f"--port {taken.getsockname()[1]}")
         prepare = [] if "--port" in words else ["--prepare"]
-        done = CliRunner().invoke(app, ["view", *words.split(), "--no-browser", *prepare])
+        done = CliRunner().invoke(command_line(), ["view", *words.split(), "--no-browser", *prepare])
     assert (done.exception.exit_code if isinstance(done.exception, InputError) else done.exit_code) == 2
     assert sorted(folder.rglob("*")) == before
 

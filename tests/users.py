@@ -48,7 +48,7 @@ def shared_folder() -> Iterator[Path]:
 
 def command(*arguments: object, python: str = sys.executable) -> list[str]:
     """Return the words of a command."""
-    return [python, "-m", "cosim.verbs.cli", *map(str, arguments)]
+    return [python, "-m", "cosim", *map(str, arguments)]
 
 
 def cosim(

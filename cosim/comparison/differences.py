@@ -12,10 +12,10 @@ import numpy as np
 from cosim.blocks.component import Signal
 from cosim.comparison import signals
 from cosim.comparison.intermediate_rows import surroundings
-from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
+from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
-from cosim.core.text import amount, counted
+from cosim.core.text import amount, counted, some
 from cosim.core.times import rounding
 from cosim.core.units import Conversion, conversion, definition_of
 from cosim.files.results import is_rounded
@@ -23,27 +23,48 @@ from cosim.simulation.run_files import RecordedRun
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 MAX_LISTED = 12  # signals in a short text
+MAX_DRAWN = 4  # signals in a figure by default
 
 
 class Comparison:
-    """What comparisons of two and of several runs have in common: a text."""
+    """What comparisons of two and of several runs show in Python: a text, the cell of a notebook, a figure."""
 
-    @property
-    def summary(self) -> str:
-        """Return the outcome in a sentence."""
-        raise NotImplementedError
-
-    @property
-    def cells(self) -> list[tuple[str, ...]]:
-        """Return the headings of a table, and a row for each signal, largest share first."""
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
+    def __repr__(self: Any) -> str:
         rows = self.cells[1:]
         more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
         return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
+
+    def _repr_html_(self: Any) -> str:
+        from cosim.comparison.page import panels_of
+        from cosim.core.notebook import heading, table
+        from cosim.report.cell.cell import cell_of, rows_to_show
+
+        heads, *cells = self.cells
+        drawn = {name: self.values[name] for name in self.drawable[:MAX_DRAWN]}
+        rows = rows_to_show([values for curves in drawn.values() for values in curves])
+        panels = [p for name, curves in drawn.items() for p in panels_of(self, name, [v[rows] for v in curves])]
+        omitted = len(cells) - len(drawn)
+        chart = cell_of(self.time[rows], panels, self.summary, rows=len(self.time), omitted=omitted)
+        return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
+
+    def plot(self: Any, *names: str) -> Figure:
+        """Return a matplotlib figure of all runs, by default for the most different signals.
+
+        Raises:
+            KeyError: A signal has no curves.
+        """
+        from cosim.comparison.page import panels_of
+        from cosim.files.yaml_file import did_you_mean
+        from cosim.simulation.report.figures import sheet
+
+        for name in names:
+            if name not in self.drawable:
+                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.drawable)}')
+        shown = names or self.drawable[:MAX_DRAWN]
+        return sheet(self.time, [panel for name in shown for panel in panels_of(self, name, self.values[name])])
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,7 +124,7 @@ class Compared(Comparison):
         reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
         reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
-            names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
+            names = some(self.only_a, MAX_LISTED)
             verb = "is" if missing == 1 else "are"
             reasons.append(f"{counted(missing, 'signal')} of {self.a.path} {verb} missing in {self.b.path}: {names}")
         return reasons + ([self.shorter] if self.shorter else [])
@@ -180,7 +201,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
         raise InputError.at(b.path, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")
-    allowed, has_tolerance = Tolerance(tolerance, absolute), tolerance is not None
+    has_tolerance = tolerance is not None
     of_a, of_b = a.results, b.results
     values: dict[str, tuple[Array, Array]] = {}
     between = jumps = held = None
@@ -209,16 +230,15 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
             at_times = np.interp(time, of_b.time, second)
             at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], at_times)
         values[name] = first[rows], at_times
-        found = signals.compare_numbers(name, unit or other, time, values[name], allowed, by)
+        found = signals.compare_numbers(name, unit or other, time, values[name], by)
         found = replace(found, note=signals.unit_note(unit, other, found, by))
-        if around is None:
-            return found
-        outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
-        if outside <= max(found.largest, signals.ROUNDING * found.scale):
-            return found
-        share, beyond = outside / found.scale, found.beyond or allowed.is_exceeded(outside, found.scale)
-        note = "; ".join(filter(None, [found.note, signals.BETWEEN]))
-        return replace(found, largest=outside, at=at, share=share, beyond=beyond, note=note)
+        if around is not None:
+            outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
+            if outside > max(found.largest, signals.ROUNDING * found.scale):
+                note = "; ".join(filter(None, [found.note, signals.BETWEEN]))
+                found = replace(found, largest=outside, at=at, share=outside / found.scale, note=note)
+        is_beyond = tolerance is not None and not found.largest <= absolute + tolerance * found.scale  # also of NaN
+        return replace(found, beyond=is_beyond)
 
     step = float(np.max(np.diff(of_a.time))) if of_a.time.size > 1 else 0.0
     ends = []

@@ -4,86 +4,31 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cosim.comparison import differences, several
-from cosim.comparison.differences import MAX_LISTED, criteria_of, sentence
+from cosim.comparison.differences import criteria_of, sentence
 from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.core.arrays import Array, far_beyond
-from cosim.core.notebook import heading, table
 from cosim.core.text import amount, counted, written
 from cosim.core.version import __version__
 from cosim.files.run_inputs import input_text
-from cosim.report.cell.cell import cell_of, rows_to_show
 from cosim.report.charts import Charts
 from cosim.report.panels import Panel, Trace, display_unit
 from cosim.report.template import render
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 TEMPLATES = Path(__file__).with_name("templates")
 MAX_PLOTTED = 24  # signals on the page of two runs, those with the largest differences
-MAX_DRAWN = 4  # signals in a figure by default
 MOST_LABELS = 4  # runs whose legends have labels with inputs; legends of more runs have short names
 MAX_ROWS = 200  # signals and inputs in a table; comparison.json has all
 BASELINE, STYLES = "baseline", 15  # styles of lines: `run0` … `run14` for the others
-Curve = tuple[str, Array, str]  # label, values, style
 
 
-class Drawn:
-    """What comparisons show in Python: the cell of a notebook and a figure."""
-
-    def _repr_html_(self: Any) -> str:
-        heads, *cells = self.cells
-        drawn = {name: _curves(self, name) for name in self.drawable[:MAX_DRAWN]}
-        rows = rows_to_show([values for curves in drawn.values() for values in curves])
-        panels = [p for name, curves in drawn.items() for p in _panels(self, name, [v[rows] for v in curves])]
-        omitted = len(cells) - len(drawn)
-        chart = cell_of(self.time[rows], panels, self.summary, rows=len(self.time), omitted=omitted)
-        return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
-
-    def plot(self: Any, *names: str) -> Figure:
-        """Return a matplotlib figure of all runs, by default for the most different signals.
-
-        Raises:
-            KeyError: A signal has no curves.
-        """
-        from cosim.files.yaml_file import did_you_mean
-        from cosim.simulation.report.figures import sheet
-
-        for name in names:
-            if name not in self.drawable:
-                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.drawable)}')
-        shown = names or self.drawable[:MAX_DRAWN]
-        return sheet(self.time, [panel for name in shown for panel in _panels(self, name, _curves(self, name))])
-
-
-@dataclass(frozen=True, repr=False)
-class Compared(Drawn, differences.Compared):
-    """Differences of two runs, which draw themselves."""
-
-
-@dataclass(frozen=True, repr=False)
-class ComparedRuns(Drawn, several.ComparedRuns):
-    """Differences of several runs from a baseline, which draw themselves."""
-
-
-def drawn(c: differences.Compared | several.ComparedRuns) -> Compared | ComparedRuns:
-    """Return a comparison that draws itself."""
-    return (Compared if isinstance(c, differences.Compared) else ComparedRuns)(**vars(c))
-
-
-def _curves(c: Any, name: str) -> Sequence[Array]:
-    curves: Sequence[Array] = (c.values if isinstance(c, differences.Compared) else c.curves)[name]
-    return curves
-
-
-def _panels(c: Any, name: str, curves: Sequence[Array]) -> list[Panel]:
+def panels_of(c: Any, name: str, curves: Sequence[Array]) -> list[Panel]:
+    """Return the panels of a signal."""
     if isinstance(c, differences.Compared):
         unit = next(d.unit for d in c.differences if d.name == name)
         return _pair_panels(name, unit, (c.a.name, c.b.name), curves)
@@ -178,7 +123,7 @@ def _several_values(c: several.ComparedRuns, charts: Charts) -> dict[str, Any]:
     labels = [(c.labels if len(c.drawn) <= MOST_LABELS else c.shorts)[k] for k in c.drawn]
     styles, drawing = _styles(len(c.drawn), base), charts.over(c.time)
     panels, equal_panels = list[Panel](), list[Panel]()
-    for name, values in c.curves.items():
+    for name, values in c.values.items():
         unit, first = c.units[name], values[base]
         if name in equal:
             equal_panels.append(_panel(name, unit, [("all runs", first, BASELINE)]))
@@ -204,7 +149,7 @@ def _several_values(c: several.ComparedRuns, charts: Charts) -> dict[str, Any]:
         names = [text.rpartition("/")[2] if text.startswith("/") else text for text in texts]  # the last part of paths
         inputs.append((row.name, row.kind, *(names if len({*names}) == len({*texts}) else texts)))
     criteria = []
-    for title, outcomes in c.criteria.items():
+    for title, outcomes in criteria_of(c.runs).items():
         limits = {_criterion_limit(entry) for entry in outcomes if entry is not None}
         is_one = len(limits) == 1  # which is told once
         cells = [_criterion_cell(entry, limit=not is_one) for entry in outcomes]
@@ -217,7 +162,7 @@ def _several_values(c: several.ComparedRuns, charts: Charts) -> dict[str, Any]:
         "paths": [c.runs[k].path for k in (c.baseline, *c.others)],
         "base": short,
         "count": counted(len(c.others), "run"),
-        "outcome": several.sentence(c),
+        "outcome": c.summary,
         "runs": runs,
         "shorts": c.shorts,
         "inputs": inputs,

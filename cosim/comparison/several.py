@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     import pandas
 
 MAX_RUNS, MAX_SIGNALS = 12, 12  # drawn
-MOST_CELLS = 50_000_000  # values of runs that stay in memory; beyond, drawn runs are read twice
+MOST_IN_MEMORY = 4  # runs; beyond, drawn runs are read twice
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
 
 
@@ -58,7 +59,7 @@ class ComparedRuns(Comparison):
         inputs: Inputs that differ between the runs.
         drawn: Indices of the drawn runs: the baseline and those that differ most.
         time: Times of the baseline [s].
-        curves: Signal → values of each drawn run at these times, in the unit of the baseline; NaN without a value.
+        values: Signal → values of each drawn run at these times, in the unit of the baseline; NaN without a value.
         units: Signal → unit.
         left_out: Reasons why results that a pattern matched are not compared.
     """
@@ -70,7 +71,7 @@ class ComparedRuns(Comparison):
     inputs: tuple[DifferingInput, ...]
     drawn: tuple[int, ...]
     time: Array
-    curves: dict[str, list[Array]]
+    values: dict[str, list[Array]]
     units: dict[str, str]
     left_out: tuple[str, ...] = ()
 
@@ -128,20 +129,26 @@ class ComparedRuns(Comparison):
         return [name for name in self.table if name not in differing]
 
     @property
-    def criteria(self) -> dict[str, list[dict[str, Any] | None]]:
-        """Return title → outcome in each run, None for runs without the criterion."""
-        return criteria_of(self.runs)
-
-    @property
     def drawable(self) -> list[str]:
         """Return the signals with curves, equal ones last."""
         equal = {*self.equal}
-        return sorted(self.curves, key=lambda name: name in equal)
+        return sorted(self.values, key=lambda name: name in equal)
 
     @property
     def summary(self) -> str:
         """Return the outcome in a sentence."""
-        return sentence(self)
+        base, count = self.labels[self.baseline], len(self.comparisons)
+        largest = [(max(x.differences, key=lambda d: d.share), x) for x in self.comparisons]
+        worst, where = max(largest, key=lambda pair: pair[0].share)
+        most = f"{describe_largest(worst)}, in {where.b.name}"
+        if not worst.largest:
+            return f"{'All' if count > 1 else 'The'} {counted(count, 'other run')} equal {base} in every common signal."
+        if not self.judged:
+            differ = sum(d.largest > 0 for d, _ in largest)
+            return f"{differ} of {counted(count, 'run')} {'differs' if differ == 1 else 'differ'} from {base}; {most}."
+        within = sum(x.same for x in self.comparisons)
+        verb = "is" if within == 1 else "are"
+        return f"{within} of {counted(count, 'run')} {verb} within the tolerance of {base}; {most}."
 
     @property
     def cells(self) -> list[tuple[str, ...]]:
@@ -189,12 +196,12 @@ class ComparedRuns(Comparison):
                 for k, run in enumerate(self.runs)
             ],
             "inputs": [{"kind": i.kind, "name": i.name, "values": list(i.values)} for i in self.inputs],
-            "criteria": [{"what": title, "outcomes": outcomes} for title, outcomes in self.criteria.items()],
+            "criteria": [{"what": title, "outcomes": outcomes} for title, outcomes in criteria_of(self.runs).items()],
             "signals": [
                 {"name": name, "differences": [None if d is None else d.as_json(named=False) for d in cells]}
                 for name, cells in self.table.items()
             ],
-            "drawn": {"runs": [self.labels[k] for k in self.drawn], "signals": [*self.curves]},
+            "drawn": {"runs": [self.labels[k] for k in self.drawn], "signals": [*self.values]},
         }
 
 
@@ -210,19 +217,7 @@ def compare_several(
     Raises:
         InputError: Every run that cannot be read, or that shares no signal or time with the baseline.
     """
-    in_memory, cells = dict[int, RecordedRun](), 0
-
-    def read(k: int) -> RecordedRun:
-        """Return a run, which stays in memory as far as there is room."""
-        nonlocal cells
-        if k in in_memory:
-            return in_memory[k]
-        run = sources[k].read()
-        cells += run.results.values.size
-        if cells <= MOST_CELLS:
-            in_memory[k] = run
-        return run
-
+    read = lru_cache(MOST_IN_MEMORY)(lambda k: sources[k].read())
     base = read(baseline)
     comparisons: dict[int, Compared] = {}
     faults: list[Fault] = []
@@ -263,7 +258,7 @@ def compare_several(
             if name in found.values:
                 values[first : first + found.time.size] = found.values[name][1]
             of_runs.append(values)
-    return replace(compared, curves=curves, units={name: numbers.units.get(name, "") for name in curves})
+    return replace(compared, values=curves, units={name: numbers.units.get(name, "") for name in curves})
 
 
 def label_runs(
@@ -272,20 +267,3 @@ def label_runs(
     """Return a label for each run, with the inputs that differ between the runs: `run 3 (mass = 440)`."""
     inputs = differing_inputs([run.manifest or replay_record(run.path) for run in runs])
     return labels_of(shorts, inputs, unique=[str(run.path) for run in runs], longer=longer, baseline=baseline), inputs
-
-
-def sentence(c: ComparedRuns) -> str:
-    """Return a summary of the comparison in a sentence."""
-    base, count = c.labels[c.baseline], len(c.comparisons)
-    largest = [(max(x.differences, key=lambda d: d.share), x) for x in c.comparisons]
-    worst, where = max(largest, key=lambda pair: pair[0].share)
-    most = f"{describe_largest(worst)}, in {where.b.name}"
-    if not worst.largest:
-        return f"{'All' if count > 1 else 'The'} {counted(count, 'other run')} equal {base} in every common signal."
-    if not c.judged:
-        differ = sum(d.largest > 0 for d, _ in largest)
-        return f"{differ} of {counted(count, 'run')} {'differs' if differ == 1 else 'differ'} from {base}; {most}."
-    within = sum(x.same for x in c.comparisons)
-    return (
-        f"{within} of {counted(count, 'run')} {'is' if within == 1 else 'are'} within the tolerance of {base}; {most}."
-    )

@@ -53,23 +53,6 @@ class Difference:
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values}
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """Allowed difference of a signal between runs a and b.
-
-    Attributes:
-        relative: Allowed share of the signal's range in a; None if no verdict is wanted.
-        absolute: Additional allowed difference in the unit of the signal.
-    """
-
-    relative: float | None
-    absolute: float
-
-    def is_exceeded(self, gap: float, scale: float) -> bool:
-        """Return whether a difference exceeds the tolerance; NaN always does, unless no verdict is wanted."""
-        return self.relative is not None and not gap <= self.absolute + self.relative * scale
-
-
 def common_rows(a: RecordedRun, b: RecordedRun) -> tuple[slice, bool]:
     """Return the rows of a within the time of b, and whether both runs have the same times in these rows."""
     first, second = a.results.time, b.results.time
@@ -90,9 +73,7 @@ def time_tolerance(time: Array) -> float:
     return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
 
 
-def compare_numbers(
-    name: str, unit: str, time: Array, values: tuple[Array, Array], allowed: Tolerance, by: Conversion
-) -> Difference:
+def compare_numbers(name: str, unit: str, time: Array, values: tuple[Array, Array], by: Conversion) -> Difference:
     """Return the difference of a numeric signal with convertible units.
 
     Args:
@@ -111,9 +92,8 @@ def compare_numbers(
     span = float(np.ptp(good)) if good.size else 0.0
     scale = (span if math.isfinite(span) else 0.0) or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
     largest = float(gap[row])
-    beyond = allowed.is_exceeded(largest, scale)
     rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf
-    return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond)
+    return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond=False)
 
 
 def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Literal
 from cosim.comparison.differences import Compared, compare_runs, is_one_run
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several, label_runs
 from cosim.core.arrays import far_beyond
-from cosim.core.errors import InputError
 from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier
 
@@ -51,9 +49,6 @@ def compare(
     """
     ordered = [sources[baseline], *(source for k, source in enumerate(sources) if k != baseline)]
     shorts, paths = [source.short for source in ordered], [source.path for source in ordered]
-    for option, value in (("--tol", tolerance), ("--abs", absolute)):
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError.at(paths[0], f"{option} {value:g}: give a number that is not negative")
     comparison: Compared | ComparedRuns
     if as_pair:
         runs = [source.read() for source in ordered]

@@ -20,7 +20,7 @@ from annotated_types import Ge, Gt, Le
 
 from cosim.core.errors import Fault, refuse
 from cosim.core.registry import resolve
-from cosim.core.units import allowed_quantity, has_unit, read_quantity
+from cosim.core.units import read_quantity
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -67,9 +67,12 @@ def plain(value: Any, depth: int = 0) -> Any:
 
 
 def _seconds(value: Any) -> Any:
-    if isinstance(value, str) and not has_unit(value):
-        raise ValueError(allowed_quantity("s"))
-    return read_quantity(value, "s") if isinstance(value, str) else value
+    if not isinstance(value, str):
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        return read_quantity(value, "s")
 
 
 def _file(value: Any) -> Any:
@@ -145,36 +148,54 @@ def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        from pydantic import ConfigDict, TypeAdapter, ValidationError
-
-        names = dict(inspect.unwrap(function).__globals__)
-        config = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
-        bound, faults = signature.bind(*args, **kwargs), []
-        for name, value in bound.arguments.items():
-            if name not in adapters:
-                adapters[name] = TypeAdapter(_type_of(signature.parameters[name].annotation, names), config=config)
-            try:
-                bound.arguments[name] = adapters[name].validate_python(of_python(value))
-            except ValidationError as error:
-                reasons = [str(e.get("ctx", {}).get("error", e["msg"])) for e in error.errors(include_url=False)]
-                faults.append((name, f"is {_represent(value)}; {', or '.join(dict.fromkeys(reasons))}"))
-            except (ValueError, RecursionError) as error:
-                faults.append((name, f"is {_represent(value)}; {error}"))
-        refuse(Fault(Path(name), 0, 0, reason) for name, reason in faults)
+        bound = signature.bind(*args, **kwargs)
+        for name in bound.arguments.keys() - adapters.keys():
+            adapters[name] = adapter(signature.parameters[name].annotation, inspect.unwrap(function))
+        bound.arguments.update(check_values(adapters, bound.arguments))
         return function(*bound.args, **bound.kwargs)
 
     return call
 
 
-def _type_of(annotation: Any, names: dict[str, Any]) -> Any:
-    """Return the type of an annotation; a type that nobody knows here accepts anything."""
+def adapter(annotation: Any, function: Callable[..., Any], *, strict: bool = True) -> Any:
+    """Return pydantic's check of a parameter; a type that nobody knows here accepts anything.
+
+    Args:
+        strict: Whether text is no number, unlike on the command line.
+    """
+    from pydantic import ConfigDict, TypeAdapter
+
+    names = dict(function.__globals__)
     while isinstance(annotation, str):
         try:
-            return eval(annotation, names)
+            annotation = eval(annotation, names)
         except NameError as unknown:
             name = str(unknown.name)
             names[name] = resolve(LATER[name]) if name in LATER else Any
-    return annotation
+    return TypeAdapter(annotation, config=ConfigDict(strict=strict, allow_inf_nan=False, arbitrary_types_allowed=True))
+
+
+def check_values(
+    adapters: Mapping[str, Any], values: Mapping[str, Any], labels: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Return values as their types; raise InputError with every value that does not fit.
+
+    Args:
+        labels: Names in messages that differ.
+    """
+    from pydantic import ValidationError
+
+    checked, faults = dict[str, Any](), []
+    for name, value in values.items():
+        try:
+            checked[name] = adapters[name].validate_python(of_python(value))
+        except ValidationError as error:
+            reasons = [str(e.get("ctx", {}).get("error", e["msg"])) for e in error.errors(include_url=False)]
+            faults.append((name, f"is {_represent(value)}; {', '.join(dict.fromkeys(reasons))}"))
+        except (ValueError, RecursionError) as error:
+            faults.append((name, f"is {_represent(value)}; {error}"))
+    refuse(Fault(Path((labels or {}).get(name, name)), 0, 0, reason) for name, reason in faults)
+    return checked
 
 
 def _represent(value: Any) -> str:

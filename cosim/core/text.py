@@ -90,6 +90,11 @@ def join_names(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
+def some(names: Sequence[str], most: int) -> str:
+    """Return the first `most` names as a list, with an ellipsis for omitted names."""
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "")
+
+
 def split_assignment(text: str, names: Container[str]) -> tuple[str, str, str]:
     """Return name, equals sign and value of `name=value`; a known name may have equals signs itself."""
     pieces = text.split("=")

@@ -70,10 +70,10 @@ def excite(
         measured: Outputs that will be logged.
         duration: Duration of the experiment [s], or text with a unit.
         seed: Seed for the random experiments.
-        experiments: Number of random experiments.
+        experiments (in Python): Number of random experiments.
         report: Write report.html.
-        force: Write even if `folder` has results of another command.
-        progress: Function of (stage, completed share).
+        force: Write even if the folder has results of another command.
+        progress (in Python): Function of (stage, completed share).
 
     Returns:
         The chosen experiment and the distance of each pair of hypotheses [standard deviations].

@@ -67,7 +67,7 @@ def linearize(
         component: Component of the scenario, if several match.
         step: Step of central differences, which replace the directional derivatives of an FMU.
         report: Write report.html.
-        force: Write into `out` even if it is not empty.
+        force: Write even if the folder is not empty.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
 
     Returns:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.core.text import append_unit, counted, display, percent, plain, written
+from cosim.core.text import append_unit, counted, display, percent, plain, some, written
 from cosim.core.version import __version__
 from cosim.files.kinds import shell_path
 from cosim.report.charts import Charts, Plot
@@ -181,7 +181,7 @@ def _factor(swept: Swept, factor: Factor) -> Mapping[str, str]:
         "name": factor.name,
         "unit": written(factor.unit),
         "way": varied.way.replace("_", " "),
-        "values": ", ".join(map(str, listed[:8])) + (", …" if len(listed) > 8 else ""),
+        "values": some([*map(str, listed)], 8),
         "different": counted(len(set(map(str, values))), "value"),
     }
 

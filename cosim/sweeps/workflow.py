@@ -85,16 +85,16 @@ def sweep(
     Args:
         path: Sweep file.
         out: Folder for sweep.parquet, sweep.json and report.html; None means a new number in results/NAME.
-        workers: Number of worker processes; None means one per core.
+        workers: Number of worker processes (default: one per core).
         dask: Address of a Dask scheduler; replaces that of the file.
         resume: Go on with the sweep that was stopped in `out`, by default the newest in results/NAME.
         part: K/N makes every N-th run from the K-th, and nothing but these runs; K is 1 … N.
         join: Make the table and the report of the parts in the folder.
         report: Write report.html.
-        force: Start again, even if `out` has files; those of an earlier sweep are replaced.
+        force: Start again, even if the folder has files; those of an earlier sweep are replaced.
         in_process: Load FMUs into this process, for a debugger.
-        progress: Function of (completed runs, all runs).
-        observers: Objects that receive the finished runs.
+        progress (in Python): Function of (completed runs, all runs).
+        observers (in Python): Objects that receive the finished runs.
 
     Returns:
         Content of sweep.json, sentences and the folder.

@@ -67,17 +67,14 @@ VERBS["read"] = Verb(function="cosim.verbs.read_verb:read")
 
 
 def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
-    """Yield name and declaration of every verb, or of one of cosim.
+    """Yield name and declaration of every verb, or of the one of cosim with this name.
 
     Warns of each package that redefines a verb of cosim.
     """
-    yield from [(only, VERBS[only])] if only else VERBS.items()
+    yield from [(only, VERBS[only])] if only in VERBS else VERBS.items()
     for name in names(ADDED):
         if name in VERBS:
-            warnings.warn(
-                f"{name}: an installed package registers a verb that cosim has; it is ignored",
-                ExtensionWarning,
-                stacklevel=2,
-            )
-    if not only:
+            text = f"{name}: an installed package registers a verb that cosim has; it is ignored"
+            warnings.warn(text, ExtensionWarning, stacklevel=2)
+    if only not in VERBS:
         yield from ((name, verb) for name, verb in added_verbs() if name not in VERBS)

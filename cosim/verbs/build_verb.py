@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.core.errors import Fault, refuse
-from cosim.verbs.terminal import say, say_json, warn
+from cosim.verbs.cli import say, say_json, warn
 
 
 def command(*, json: bool = False, **given: Any) -> None:
@@ -15,11 +15,9 @@ def command(*, json: bool = False, **given: Any) -> None:
     Without --model: all FMUs of the base model.
 
     Args:
-        folder (--out): Folder for the FMUs.
+        folder (--out -o PATH): Folder for the FMUs.
         model (MODEL): Build this model: a registered one, a model.yaml, the folder of a refine, or FILE.py:CLASS.
         design (--design FILE): Design the model's controller by the weights and numbers in this YAML file.
-        native: Build compiled FMUs, which need no Python.
-        fmi: FMI version of native FMUs, 2 or 3.
         platforms (NAME,NAME): Platforms of native FMUs (default: this machine).
 
     Example: cosim build --model results/refine/model.yaml --out build/refined

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -25,10 +26,10 @@ from cosim.core.errors import (
 from cosim.core.messages import with_prefix
 from cosim.core.program import STOPPED
 from cosim.core.registry import resolve
-from cosim.core.settings import Files, ModelName, Values
+from cosim.core.settings import Files, Given, ModelName
 from cosim.files.artefact import Checking, kind_by_keys, of_kind
 from cosim.files.files import FilePath
-from cosim.verbs.terminal import say, say_json
+from cosim.verbs.cli import say, say_json
 
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
 MOST_LINES = 200  # printed without --json
@@ -40,7 +41,7 @@ def check(
     *,
     load: bool = True,
     compile: bool = False,
-    columns: Values | None = None,
+    columns: Given | None = None,
 ) -> list[str]:
     """Find every fault of files.
 
@@ -61,17 +62,21 @@ def check(
     """
     from cosim.blocks.compiling import compiling, permission
     from cosim.isolation.process import Worker
+    from cosim.logs.log import read_column_names
     from cosim.master.remote import MODULES
 
     faults: list[Fault] = []
     lines: list[str] = []
+    paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
+    first = paths[0] if paths else Path("columns")
+    names = columns if isinstance(columns, Mapping) else read_column_names(columns or (), first)
     with compiling(compile):
         if permission.get() and not load:
             text = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
             raise InputError.at(Path("--compile"), text)
         with Worker(*MODULES) if load else nullcontext() as worker:
-            checking = Checking(model, dict(columns or {}), worker)
-            for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
+            checking = Checking(model, dict(names), worker)
+            for path in paths:
                 try:
                     lines += [with_prefix(f"{path}: ", line) for line in _check_isolated(path, checking)]
                 except InputError as error:
@@ -133,11 +138,9 @@ def command(*, json: bool = False, **given: Any) -> None:
 
     Example: cosim check scenario.yaml build/*.fmu
     """
-    from cosim.logs.log import read_column_names
-
     files = given["files"]
     try:
-        lines = check(**{**given, "columns": read_column_names(given["columns"] or (), files[0])})
+        lines = check(**given)
     except (Signalled, Terminated) as error:
         raise FmuError(error.reason if isinstance(error, Signalled) else str(error)) from None
     except (Interrupted, KeyboardInterrupt):

@@ -1,29 +1,236 @@
-"""Command line of all verbs; errors become messages and exit codes."""
+"""The command line that all verbs share: output on a terminal, options, exit codes.
+
+The parameters of a command are its options, or arguments if they have no default or a metavar in brackets. `Args` has
+their meanings, metavars and other names: `columns (--column COLUMN=VARIABLE): Variable that a column holds.` In place
+of `**given` stand the parameters of the verb's Python function but those `(in Python)`.
+
+Args:
+    results: Folder of results (default: results).
+    report: Write report.html, or do not.
+    force: Write even if the folder is not empty; results in it are replaced.
+    open: Open the report in a browser.
+    live: Open a page that shows the work while it goes on.
+    port: Port of the live page (default: any free port); implies --live.
+    json: Print JSON instead of text.
+    quiet (--quiet -q): Print only warnings, errors and JSON.
+    verbose (--verbose -v): Print more, such as the order of steps and timings.
+"""
 
 from __future__ import annotations
 
-import io
+import functools
+import json
+import math
 import os
+import re
 import sys
+import time
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
-from inspect import Signature, getdoc
+import webbrowser
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
+from inspect import Parameter, Signature, getdoc, signature
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from cosim.core.drafts import is_full
-from cosim.core.errors import CosimError, SimulationError, Terminated
-from cosim.core.program import as_program
-from cosim.core.registry import ExtensionWarning, Verb, attempt
+from cosim.core.errors import CosimError, FmuError, InputError, SimulationError, Terminated
+from cosim.core.messages import Note, printable, with_severity
+from cosim.core.registry import Verb, attempt, resolve
+from cosim.core.settings import adapter, check_values
 from cosim.core.version import __version__
 from cosim.files.files import check_text
-from cosim.verbs import VERBS, verbs
-from cosim.verbs.options import ARGS, options_of
-from cosim.verbs.terminal import LAST, MANNER, say, say_error, say_usage, warn
+from cosim.verbs import verbs
 
-VERSION = "--version"  # needs no verb
+ITEM = re.compile(r"^    (\w+)(?: \((.*?)\))?: (.*?)(?=^    \w|\n\n|\Z)", re.MULTILINE | re.DOTALL)
+
+
+@dataclass
+class Manner:
+    """Amount and form of the output of a command, and the warnings and notes so far."""
+
+    quiet: bool = False
+    verbose: bool = False
+    as_json: bool = False
+    has_json: bool = False
+    messages: list[dict[str, str]] = field(default_factory=list)
+
+
+MANNER = Manner()  # of this process, set by the options of any command
+LAST: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
+
+
+def echo(text: str, *, err: bool = False, met: bool | None = None) -> None:
+    """Write a line without control characters, in green or red if `met` is given, unless the stream is closed."""
+    colour = None if met is None or os.environ.get("NO_COLOR") else "green" if met else "red"
+    try:
+        typer.secho(printable(text), err=err, fg=colour)
+    except BrokenPipeError:
+        with suppress(OSError, ValueError):  # of a stream that is no file
+            os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())
+
+
+def say(*lines: str, met: bool | None = None) -> None:
+    """Print lines; print nothing with -q or --json."""
+    if not MANNER.quiet and not MANNER.as_json:
+        for line in lines:
+            echo(line, met=met)
+
+
+def warn(*texts: str) -> None:
+    """Print warnings and notes on stderr, and keep them for JSON; -q omits notes."""
+    for text in texts:
+        MANNER.messages.append({"kind": "note" if isinstance(text, Note) else "warning", "message": str(text)})
+        if not (MANNER.quiet and isinstance(text, Note)):
+            echo(with_severity(text), err=True)
+
+
+def say_json(value: Any) -> None:
+    """Print JSON, also with -q. An object gets the warnings and notes so far."""
+    if isinstance(value, dict) and MANNER.messages:
+        value = {**value, "messages": MANNER.messages}
+    echo(json.dumps(value, indent=2, ensure_ascii=False))
+    MANNER.has_json = True
+
+
+def say_error(error: CosimError, exit_code: int | None = None) -> int:
+    """Print an error and the files of a stopped run, as JSON too if that is asked for; return the exit code."""
+    faults = error.faults if isinstance(error, InputError) else ()
+    answer: dict[str, Any] = {"error": str(error), "kind": type(error).__name__, "faults": []}
+    answer["exit_code"] = error.exit_code if exit_code is None else exit_code
+    for fault in faults:
+        kind = "FmuError" if fault.exit_code == FmuError.exit_code else "InputError"
+        place = {"file": str(fault.file), "line": fault.line, "column": fault.column}
+        answer["faults"].append({"kind": kind, **place, "message": fault.message})
+    for line in faults or [f"error: {error}"]:
+        echo(str(line), err=True)
+    with suppress(OSError):  # stdout may be on the disk that is full
+        if isinstance(error, SimulationError):
+            from cosim.files.results import rows_in
+
+            time = error.time if math.isfinite(error.time) else None
+            answer |= {"status": "failed", "component": error.component, "time": time, "reason": error.reason}
+            answer |= dict.fromkeys(("manifest", "report", "results"))
+            if error.left is not None:
+                rows = rows_in(error.left)
+                answer |= files_in(error.left, "manifest.json", *([rows.name] if rows else []))
+            lines = {"rows so far:": answer["results"], "report:     ": answer["report"]}
+            say(*(f"{title} {file}" for title, file in lines.items() if file))
+        if MANNER.as_json and not MANNER.has_json:
+            say_json(answer)
+    return int(answer["exit_code"])
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table; each column is as wide as its widest cell, empty columns are omitted."""
+    shown = ((printable(cell, one_line=True) for cell in line) for line in (header, *rows))
+    columns = [column for column in zip(*shown, strict=True) if any(column[1:])]
+    padded = ([cell.ljust(max(map(len, column))) for cell in column] for column in columns)
+    return ["  ".join(line).rstrip() for line in zip(*padded, strict=True)]
+
+
+def show(report: Path, opens: bool) -> None:
+    """Open a report in the browser on request."""
+    if opens and report.is_file() and not webbrowser.open(report.resolve().as_uri()):
+        warn(f"no browser is found here; open {report}")
+
+
+def files_in(folder: Path, *names: str) -> dict[str, str]:
+    """Return name → path of result files in a folder."""
+    return {name.partition(".")[0]: str(folder / name) for name in (*names, "report.html") if (folder / name).is_file()}
+
+
+@contextmanager
+def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float], None] | None]:
+    """Yield a function of (completed, all steps) or (stage, share): a bar on a terminal, lines with -v, else None."""
+    is_terminal, start = sys.stderr.isatty(), time.monotonic()
+    if MANNER.quiet or not (is_terminal or MANNER.verbose):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TimeElapsedColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=20)
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        bar.add_task("starting", total=None)
+        (task,) = bar.tasks
+
+        def advance(first: Any, second: float) -> None:
+            share = second if isinstance(first, str) else first / max(second, 1)
+            text = printable(first if isinstance(first, str) else f"{activity}: {int(10 * share)}0 %", one_line=True)
+            if text != task.description and not is_terminal:
+                echo(f"{time.monotonic() - start:6.1f} s  {text}", err=True)
+            # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
+            task.total = 1.0 if 0.0 < share < 1.0 else None
+            bar.update(task.id, description=text, completed=share)
+
+        yield advance
+
+
+def show_page(page: Any, kind: str, title: str, *limits: float, opens: bool = True) -> None:
+    """Open a served page in the browser; at the end of the command it stays until the user closes it."""
+    from cosim.pages.server import open_page
+
+    LAST.append(lambda: page.wait_for_close(warn, *limits))
+    note = Note(f"{kind}: {page.url}")
+    warn(note) if opens and open_page(page.url, title) else echo(note, err=True)
+
+
+def live_page(kind: str, title: str, *, live: bool, port: int | None, **settings: Any) -> Any:
+    """Return the live page of a verb, of a class in `work_pages`; without --live a context of None."""
+    if not live and port is None:
+        return nullcontext()
+    from cosim.pages import work_pages
+
+    page = getattr(work_pages, kind)(title, port or 0, **settings)
+    show_page(page, "live page", title)
+    return page
+
+
+def _with_options(command: Callable[..., Any], verb: Verb) -> Callable[..., None]:
+    """Return a command with options for Typer; it returns nothing, which is exit code 0."""
+
+    def run(*, quiet: bool = False, verbose: bool = False, **given: Any) -> None:
+        MANNER.quiet, MANNER.verbose, MANNER.as_json, MANNER.has_json = quiet, verbose, bool(given.get("json")), False
+        MANNER.messages.clear()
+        values = {name: value for name, value in given.items() if value is not None}
+        adapters = {name: adapter(*types[name], strict=False) for name in values}
+        command(**{**given, **check_values(adapters, values, labels)})
+
+    parameters, labels, types = dict[str, Parameter](), dict[str, str](), dict[str, tuple[Any, Any]]()
+    functions = [resolve(verb.function)] if "given" in signature(command).parameters else []
+    texts = "".join(f"{getdoc(function)}\n\n" for function in (sys.modules[__name__], *functions, command))
+    meanings = {name: (names.split(), " ".join(text.split())) for name, names, text in ITEM.findall(texts)}
+    for function in (*functions, command, run):
+        for name, parameter in signature(function).parameters.items():
+            names, meaning = meanings.get(name, ([], ""))
+            if name != "given" and names != ["in", "Python"]:
+                types[name] = parameter.annotation, function
+                parameters[name], labels[name] = _option(parameter, names, meaning)
+    run.__signature__ = Signature([*parameters.values()])  # type: ignore[attr-defined]
+    return run
+
+
+def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[Parameter, str]:
+    """Return a parameter for Typer, whose values are text, and its name on the command line."""
+    default = [] if parameter.default == () else parameter.default
+    written = getattr(parameter.annotation, "__name__", str(parameter.annotation))
+    is_list = re.search("^(list|Given|Names|Values)|Files", written)
+    kind: Any = bool if written == "bool" else list[str] if is_list else str
+    flags, metavar = [n for n in names if n[0] == "-"], " ".join(n for n in names if n[0] != "-")
+    if not flags and (default is Parameter.empty or metavar.startswith("[")):
+        label, info = parameter.name, typer.Argument(metavar=metavar or None, help=meaning)
+    else:
+        label = flags[0] if flags else f"--{parameter.name.replace('_', '-')}"
+        flags = flags or [f"{label}/--no-{label[2:]}" if default is True else label]
+        metavar = metavar or written.partition(" ")[0].upper()
+        info = typer.Option(*flags, metavar=None if kind is bool else metavar, help=meaning)
+        default = None if default is Parameter.empty else default
+    annotation: Any = Annotated[kind | None if default is None else kind, info]
+    return Parameter(parameter.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation), label
 
 
 def _show_version(value: bool) -> None:
@@ -32,68 +239,25 @@ def _show_version(value: bool) -> None:
         raise typer.Exit
 
 
-def main(
-    version: Annotated[
-        bool, typer.Option(VERSION, callback=_show_version, is_eager=True, help="Show the version and exit.")
-    ] = False,
-) -> None:
-    """Define the options before the verb."""
+VERSION = typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
-    """Show a warning; a package that cannot be loaded is reported in one line."""
-    if issubclass(category, ExtensionWarning):
-        warn(str(message))
-    else:
-        _python_shows(message, category, *place, **options)
+@functools.cache
+def command_line(chosen: str = "") -> typer.Typer:
+    """Return the command line; if a verb is chosen, only it has options, because those of the others need imports."""
+    keys = {"help_option_names": ["-h", "--help"]}
+    line = typer.Typer(context_settings=keys, no_args_is_help=True, pretty_exceptions_enable=False)
 
+    @line.callback()
+    def main(version: Annotated[bool, VERSION] = False) -> None:
+        """Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model."""
 
-_python_shows = warnings.showwarning
-warnings.showwarning = _show_warning
-
-
-def _command_line(chosen: str = "") -> typer.Typer:
-    """Return the command line with all verbs.
-
-    Args:
-        chosen: Only verb with options, because those of the others need imports; a verb of cosim is registered alone.
-    """
-    line = typer.Typer(
-        context_settings={"help_option_names": ["-h", "--help"]},
-        help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-    )
-    line.callback()(main)
-    for name, verb in () if chosen == VERSION else verbs(chosen if chosen in VERBS and VERBS[chosen].command else ""):
+    for name, verb in () if chosen == "--version" else verbs(chosen):
         if verb.command and (command := attempt(name, verb.command)) is not None:
             run = _with_options(command, verb) if chosen in {"", name} else lambda: None
-            text, group = ARGS.sub("\n", getdoc(command) or ""), verb.group or "Other packages"
-            line.command(name, help=text, rich_help_panel=group)(run)
+            text = re.sub(r"\nArgs:\n(.*?)\n(?=\w|\Z)", "\n", getdoc(command) or "", flags=re.DOTALL)
+            line.command(name, help=text, rich_help_panel=verb.group or "Other packages")(run)
     return line
-
-
-def _with_options(command: Callable[..., Any], verb: Verb) -> Callable[..., None]:
-    """Return a command for Typer; it returns nothing, which is exit code 0."""
-
-    def run(*, quiet: bool, verbose: bool, **options: Any) -> None:
-        MANNER.quiet, MANNER.verbose = quiet, verbose
-        MANNER.as_json, MANNER.has_json = bool(options.get("json")), False
-        MANNER.messages.clear()
-        command(**options)
-
-    parameters = options_of(command, verb.function)
-    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in parameters}
-    return run
-
-
-def __getattr__(name: str) -> Any:
-    """Return `app`, the command line with all verbs."""
-    if name != "app":
-        raise AttributeError(name)
-    globals()["app"] = app = _command_line()
-    return app
 
 
 def entry() -> None:
@@ -102,41 +266,34 @@ def entry() -> None:
         if getattr(sys, name) is None:  # closed; a file opened later would take its number
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "w" if number else "r", encoding="utf-8"))
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
+        if hasattr(stream, "reconfigure"):  # a terminal or file that is not UTF-8 has no true minus sign
             stream.reconfigure(errors="backslashreplace")
-    try:
-        sys.exit(_run())
-    finally:
-        while LAST:
-            LAST.pop()()
-
-
-def _run() -> int:
-    """Run the command of this process; return its exit code."""
+    warnings.showwarning = lambda message, category, *place: warn(str(message))
     try:
         with suppress(FileNotFoundError):  # the current folder may be removed
             check_text([os.getcwd()])
         check_text([*sys.argv[1:], os.environ.get("TMPDIR", "")])
-        line = _command_line(sys.argv[1] if len(sys.argv) > 1 else "-h")
-        return int(line(standalone_mode=False) or 0)
+        code = command_line(sys.argv[1] if len(sys.argv) > 1 else "-h")(standalone_mode=False) or 0
     except CosimError as error:
-        return say_error(error)
-    except MemoryError:
-        text = "there is not enough memory; run shorter, in longer steps or with less recorded"
-        return say_error(CosimError(text), SimulationError.exit_code)
+        code = say_error(error)
+    except (MemoryError, Terminated) as error:
+        memory = "there is not enough memory; run shorter, in longer steps or with less recorded"
+        code = say_error(CosimError(str(error) if isinstance(error, Terminated) else memory), SimulationError.exit_code)
     except OSError as error:  # a folder that cannot be written, a disk that is full
         file = f"{error.filename}: " if error.filename else ""
         text = file + ("the disk is full" if is_full(error) else error.strerror or str(error))
-        return say_error(CosimError(text), SimulationError.exit_code if is_full(error) else 2)
-    except Terminated as error:
-        return say_error(CosimError(str(error)), SimulationError.exit_code)
+        code = say_error(CosimError(text), SimulationError.exit_code if is_full(error) else 2)
     except typer.Abort:
-        return say_error(CosimError("the input ended at a prompt; run it on a terminal"))
+        code = say_error(CosimError("the input ended at a prompt; run it on a terminal"))
     except Exception as error:
         if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
             raise
-        return say_usage(error)
-
-
-if __name__ == "__main__":
-    as_program(entry)
+        error.show()  # type: ignore[attr-defined]
+        if "--json" in sys.argv:
+            say_json({"error": error.format_message(), "kind": "UsageError", "exit_code": 2, "faults": []})
+        code = 2
+    finally:
+        with suppress(KeyboardInterrupt, Terminated):
+            while LAST:
+                LAST.pop()()
+    sys.exit(code)

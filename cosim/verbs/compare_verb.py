@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.core.errors import CriterionMissed, InputError
 from cosim.core.settings import Count, NotNegative
+from cosim.core.text import some
 from cosim.files.files import FilePath
-from cosim.verbs.terminal import say, say_json, show, some, table, warn
+from cosim.verbs.cli import say, say_json, show, table, warn
 
 if TYPE_CHECKING:
-    from cosim.comparison.differences import Compared as ComparedPair
-    from cosim.comparison.page import Compared, ComparedRuns
-    from cosim.comparison.several import ComparedRuns as ComparedSeveral
-    from cosim.comparison.several import RunSource
+    from cosim.comparison.differences import Compared
+    from cosim.comparison.several import ComparedRuns, RunSource
     from cosim.simulation.run_signals import Signals
 
 MAX_SIGNALS = 12  # on the terminal
@@ -44,7 +43,7 @@ def compare(
         baseline: Baseline of a list of runs; by default its first run.
         tolerance: Allowed difference as a share of each signal's range in the baseline.
         absolute: Allowed difference in each signal's unit, added to `tolerance`.
-        force: Write into `out` even if it is not empty; results in it are replaced.
+        force: Write even if the folder is not empty; results in it are replaced.
 
     Returns:
         The difference of each signal, and the verdict if there is a tolerance: `Compared` of two runs `a` and `b`,
@@ -53,7 +52,7 @@ def compare(
     Raises:
         InputError: No such run, or runs without a common signal or a common time.
     """
-    from cosim.comparison.page import comparison_page, drawn
+    from cosim.comparison.page import comparison_page
     from cosim.comparison.workflow import compare as compare_runs
 
     is_pair = not isinstance(a, (list, tuple))
@@ -72,7 +71,7 @@ def compare(
         force=force,
         as_pair=is_pair,
     )
-    return drawn(comparison)
+    return comparison
 
 
 def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
@@ -139,7 +138,7 @@ def command(
     tolerance: float | None = None,
     absolute: float = 0.0,
     results: Path | None = None,
-    out: Path | None = None,
+    out: FilePath | None = None,
     report: bool = True,
     force: bool = False,
     open: bool = False,
@@ -152,9 +151,9 @@ def command(
     Args:
         runs (RUN...): Folders of runs, their numbers, names or patterns in `cosim list`, or CSV files of rows.
         baseline (RUN): Baseline (default: the first run).
-        tolerance (--tol): Allowed difference as a share of each signal's range; exit code 5 if exceeded.
-        absolute (--abs): Allowed difference in each signal's unit, added to --tol.
-        out: Folder for the results (default: a new number in results/A-and-B).
+        tolerance (--tol NUMBER): Allowed difference as a share of each signal's range; exit code 5 if exceeded.
+        absolute (--abs NUMBER): Allowed difference in each signal's unit, added to --tol.
+        out (--out -o PATH): Folder for the results (default: a new number in results/A-and-B).
 
     Example: cosim compare results/one results/two --tol 1e-3
     """
@@ -193,13 +192,12 @@ def command(
         raise CriterionMissed("; ".join(comparison.reasons))
 
 
-def _lines_of_several(c: ComparedSeveral) -> list[str]:
+def _lines_of_several(c: ComparedRuns) -> list[str]:
     """Return the lines to print: verdict, runs, inputs that differ, signals with the largest differences."""
-    from cosim.comparison.several import sentence
     from cosim.comparison.signals import format_share, format_size
     from cosim.files.run_inputs import input_text
 
-    lines = [sentence(c)]
+    lines = [c.summary]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
     shown = c.drawn
     heads = [c.shorts[k] for k in shown]
@@ -216,7 +214,7 @@ def _lines_of_several(c: ComparedSeveral) -> list[str]:
     return lines
 
 
-def _lines(comparison: ComparedPair) -> list[str]:
+def _lines(comparison: Compared) -> list[str]:
     """Return the lines to print: verdict, signals with the largest differences, signals in a single run."""
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import format_share, format_size

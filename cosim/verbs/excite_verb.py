@@ -6,7 +6,7 @@ import shlex
 from typing import Any
 
 from cosim.files.folders import name_of, new_run
-from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
+from cosim.verbs.cli import files_in, progress_bar, say, say_json, show, warn
 
 
 def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
@@ -17,14 +17,13 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     Args:
         text (MODEL): A registered model such as base, a model.yaml, FILE.py:CLASS, an FMU, or a refine.json or its
             folder.
-        folder (--out): Folder for the results (default: a new number in results/MODEL-excitation).
+        folder (--out -o PATH): Folder for the results (default: a new number in results/MODEL-excitation).
         against (--against NAME): Effect, sensor error or parameter that is a rival hypothesis.
         limits (--limit NAME=VALUE): Largest distance of an input or output from its start value, for example
             angle=8deg.
         ranges (--range NAME=MIN..MAX): Range of an input, within the bounds of the model.
         measured (NAME): Output that will be logged.
-        duration: Duration of the experiment, for example 90 or 2min (default: 40 s, longer for a slow model).
-        seed: Seed for the random experiments.
+        duration (TIME): Duration of the experiment, for example 90 or 2min (default: 40 s, longer for a slow model).
 
     Example: cosim excite results/refine --limit angle=8deg
     """
@@ -33,7 +32,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     run = new_run(
         given["folder"], f"{name_of(given['text'])}-excitation", "cosim excite", force=given["force"], goes_on=True
     )
-    with run as place, stages() as progress:
+    with run as place, progress_bar() as progress:
         choice = excite(**{**given, "folder": place}, progress=progress)
     say(choice.headline)
     warn(*choice.warnings)

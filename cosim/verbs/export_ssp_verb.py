@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from cosim.verbs.terminal import say, say_json, say_note
+from cosim.core.messages import Note
+from cosim.verbs.cli import say, say_json, warn
 
 
 def command(*, json: bool = False, **given: Any) -> None:
@@ -13,8 +14,7 @@ def command(*, json: bool = False, **given: Any) -> None:
     Noise is off; references become FMUs.
 
     Args:
-        scenario: A scenario, or the manifest.json of a run.
-        path (--out): SSP file (default: NAME.ssp in the current folder).
+        path (--out -o PATH): SSP file (default: NAME.ssp in the current folder).
         overrides (--set PATH=VALUE): Replace a value of the scenario, for example noise=off.
 
     Example: cosim export-ssp scenario.yaml --out system.ssp
@@ -22,7 +22,7 @@ def command(*, json: bool = False, **given: Any) -> None:
     from cosim.authoring.export import export_ssp
 
     exported = export_ssp(**given)
-    say_note(*exported.notes)
+    warn(*map(Note, exported.notes))
     say(f"wrote {exported.path}")
     if json:
         say_json({"ssp": str(exported.path), "notes": list(exported.notes)})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.core.settings import Files, Given, column_names, texts
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, name_of_file, results_in
-from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
+from cosim.verbs.cli import files_in, progress_bar, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.calibration.fitted import Fitted
@@ -43,11 +43,11 @@ def fit(
         sealed: Logs for the proof, which the estimate does not use.
         columns: Column of the logs → variable, or "time".
         report: Write report.html.
-        force: Write into `out` even if it is not empty; results in it are replaced.
+        force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h"; `total` limits the estimate.
-        progress: Function of (stage, share).
+        progress (in Python): Function of (stage, share).
 
     Returns:
         Estimates with 95 % intervals, and the errors before and after.
@@ -93,7 +93,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     Args:
         logs: Measured logs: CSV files with time, inputs and measured outputs; or a study.
         fmu (--fmu FMU): FMU whose parameters are estimated, if no study names it.
-        out: Folder for the results (default: a new number in results/NAME-fit of the FMU or study).
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME-fit of the FMU or study).
         vary (NAME[=BOUNDS]): Parameter to estimate: NAME, NAME=20% (prior) or NAME=LOW..HIGH (default: all
             identifiable ones).
         start (NAME=VALUE): Further value of the FMU, or first value of a parameter.
@@ -104,7 +104,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """
     from cosim.core.text import amount
 
-    with stages() as progress:
+    with progress_bar() as progress:
         fitted = fit(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
     assert fitted.folder is not None  # a command writes
     warn(*fitted.warnings)

@@ -11,15 +11,14 @@ import typer
 
 from cosim.core.errors import InputError, refuse
 from cosim.core.settings import NotNegative, Whole
-from cosim.core.text import counted
+from cosim.core.text import counted, some
 from cosim.files.folders import RESULTS
-from cosim.verbs.terminal import say, say_json, some, warn
+from cosim.verbs.cli import say, say_json, warn
 
 if TYPE_CHECKING:
     from cosim.files.run_selection import Removal
 
 MOST_NAMES = 10
-UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
 def command(
@@ -37,9 +36,9 @@ def command(
 
     Args:
         names ([RUN]): Numbers, names or patterns such as 'tank/*' (default: all).
-        keep: Earlier runs of each name that stay.
-        older: Remove runs older than this number of days.
-        yes: Remove without a question.
+        keep (NUMBER): Earlier runs of each name that stay.
+        older (DAYS): Remove runs older than this number of days.
+        yes (--yes -y): Remove without a question.
 
     Example: cosim gc --keep 5
     """
@@ -74,7 +73,6 @@ def command(
 
 def _amount(removal: Removal) -> str:
     """Return a number of runs and their size as text."""
-    size, unit = float(removal.size), 0
-    while size >= 1000 and unit < len(UNITS) - 1:
-        size, unit = size / 1000, unit + 1
-    return f"{counted(len(removal.entries), 'earlier run')}, {size:.3g} {UNITS[unit]}"
+    from rich.filesize import decimal
+
+    return f"{counted(len(removal.entries), 'earlier run')}, {decimal(removal.size)}"

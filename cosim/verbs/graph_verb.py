@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.core.errors import InputError
-from cosim.verbs.terminal import echo, say, say_json, show
+from cosim.files.files import FilePath
+from cosim.verbs.cli import echo, say, say_json, show
 
 if TYPE_CHECKING:
     from cosim.simulation.report.system_diagram import Graph
@@ -24,7 +25,7 @@ DIAGRAM = re.compile(
 def command(
     scenario: Path,
     *,
-    out: Path | None = None,
+    out: FilePath | None = None,
     mermaid: bool = False,
     set: list[str] | None = None,
     open: bool = False,
@@ -37,7 +38,7 @@ def command(
 
     Args:
         scenario: A scenario, an SSP, or the manifest.json of a run.
-        out: Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg).
+        out (--out -o PATH): Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg).
         mermaid: Print the picture as Mermaid text and write no file.
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
         force: Overwrite a file that is not a picture of this scenario.
@@ -48,9 +49,9 @@ def command(
 
     graph = graph_of(scenario, set or ())
     if mermaid:
-        say_json({"mermaid": graph.mermaid()}) if json else echo(graph.mermaid(), nl=False)
+        say_json({"mermaid": graph.mermaid()}) if json else echo(graph.mermaid().rstrip("\n"))
         return
-    path = Path(f"{scenario.stem}.svg") if out is None else out
+    path = Path(f"{scenario.stem}.svg" if out is None else out)
     if not path.parent.is_dir():
         raise InputError.at(path, "its folder is not there; make it first")
     if path.suffix.lower() not in (".svg", ".mmd"):

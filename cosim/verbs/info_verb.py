@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from cosim.verbs.terminal import say, say_json, some, table
+from cosim.core.text import some
+from cosim.verbs.cli import say, say_json, table
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
@@ -38,6 +39,7 @@ def command(
         every (--all): List local variables and every parameter too.
         places: Execute each FMU to find the places where terms can act.
         log (LOG): Measured log that drives the inputs for --places.
+        compile: Compile and execute the sources of FMUs that have no library for this machine.
         limits: Limits of each simulation for --places, for example 'step: 10 s'.
 
     Example: cosim info plant.fmu controller.fmu

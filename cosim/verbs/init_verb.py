@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.verbs.terminal import say, say_json, warn
+from cosim.verbs.cli import say, say_json, warn
 
 
 def command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: bool = False) -> None:
@@ -14,7 +14,7 @@ def command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: bool =
 
     Args:
         fmus (FMU): FMU of the system.
-        out: Scenario file; an existing file is not overwritten.
+        out (--out -o PATH): Scenario file; an existing file is not overwritten.
 
     Example: cosim init plant.fmu controller.fmu --out scenario.yaml
     """

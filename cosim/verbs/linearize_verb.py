@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cosim.files.folders import name_of, new_run
-from cosim.verbs.terminal import say, say_json, show, table, warn
+from cosim.verbs.cli import say, say_json, show, table, warn
 
 
 def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
@@ -15,7 +15,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
 
     Args:
         model: A registered model such as base, a model.yaml, FILE.py:CLASS, the folder of a refine, or an FMU.
-        out: Folder for the results (default: a new number in results/MODEL-linear).
+        out (--out -o PATH): Folder for the results (default: a new number in results/MODEL-linear).
         at (POINT): Operating point: NAME=VALUE,NAME=VALUE of states and inputs, SCENARIO@TIME, or
             SCENARIO@START:STOP:STEP for a trajectory.
         set (NAME=VALUE): Value of a parameter.
@@ -24,7 +24,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
         outputs (NAME,NAME): Outputs of the linear model.
         residualize (NAME,NAME): Fast states that are set to their equilibrium.
         component (NAME): Component of the scenario, if several match.
-        step: Step of central differences, for example 1e-5; replaces the FMU's derivatives.
+        step (NUMBER): Step of central differences, for example 1e-5; replaces the FMU's derivatives.
 
     Example: cosim linearize motor.fmu --at speed=100
     """

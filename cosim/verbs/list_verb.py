@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from cosim.files.folders import RESULTS
-from cosim.verbs.terminal import say, say_json, table, warn
+from cosim.verbs.cli import say, say_json, table, warn
 
 WIDEST = 60  # characters of an outcome, and of the changes
 

@@ -6,8 +6,9 @@ import shlex
 from pathlib import Path
 
 from cosim.core.errors import InputError
+from cosim.core.text import some
 from cosim.files.folders import RESULTS
-from cosim.verbs.terminal import say, say_json, show, some, warn
+from cosim.verbs.cli import say, say_json, show, warn
 
 PAGE = "report.html"
 MOST_NAMES = 5
@@ -22,8 +23,7 @@ def command(run: str | None = None, *, results: Path | None = None, browser: boo
 
     Example: cosim open 3
     """
-    from cosim.files.artefact import folder_kind
-    from cosim.files.folders import content_of, has_results, state_of, warnings_on
+    from cosim.files.folders import has_results, state_of, warnings_on
     from cosim.files.run_entries import entries
     from cosim.files.run_selection import Selected, select_results
 
@@ -43,10 +43,6 @@ def command(run: str | None = None, *, results: Path | None = None, browser: boo
             raise InputError.at(folder, reason)
         if state := state_of(folder):
             raise InputError.at(folder, f"has no report.html: its command is {state}; `cosim list` shows the state")
-        kind = folder_kind(folder)
-        record = folder / kind.marks[0] if kind is not None else folder
-        if record.suffix == ".json" and record.is_file() and not content_of(record):
-            raise InputError.at(folder, "has no report.html, and its record is damaged: run the command again")
         of_run = entry.verb in {"run", "simulate", ""} if entry is not None else (folder / "manifest.json").is_file()
         report = f"`cosim report {shlex.quote(str(folder))}` writes it"
         cure = report if of_run else "run the command again with a report"

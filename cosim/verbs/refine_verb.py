@@ -12,8 +12,7 @@ from cosim.core.errors import InputError
 from cosim.core.settings import Files, Port, Values
 from cosim.files.files import FilePath
 from cosim.files.folders import name_of_file, new_run
-from cosim.verbs.options import live_page
-from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
+from cosim.verbs.cli import files_in, live_page, progress_bar, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.estimation.subject.interface import Subject
@@ -40,14 +39,14 @@ def refine(
     Args:
         study: Study file, or an object that derives from `cosim.estimation.subject.interface.Subject`.
         out: Folder for refine.json, model.yaml, plant.fmu and report.html.
-        logs: Estimation logs of an object.
-        validation: Sealed logs of an object.
-        settings: Further keys of a study file, for an object.
+        logs (in Python): Estimation logs of an object.
+        validation (in Python): Sealed logs of an object.
+        settings (in Python): Further keys of a study file, for an object.
         report: Write report.html.
-        force: Write into `out` even if it is not empty; results in it are replaced.
+        force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         limits: Limits of time and memory in place of those of a study file, for example "total: 10 min".
-        progress: Function of (stage, completed share).
+        progress (in Python): Function of (stage, completed share).
 
     Returns:
         The verdict, the effects, the refined model and its FMU.
@@ -82,7 +81,7 @@ def command(
 
     Args:
         study: A study: model, estimation logs and validation logs.
-        out: Folder for the results (default: a new number in results/NAME of the study).
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the study).
 
     Example: cosim refine study.yaml --out results/refine
     """
@@ -90,13 +89,19 @@ def command(
     from cosim.refinement.report.errors import error_tables, second_sentence
     from cosim.refinement.stages import stage_number
 
-    study = given["study"]
+    study = Path(given["study"])
+
+    def show_stage(stage: str, share: float) -> None:
+        number, of = stage_number(stage)
+        if bar is not None:
+            bar(f"stage {number} of {of}: {stage}" if number else stage, share)
+
     with (
         new_run(given["out"], name_of_file(study), "cosim refine", force=given["force"]) as given["out"],
-        stages(stage_number) as progress,
-        live_page("refine", study.stem, live=live, port=port, progress=progress) as page,
+        progress_bar() as bar,
+        live_page("LiveRefine", study.stem, live=live, port=port, progress=show_stage) as page,
     ):
-        refined = refine(**given, progress=progress if page is None else page)
+        refined = refine(**given, progress=show_stage if page is None else page)
         if page is not None:
             page.show_verdict(refined.record, refined.folder / "report.html")
     result, record, place = refined.details, refined.record, refined.folder

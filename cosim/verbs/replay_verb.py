@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.core.settings import Given, column_names, texts
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, name_of_file, results_in
-from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
+from cosim.verbs.cli import echo, files_in, progress_bar, say, say_json, show, table
 
 if TYPE_CHECKING:
     from cosim.residuals.replay_signals import Replay
@@ -41,12 +41,12 @@ def replay(
         start: Start value or parameter of the FMU → value.
         columns: Column of the log → variable, or "time".
         report: Write report.html.
-        force: Write into `out` even if it is not empty; results in it are replaced.
+        force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
         format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
-        progress: Function of (completed steps, all steps).
+        progress (in Python): Function of (completed steps, all steps).
 
     Returns:
         Signals of FMU and log, and the residual of each horizon.
@@ -86,7 +86,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     Args:
         log: Measured log: CSV file with time, inputs and measured outputs.
         fmu (--fmu --plant FMU): FMU to simulate (default: the plant of the base model).
-        out: Folder for the results (default: a new number in results/NAME of the log).
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the log).
         start (NAME=VALUE): Start value or parameter of the FMU, for example angle=12deg.
         columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
 
@@ -104,7 +104,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     comparison, place, page = replayed.comparison, replayed.folder, replayed.folder / "report.html"
     for finding in comparison.findings:
         if finding.severity == "warning":
-            say_finding(finding.line)
+            echo(finding.line, err=True)
     say(verdict(comparison))
     rows = []
     for c in comparison.channels:  # the error of each, beside the noise of its sensor

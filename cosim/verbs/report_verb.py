@@ -9,7 +9,7 @@ from cosim.files.files import check_writable
 from cosim.files.folders import newest_run, warnings_on
 from cosim.files.kinds import check_given
 from cosim.files.results import rows_in
-from cosim.verbs.terminal import say, say_json, show, warn
+from cosim.verbs.cli import say, say_json, show, warn
 
 OTHERS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
 
@@ -19,6 +19,7 @@ def command(folder: Path, *, figures: bool = False, open: bool = False, json: bo
 
     Args:
         folder: Folder of a run.
+        figures: Write figures/*.png too.
 
     Example: cosim report results/one --open
     """

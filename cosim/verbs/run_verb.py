@@ -15,8 +15,7 @@ from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, Port, Seconds, Seed, Values, texts
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, results_in
-from cosim.verbs.options import live_page
-from cosim.verbs.terminal import MANNER, progress_bar, say, say_finding, say_json, say_more, show, warn
+from cosim.verbs.cli import MANNER, echo, live_page, progress_bar, say, say_json, show, warn
 
 if TYPE_CHECKING:
     from cosim.master.observer import NamedFunctions, Observers
@@ -53,21 +52,21 @@ def run(
             `resume` or `until`: the folder of a run.
         out: Folder for results.csv, manifest.json and report.html; None writes nothing.
         set: Path → value, for example {"noise": False, "components.plant.start.mass": 2}, or texts "path=value".
-        seed: Seed for all random numbers.
-        pace: Simulated seconds per second: 1 for real time; None for the pace of the scenario.
+        seed: Seed for all random numbers (default: the seed of the scenario).
+        pace (NUMBER): Simulated seconds per second: 1 for real time (default: that of the scenario).
         nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
         report: Write report.html.
         figures: Write figures/*.png.
-        force: Write into `out` even if it is not empty; results in it are replaced.
+        force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
         format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
-        progress: Function of (completed steps, all steps).
-        observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
-        inputs: Input → function of time and signals that returns its value while the run goes on, None to hold it.
+        progress (in Python): Function of (completed steps, all steps).
+        observers (in Python): Objects that receive the rows during the run (`cosim.master.observer.Observer`).
+        inputs (in Python): Input → function of time and signals that returns its value during the run, None to hold it.
         resume: Go on with the stopped run in a folder, to the bytes that an uninterrupted run gives.
-        until: End [s] of a longer run that goes on with the run in a folder.
-        tell: Function that shows a note before the steps.
+        until (TIME): Go on with the run in a folder to this simulated time, in seconds or with a unit.
+        tell (in Python): Function that shows a note before the steps.
 
     Returns:
         The signals, the manifest and the criteria.
@@ -158,19 +157,15 @@ def command(
     Args:
         scenario: A scenario, an SSP, or the manifest.json of a run to repeat; with --resume or --until the folder of a
             run.
-        out: Folder for the results (default: a new number in results/NAME of the scenario).
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the scenario).
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
-        seed: Seed for all random numbers (default: the seed of the scenario).
-        pace: Simulated seconds per second: 1 for real time (default: that of the scenario).
-        resume: Go on with the stopped run in a folder, to the same bytes.
-        until: Go on with the run in a folder to this simulated time, in seconds or with a unit.
         coupling_error: Run again with half the step and print the largest change of each output.
 
     Example: cosim run scenario.yaml --set noise=off --seed 7
     """
     given["out"] = given["out"] or NUMBERED
-    title = given["scenario"].stem
-    with progress_bar() as progress, live_page("run", title, live=live, port=port) as page:
+    title = Path(given["scenario"]).stem
+    with progress_bar() as progress, live_page("LiveRun", title, live=live, port=port) as page:
         observers = () if page is None else (page,)
         made = run(**given, progress=progress, observers=observers, tell=warn)
         if page is not None:
@@ -183,7 +178,7 @@ def command(
         with compiling(given["compile"]):
             source = Path(made.manifest["source"])
             sentence = error_of(source, overrides, **{name: given[name] for name in options}).sentence
-        say_finding(sentence) if json else say(sentence)
+        echo(sentence, err=True) if json else say(sentence)
     say_run(made, opens=open)
 
 
@@ -214,10 +209,10 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     say(*lines)
     for criterion in run.criteria:
         say(sentence(criterion), met=criterion["met"])
-    speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
-    say_more(f"order: {', '.join(run.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}")
-    if times := time_sentence(timings):
-        say_more(times)
+    if MANNER.verbose:
+        speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
+        order = f"order: {', '.join(run.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}"
+        echo("\n".join(filter(None, (order, time_sentence(timings)))), err=True)
     say(f"results: {rows}")
     if run.report:
         say(f"report:  {run.report}")

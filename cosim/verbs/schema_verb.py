@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.core.errors import InputError
 from cosim.core.registry import resolve
 from cosim.files.artefact import artefacts
-from cosim.verbs.terminal import say_json
+from cosim.verbs.cli import say_json
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

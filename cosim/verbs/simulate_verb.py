@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, results_in
+from cosim.verbs.cli import progress_bar, table
 from cosim.verbs.run_verb import say_run
-from cosim.verbs.terminal import progress_bar, table
 
 if TYPE_CHECKING:
     from cosim.simulation.run_signals import Run
@@ -46,11 +46,11 @@ def simulate(
         step: Communication step, in seconds or with a unit; by default that of the FMU.
         record: Names or patterns of local variables and parameters to record too.
         report: Write report.html.
-        force: Write into `out` even if it is not empty; results in it are replaced.
+        force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
-        progress: Function of (completed steps, all steps).
+        progress (in Python): Function of (completed steps, all steps).
 
     Returns:
         The signals, the manifest and the warnings.
@@ -92,12 +92,12 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
 
     Args:
         fmu: FMU to simulate.
-        out: Folder for the results (default: a new number in results/NAME of the FMU).
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the FMU).
         set (NAME=VALUE): Value of a parameter or input, for example angle=12deg.
-        input: CSV file with time and columns named as inputs; each row holds until the next.
+        input (FILE): CSV file with time and columns named as inputs; each row holds until the next.
         interpolation (held|linear): Values of --input between two rows.
-        stop: End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
-        step: Communication step, for example 0.02 or 20ms (default: that of the FMU).
+        stop (TIME): End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
+        step (TIME): Communication step, for example 0.02 or 20ms (default: that of the FMU).
         record (PATTERN): Local variables or parameters to record too.
 
     Example: cosim simulate plant.fmu --set mass=2 --stop 10

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.core.messages import Note
 from cosim.core.settings import Port
-from cosim.core.text import counted
+from cosim.core.text import counted, some
 from cosim.files.folders import RESULTS
-from cosim.verbs.options import wait_for_close
-from cosim.verbs.terminal import LAST, progress_bar, say, say_finding, say_json, say_note, some, warn
+from cosim.verbs.cli import progress_bar, say, say_json, show_page, warn
 
 MOST_NAMES = 5
 LAYOUTS = "view.json"
@@ -39,7 +37,6 @@ def command(
     """
     from cosim.pages.layouts import Layouts
     from cosim.pages.runs import find_runs, open_runs
-    from cosim.pages.server import open_page
     from cosim.pages.view_page import view_page
 
     root = results or RESULTS
@@ -60,6 +57,4 @@ def command(
     page = view_page(title, opened, layouts, port, notes=[*notes, *warnings])
     if json:
         say_json({"url": page.url, **about})
-    is_open = browser and open_page(page.url, title)
-    (say_note if is_open else say_finding)(Note(f"signals: {page.url}"))
-    LAST.append(lambda: wait_for_close(page, float("inf"), GRACE))
+    show_page(page, "signals", title, float("inf"), GRACE, opens=browser)

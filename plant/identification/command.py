@@ -7,14 +7,15 @@ from pathlib import Path
 
 from cosim.core.errors import InputError
 from cosim.core.settings import Seed
+from cosim.files.files import FilePath
 from cosim.files.folders import new_run
-from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
+from cosim.verbs.cli import files_in, progress_bar, say, say_json, show, warn
 
 
 def command(
     protocol: Path,
     *,
-    out: Path | None = None,
+    out: FilePath | None = None,
     seed: Seed | None = None,
     report: bool = True,
     open: bool = False,
@@ -28,7 +29,7 @@ def command(
 
     Args:
         protocol: A protocol: tests on a bench or recordings of them, or logs of a craft.
-        out: Folder for the results (default: a new number in results/NAME of the protocol).
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the protocol).
         seed: Seed for the noise of a simulated bench (default: the seed of the protocol).
 
     Example: cosim identify examples/bench/protocol.yaml
@@ -40,7 +41,7 @@ def command(
     with suppress(InputError):  # reported below
         given = YamlFile(protocol).root.get("name")
         name = given if isinstance(given, str) else name
-    with new_run(out, name, "cosim identify", force=force) as place, stages() as progress:
+    with new_run(out, name, "cosim identify", force=force) as place, progress_bar() as progress:
         outcome = identify_bench(protocol, place, progress, report=report, seed=seed)
     warn(*outcome.warnings)
     say(*outcome.sentences, outcome.closing(place))

@@ -54,7 +54,7 @@ def build(
         fmi: FMI version of native FMUs, 2 or 3.
         platforms: Platforms of native FMUs; none means this machine.
         design: File of weights and numbers, by which start values of the model's controllers are designed.
-        tell: Function that shows a warning of the design.
+        tell (in Python): Function that shows a warning of the design.
 
     Returns:
         Paths of the FMUs.
