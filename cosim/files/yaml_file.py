@@ -63,15 +63,11 @@ class InUnit:
 Seconds = Annotated[Number, InUnit("s")]
 PositiveSeconds = Annotated[Positive, InUnit("s")]
 NotNegativeSeconds = Annotated[NotNegative, InUnit("s")]
-# The unit is that of a signal, known only from the whole scenario: `cosim.scenario.signal_units` converts the text.
-NUMBER_OR_TEXT = Field(json_schema_extra={"type": ["number", "string"]})
-Amount = Annotated[Number, NUMBER_OR_TEXT]
-PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
-NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
-
-
-UNIT_OF_KEY = InUnit(None)
 Share = InUnit("1")  # a number, or text such as `5 %`
+UNIT_OF_KEY = InUnit(None)  # The unit is known only from the whole file; a number, or text that waits.
+Amount = Annotated[Number, UNIT_OF_KEY]
+PositiveAmount = Annotated[Positive, UNIT_OF_KEY]
+NotNegativeAmount = Annotated[NotNegative, UNIT_OF_KEY]
 
 MOST_BYTES = 8_000_000  # size of a file [bytes]
 MOST_FAULTS = 200  # reported faults per file
@@ -123,28 +119,35 @@ class YamlFile:
         return Fault(self.path, *self.place(location, key), message, exit_code)
 
     def in_units(
-        self, at: Location, values: Mapping[str, Any], units: Mapping[str, str], *, difference: bool = False
-    ) -> tuple[dict[str, Any], list[Fault]]:
-        """Return values with text such as `400 kg` converted.
+        self, content: M, section: str, units: Mapping[str, str], *, difference: bool = False
+    ) -> tuple[M, list[Fault]]:
+        """Return the content with text such as `400 kg` in a section converted, and faults.
+
+        A faulty value is omitted; a text with an unknown name becomes a number, because the name is reported elsewhere.
 
         Args:
             units: Name → unit of its number.
-
-        Returns:
-            Numbers and faults. A faulty value is omitted; a value with an unknown name becomes a number, because the
-            name is reported elsewhere.
         """
-        numbers: dict[str, Any] = {}
-        faults = []
+        values: dict[str, Any] = getattr(content, section)
+        if not any(isinstance(value, str) for value in values.values()):
+            return content, []
+        numbers, faults = dict[str, Any](), list[Fault]()
         for name, value in values.items():
-            if not isinstance(value, str) or name not in units:
-                numbers[name] = 1.0 if isinstance(value, str) else value
-                continue
+            is_text = isinstance(value, str)
             try:
-                numbers[name] = read_quantity(value, units[name], difference=difference)
+                number = read_quantity(value, units[name], difference=difference) if is_text and name in units else 1.0
+                numbers[name] = number if is_text else value
             except ValueError as error:
-                faults.append(self.fault((*at, name), wrong_value(name, value, str(error))))
-        return numbers, faults
+                faults.append(self.wrong((section, name), value, error))
+        content = content.model_copy(update={section: numbers})
+        try:
+            return self.validate(type(content), dict(content)), faults
+        except InputError as error:  # of a number out of its range
+            return content, [*faults, *error.faults]
+
+    def wrong(self, at: Location, value: Any, reason: object) -> Fault:
+        """Return the fault of a value."""
+        return self.fault(at, wrong_value(".".join(map(short, at)), value, str(reason)))
 
     def validate(self, model: type[M], data: Any = None) -> M:
         """Return the data, by default the whole, as a pydantic model; raise InputError with all faults."""

@@ -7,7 +7,9 @@ import hashlib
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
 from itertools import islice
+from operator import getitem
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -21,7 +23,7 @@ from cosim.files.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, l
 from cosim.files.yaml_nodes import Document, Location, NotYaml
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, StepControl
-from cosim.scenario.signal_units import convert_quantities
+from cosim.scenario.signal_units import STAND_IN, waiting_texts
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
@@ -74,29 +76,41 @@ class ScenarioFile:
                 f"{SCHEMA_VERSION}"
             )
         self.warnings += other_version(path, self.manifest or {})
-        convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
-        self.broken: set[str] = set()
-        lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
-        self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
-        self.stands_in = False  # whether name, duration or step are replaced
-        self.scenario = self._validate(data)
+        form_faults = self._read(data)
+        texts = [*waiting_texts(self.scenario, self.places, self.resolve)]
+        for at, text, number_of in texts:
+            part = reduce(getitem, at[:-1], data)
+            try:
+                part[at[-1]] = number_of(text)
+            except ValueError as error:
+                part[at[-1]] = STAND_IN
+                self.faults.append(self.yaml.wrong(at, text, error))
+        if texts:
+            form_faults = self._read(data)  # Ranges hold for numbers.
+        self.faults += form_faults
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
         self.faults += [self.fault(where, message) for where, message in self._time_faults()]
 
-    def _validate(self, data: dict[str, Any]) -> Scenario:
-        """Return the scenario, without faulty parts if necessary."""
+    def _read(self, data: dict[str, Any]) -> list[Fault]:
+        """Set the scenario, without faulty parts if necessary; return the faults of form."""
+        self.broken, self.stands_in = set[str](), False  # whether name, duration or step are replaced
+        lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
+        self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
         try:
-            return self.yaml.validate(Scenario, data)
+            self.scenario = self.yaml.validate(Scenario, data)
+            return []
         except InputError as error:
-            self.faults += error.faults
+            faults = [*error.faults]
+        data = copy.deepcopy(data)
         for _ in range(3):  # The remainder may lack a required key.
             try:
-                return Scenario.model_validate(data)
+                self.scenario = Scenario.model_validate(data)
+                return faults
             except ValidationError as error:
                 found = error.errors(include_url=False)
                 self._drop(data, [location_in(data, e["loc"], e["type"]) for e in found])
-        raise InputError(self.faults)
+        raise InputError(faults)
 
     def _drop(self, data: dict[str, Any], locations: Sequence[tuple[int | str, ...]]) -> None:
         """Remove the smallest part around each location, so that the rest can be checked."""

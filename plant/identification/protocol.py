@@ -301,7 +301,8 @@ def read_protocol(path: Path) -> Protocol:
     yaml, bench = YamlFile(path), Bench()
     content = yaml.validate(ProtocolFile)
     declared = bench.declared
-    values, faults = yaml.in_units(("parameters",), content.parameters, {n: p.unit for n, p in declared.items()})
+    content, faults = yaml.in_units(content, "parameters", {n: p.unit for n, p in declared.items()})
+    values = content.parameters
     for name, value in values.items():
         if name not in declared:
             text = f'a bench has no "{name}"{did_you_mean(name, declared)}'
