@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from cosim.blocks.component import Signal
@@ -15,13 +14,6 @@ from cosim.fmi.description import enumeration_items, is_difference, unit_definit
 from cosim.fmi.fmi_types import FmiType, element_names, kinds_of
 
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """Reason for a value's misfit with its variable."""
-
-    reason: str
 
 
 def settable(variable: Any) -> bool:
@@ -53,46 +45,51 @@ def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
         array = variables.get(name.rpartition("[")[0])
         if name in variables or array is None or not array.shape or name not in (names := element_names(array)):
             continue
-        values = _elements(merged.get(array.name, array.start), len(names))
-        if values is not None:
+        values = merged.get(array.name, array.start)
+        values = [values or 0.0] if values is None or isinstance(values, (int, float)) else values
+        values = values.split() if isinstance(values, str) else values
+        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:  # other numbers are reported elsewhere
+            values = [*map(_number, values)] * (len(names) // len(values))
             del merged[name]
             merged[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
     return merged
 
 
-def _elements(value: Any, count: int) -> list[Any] | None:
-    """Return the values of an array as a list, or None if their number is wrong, which is reported elsewhere."""
+def _number(text: Any) -> Any:
+    """Return an XML start value as a number, if numeric."""
+    if not isinstance(text, str):
+        return text
+    try:
+        return int(text) if text.lstrip("+-").isdigit() else float(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text, text)
 
-    def number(text: Any) -> Any:
-        """Return an XML start value as a number, if numeric."""
-        if not isinstance(text, str):
-            return text
-        try:
-            return int(text) if text.lstrip("+-").isdigit() else float(text)
-        except ValueError:
-            return {"true": True, "false": False}.get(text, text)
 
-    values = [value or 0.0] if value is None or isinstance(value, (int, float)) else value
-    values = values.split() if isinstance(values, str) else values
-    if isinstance(values, (list, tuple)) and len(values) in {1, count}:
-        return [*map(number, values)] * (count // len(values))
-    return None
+def start_value(description: Any, variables: Mapping[str, Any], name: str, value: Any, component: str = "") -> Any:
+    """Return a start value in the FMI type of the variable; raise ValueError for an unsuitable name or value."""
+    variable, full_name = variables.get(name), f"{component}.{name}".lstrip(".")
+    if variable is None:
+        hint = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
+        raise ValueError(f'{component or "the FMU"} has no variable "{name}"{hint}')
+    if not settable(variable):
+        raise ValueError(f"{full_name} is {kind_of(variable)}; it takes no start value")
+    try:
+        return convert_value(description, variable, value)
+    except ValueError as error:
+        raise ValueError(f"{full_name} is {value!r}; {error}") from None
 
 
 def convert_value(description: Any, variable: Any, value: Any) -> Any:
-    """Return a start value in the variable's FMI type, or a `Misfit` with the reason why it does not fit.
+    """Return a start value in the variable's FMI type; raise ValueError with the reason if it does not fit.
 
     An array has a list of values.
     """
-    count = math.prod(variable.shape or ())
-    try:
-        if not variable.shape:
-            return _scalar(description, variable, value)
-        if not isinstance(value, list) or len(value) != count:
-            raise ValueError(f"it is a list of {count} values")
-        return [_scalar(description, variable, each) for each in value]
-    except ValueError as error:
-        return Misfit(str(error))
+    if not variable.shape:
+        return _scalar(description, variable, value)
+    count = math.prod(variable.shape)
+    if not isinstance(value, list) or len(value) != count:
+        raise ValueError(f"it is a list of {count} values")
+    return [_scalar(description, variable, each) for each in value]
 
 
 def _scalar(description: Any, variable: Any, value: Any) -> Any:

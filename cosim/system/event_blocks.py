@@ -21,7 +21,6 @@ from cosim.fmi.description import Way, takes_any_step, ways
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
-from cosim.scenario.start_values import Misfit
 from cosim.system.schedule import Loop, Schedule, Stage
 
 REALS = ("Real", "Float64", "Float32")
@@ -128,20 +127,17 @@ def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
 
 
 def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
-    """Return a clock's interval [s] in an event, or a misfit.
-
-    The result is None if the target is no clock.
-    """
+    """Return a clock's interval [s] in an event; None if the target is no clock. Raise ValueError if unsuitable."""
     clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
     if clock is None:
         return None
     if clock.kind != "tunable" or clock.interval is None:
         reason = "is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
-        return Misfit(f"{target} {reason}")
+        raise ValueError(f"{target} {reason}")
     with suppress(ValueError):
         value = read_quantity(value, "s") if isinstance(value, str) else value
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        return Misfit(f"{target} is {value!r}; give the interval of the clock, a time above 0 s")
+        raise ValueError(f"{target} is {value!r}; give the interval of the clock, a time above 0 s")
     return float(value)
 
 

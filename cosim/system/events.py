@@ -13,7 +13,7 @@ from cosim.fmi.description import enumeration_items, unit_of
 from cosim.fmi.fmi_types import input_aliases
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
-from cosim.scenario.start_values import Misfit, bounds_of, convert_value
+from cosim.scenario.start_values import bounds_of, convert_value
 from cosim.system.event_blocks import clock_interval
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
@@ -41,15 +41,14 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
             name, _, variable = target.partition(".")
             if name not in blocks and isinstance(scenario.components.get(name), FmuComponent):
                 continue  # Its FMU cannot be used, which is a fault already.
-            value = clock_interval(blocks.get(name), target, written)
-            value = targets.value(target, written) if value is None else value
-            if isinstance(value, Misfit):
-                diagnosis.note(("events", k, "set", target), value.reason)
-            elif (first := values.setdefault((event.at, target), value)) != value:
-                message = f"two values at {event.at:g} s: {first!r} and {value!r}; keep one"
-                diagnosis.note(("events", k, "set", target), message)
-            else:
+            try:
+                value = clock_interval(blocks.get(name), target, written)
+                value = targets.value(target, written) if value is None else value
+                if (first := values.setdefault((event.at, target), value)) != value:
+                    raise ValueError(f"two values at {event.at:g} s: {first!r} and {value!r}; keep one")
                 changes.setdefault(point, {}).setdefault(name, {})[variable] = value
+            except ValueError as error:
+                diagnosis.note(("events", k, "set", target), str(error))
     return changes
 
 
@@ -95,36 +94,29 @@ class Targets:
         self._variables = {name: {v.name: v for v in d.modelVariables} for name, d in descriptions.items()}
 
     def value(self, target: str, written: Any) -> Any:
-        """Return a value in the FMI type of the variable `component.variable`, or a `Misfit` with the reason."""
-        variable = self._variable(target)
-        if isinstance(variable, Misfit):
-            return variable
-        value = convert_value(self._descriptions[target.partition(".")[0]], variable, written)
-        if isinstance(value, Misfit):
-            return Misfit(f"{target} is {written!r}; {value.reason}")
-        return value
+        """Return a value in the FMI type of the variable `component.variable`; raise ValueError if unsuitable."""
+        variable = self.variable(target)
+        try:
+            return convert_value(self._descriptions[target.partition(".")[0]], variable, written)
+        except ValueError as error:
+            raise ValueError(f"{target} is {written!r}; {error}") from None
 
-    def objection(self, target: str) -> str:
-        """Return why `component.variable` cannot be set during a run, or ""."""
-        variable = self._variable(target)
-        return variable.reason if isinstance(variable, Misfit) else ""
-
-    def _variable(self, target: str) -> Any:
-        """Return the variable `component.variable`, or a `Misfit` if it cannot be set."""
+    def variable(self, target: str) -> Any:
+        """Return the variable `component.variable`; raise ValueError if it cannot be set during a run."""
         name, _, variable_name = target.partition(".")
         description = self._descriptions.get(name)
         if description is None:
-            return Misfit(f'no FMU "{name}" among the components{did_you_mean(name, self._descriptions)}')
+            raise ValueError(f'no FMU "{name}" among the components{did_you_mean(name, self._descriptions)}')
         variables = self._variables[name]
         variable = variables.get(variable_name)
         if variable is None:
             hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
-            return Misfit(f'{name} has no variable "{variable_name}"{hint}')
+            raise ValueError(f'{name} has no variable "{variable_name}"{hint}')
         if not _is_changeable(variable):
             kind = f"{variable.variability} {variable.causality}"
-            return Misfit(f"{target} is a {kind}; inputs and tunable parameters change while it runs")
+            raise ValueError(f"{target} is a {kind}; inputs and tunable parameters change while it runs")
         if self._is_connected(target):
-            return Misfit(f"{target} is connected, which decides its value; use faults: for what disturbs a connection")
+            raise ValueError(f"{target} is connected, which decides its value; use faults: for its disturbances")
         return variable
 
     def variables(self, starts: Mapping[str, Mapping[str, Any]]) -> list[Variable]:
