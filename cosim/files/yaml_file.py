@@ -145,9 +145,10 @@ class YamlFile:
         except InputError as error:  # of a number out of its range
             return content, [*faults, *error.faults]
 
-    def wrong(self, at: Location, value: Any, reason: object) -> Fault:
+    def wrong(self, at: Location, value: Any, reason: object, *, key: bool = False) -> Fault:
         """Return the fault of a value."""
-        return self.fault(at, wrong_value(".".join(map(short, at)), value, str(reason)))
+        name, text = ".".join(map(short, at)) or "it", str(reason).replace(", or it should be ", " or ")
+        return self.fault(at, f"{name} is {format_value(value)}: {text}", key=key)
 
     def validate(self, model: type[M], data: Any = None) -> M:
         """Return the data, by default the whole, as a pydantic model; raise InputError with all faults."""
@@ -205,27 +206,22 @@ class YamlFile:
         faults = []
         for each in errors[:MOST_FAULTS]:
             location = location_in(data, each["loc"], each["type"])
-            name = ".".join(map(short, location)) or "it"
-            is_key = "[key]" in each["loc"][len(location) :]
             if each["type"] == "missing":
-                location, message = location[:-1], f'"{name}" is missing; add it'
+                name = ".".join(map(short, location))
+                faults.append(self.fault(location[:-1], f'"{name}" is missing; add it'))
             elif each["type"] == "extra_forbidden":
-                is_key, key, keys = True, str(location[-1]), _allowed_keys(model, each["loc"][:-1])
+                key, keys = str(location[-1]), _allowed_keys(model, each["loc"][:-1])
                 message = f'unknown key "{short(key)}"{did_you_mean(key, keys)} (known here: {", ".join(keys)})'
                 if cure := REMOVED_KEYS.get(key):
                     message = f'"{short(key)}" is no longer supported. {cure}'
+                faults.append(self.fault(location, message, key=True))
             else:
                 reasons = dict.fromkeys(map(_reason, (each, *each.get("else", ()))))
-                message = wrong_value(name, each.get("input"), ", or ".join(reasons))
-            faults.append(self.fault(location, message, key=is_key))
+                is_key = "[key]" in each["loc"][len(location) :]
+                faults.append(self.wrong(location, each.get("input"), ", or ".join(reasons), key=is_key))
         if len(errors) > MOST_FAULTS:
             faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
         return faults
-
-
-def wrong_value(name: str, value: Any, reason: str) -> str:
-    """Return the message on a value."""
-    return f"{name} is {format_value(value)}: {reason.replace(', or it should be ', ' or ')}"
 
 
 def _text(path: Path) -> str:

@@ -32,6 +32,7 @@ SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
 UNKNOWN: Place = (0, 0)
+CONSTRUCTOR: Any = YAML(typ="safe", pure=True).constructor
 
 
 class NotYaml(Exception):
@@ -75,11 +76,17 @@ class Document:
     """Plain data with the place of each part."""
 
     def __init__(self, text: str) -> None:
+        def with_unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+            mapping = dict(pairs)
+            if len(mapping) < len(pairs):
+                raise ValueError("duplicate key")
+            return mapping
+
         self._text, self._parts = text, 0
         self._is_large = len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
         self._is_json = True
         try:
-            self.data = json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_no_constant)
+            self.data = json.loads(text, object_pairs_hook=with_unique_keys, parse_constant=int)  # NaN is no int
             if "\\u" in text:
                 json.dumps(self.data, ensure_ascii=False).encode()  # rejects unpaired surrogates
             return
@@ -163,17 +170,12 @@ class Document:
         if kind not in {"int", "float"}:
             return text
         try:
-            return getattr(_constructor(), f"construct_yaml_{kind}")(ScalarNode(node.tag, node.value))
+            return getattr(CONSTRUCTOR, f"construct_yaml_{kind}")(ScalarNode(node.tag, node.value))
         except (ValueError, IndexError):
             raise NotYaml(f'"{text[:30]}" is no number', node.start_mark) from None
 
 
 document_of = lru_cache(maxsize=2)(Document)  # A file is examined for its kind first, and then read.
-
-
-@lru_cache(maxsize=1)
-def _constructor() -> Any:
-    return YAML(typ="safe", pure=True).constructor
 
 
 def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
@@ -211,15 +213,3 @@ def _text_of(node: Any) -> str:
         raise NotYaml(
             "contains half a character (one half of a surrogate pair); write the whole character", node.start_mark
         ) from None
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object; raise ValueError for duplicate keys."""
-    mapping = dict(pairs)
-    if len(mapping) < len(pairs):
-        raise ValueError("duplicate key")
-    return mapping
-
-
-def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no JSON")

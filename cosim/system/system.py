@@ -18,6 +18,7 @@ from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
+from cosim.core.errors import refuse
 from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings
@@ -160,7 +161,7 @@ def build_system(file: ScenarioFile) -> System:
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
-    diagnosis.raise_any()
+    refuse(diagnosis.faults)
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
     warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
     return System(
