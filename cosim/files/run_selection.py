@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.suggestions import did_you_mean
+from cosim.core.text import did_you_mean
 from cosim.files.folders import INTERRUPTED, RESULTS, has_results, newest_run, run_name, state_of
 from cosim.files.run_entries import Entry, entries, numbered_lines
 

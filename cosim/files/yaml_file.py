@@ -20,8 +20,8 @@ from pydantic import (
 from pydantic_core.core_schema import CoreSchema, no_info_wrap_validator_function
 
 from cosim.core.errors import Fault, InputError
-from cosim.core.suggestions import closest as closest
-from cosim.core.suggestions import did_you_mean as did_you_mean
+from cosim.core.text import closest as closest
+from cosim.core.text import did_you_mean as did_you_mean
 from cosim.core.units import allowed_quantity, has_unit, read_quantity
 from cosim.files.files import open_bytes
 from cosim.files.yaml_nodes import Location, NotYaml, document_of

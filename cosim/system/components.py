@@ -21,7 +21,7 @@ from cosim.fmi.fmi_types import element_names, kinds_of
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import start_value, with_elements
-from cosim.system.event_blocks import event_block
+from cosim.system.events import event_block
 
 
 def build_components(file: ScenarioFile, diagnosis: Diagnosis) -> dict[str, Component]:
