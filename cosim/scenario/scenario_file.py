@@ -19,11 +19,20 @@ from cosim.core.errors import Fault, InputError
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import SCHEMA_VERSION, other_version
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, location_in, short
-from cosim.files.yaml_nodes import Document, Location, NotYaml
+from cosim.files.yaml_file import (
+    MOST_FAULTS,
+    Document,
+    Location,
+    NotYaml,
+    Origin,
+    YamlFile,
+    did_you_mean,
+    location_in,
+    short,
+)
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario
-from cosim.scenario.signal_units import STAND_IN, waiting_texts
+from cosim.scenario.start_values import STAND_IN, waiting_texts
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
@@ -52,6 +61,8 @@ class ScenarioFile:
         broken: Names of removed components.
         places: Indices in the file of the remaining connections, faults and events.
     """
+
+    scenario: Scenario
 
     def __init__(
         self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None, option: str = "--set"

@@ -24,8 +24,7 @@ def command(run: str | None = None, *, results: Path | None = None, browser: boo
     """
     from cosim.files.artefact import folder_kind
     from cosim.files.folders import content_of, has_results, state_of, warnings_on
-    from cosim.files.run_entries import entries
-    from cosim.files.run_selection import Selected, select_results
+    from cosim.files.run_entries import Selected, entries, select_results
 
     root = results or RESULTS
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_results([run], root)
