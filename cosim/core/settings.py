@@ -20,7 +20,7 @@ from annotated_types import Ge, Gt, Le
 
 from cosim.core.errors import Fault, refuse
 from cosim.core.registry import resolve
-from cosim.core.units import allowed_quantity, has_unit, read_quantity
+from cosim.core.units import number_in
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -66,12 +66,6 @@ def plain(value: Any, depth: int = 0) -> Any:
     raise ValueError(f"{_represent(value)} is of type {type(value).__name__}; it is {kinds}")
 
 
-def _seconds(value: Any) -> Any:
-    if isinstance(value, str) and not has_unit(value):
-        raise ValueError(allowed_quantity("s"))
-    return read_quantity(value, "s") if isinstance(value, str) else value
-
-
 def _file(value: Any) -> Any:
     if not isinstance(value, (str, os.PathLike)) or not isinstance(name := os.fspath(value), str):
         raise ValueError("give the name of a file or folder")
@@ -105,8 +99,9 @@ Files = Annotated[Sequence[FilePath], Converted(_listed)]
 Names = Annotated[Sequence[str], Converted(_listed)]
 Values = Annotated[Mapping[str, Any], Converted(plain)]
 Given = Values | Names  # settings: {"name": value}, or texts "name=value"
-Seconds = Annotated[float, Converted(_seconds)]  # or text with a unit: 4 min
-PositiveSeconds = Annotated[float, Gt(0), Converted(_seconds)]
+IN_SECONDS = Converted(functools.partial(number_in, unit="s"))
+Seconds = Annotated[float, IN_SECONDS]  # or text with a unit: 4 min
+PositiveSeconds = Annotated[float, Gt(0), IN_SECONDS]
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Whole = Annotated[int, Ge(0)]

@@ -275,8 +275,8 @@ class Selected:
         return self.short if self.entry is None else f"{self.short} ({self.entry.name})"
 
 
-def select_results(texts: Sequence[str], results: Path | None = None) -> list[Selected]:
-    """Return the results of paths, numbers, names and patterns such as `tank/*`, in this order.
+def select_groups(texts: Sequence[str], results: Path | None = None) -> list[list[Selected]]:
+    """Return, for each text, the results of paths, numbers, names and patterns such as `tank/*`, in this order.
 
     A path that exists is taken as a path, but for a folder without results that has the name of results. A folder of
     numbered runs, or its name, means the newest of them. A pattern gives its matches by age, without results that are
@@ -288,11 +288,6 @@ def select_results(texts: Sequence[str], results: Path | None = None) -> list[Se
     Raises:
         InputError: Every text that names no results.
     """
-    return [selected for group in select_groups(texts, results) for selected in group]
-
-
-def select_groups(texts: Sequence[str], results: Path | None = None) -> list[list[Selected]]:
-    """Return the results of each text; see `select_results`."""
     root = RESULTS if results is None else results
     inside = root.resolve() if root.is_dir() else None
     is_entry = (not Path(text).is_file() or inside in Path(text).resolve().parents for text in texts)

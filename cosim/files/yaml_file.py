@@ -35,7 +35,7 @@ from ruamel.yaml.nodes import ScalarNode
 from cosim.core.errors import Fault, InputError
 from cosim.core.text import closest as closest
 from cosim.core.text import did_you_mean as did_you_mean
-from cosim.core.units import allowed_quantity, has_unit, read_quantity
+from cosim.core.units import has_unit, number_in, read_quantity
 from cosim.files.files import open_bytes
 
 DEEPEST = 60  # levels of nesting
@@ -64,18 +64,11 @@ class InUnit:
     unit: str | None
     difference: bool = False
 
-    def number(self, value: Any) -> Any:
-        """Return the number of a text with a unit; return other values unchanged."""
-        if not isinstance(value, str) or self.unit is None:
-            return value
-        if not has_unit(value):
-            raise ValueError(allowed_quantity(self.unit))
-        return read_quantity(value, self.unit, difference=self.difference)
-
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-            waits = self.unit is None and isinstance(value, str) and has_unit(value)
-            return value if waits else inner(self.number(value))
+            if self.unit is not None:
+                return inner(number_in(value, self.unit, difference=self.difference))
+            return value if isinstance(value, str) and has_unit(value) else inner(value)
 
         return no_info_wrap_validator_function(number, handler(source))
 
