@@ -98,7 +98,8 @@ def system_of(
     )
     later = tuple(t for t in transfers if t.name in held)
     signals = {f"{b.name}.{s.name}": s for b in blocks for s in (*b.inputs, *b.outputs)}
-    return System(stages, later, tuple(columns), dict.fromkeys(columns, ""), 0, start, signals=signals, **options)
+    units = dict.fromkeys(columns, "")
+    return System(stages, later, columns=tuple(columns), units=units, start=start, signals=signals, **options)
 
 
 def rows_for(system: System, steps: int) -> Rows:

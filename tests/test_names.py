@@ -118,11 +118,11 @@ def test_a_parameter_given_to_a_replay_is_as_if_built_in(tmp_path: Path, plant_f
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("mas=1", 'no such variable; did you mean "mass"?'),
+        ("mas=1", 'has no variable "mas"; did you mean "mass"?'),
         ("mass=much", "it is a number [kg]"),
         ("mass=-1", "it lies in"),
         ("roll_ground_effect=2", "it is true or false"),
-        ("x=1", "lets nobody set it"),
+        ("x=1", "it takes no start value"),
         ("mass", "it is NAME=VALUE"),
     ],
 )

@@ -11,7 +11,7 @@ import pytest
 
 from cosim.files.results import Results
 from cosim.scenario.scenario import Criterion
-from cosim.scenario.start_values import Misfit, convert_value
+from cosim.scenario.start_values import convert_value
 from cosim.simulation.criteria import evaluate
 
 # -- start values -----------------------------------------------------------------------------------
@@ -26,8 +26,10 @@ def variable(kind: str = "Real", **more: Any) -> Any:
 
 
 def fits(given: Any, kind: str = "Real", version: str = "2.0", **more: Any) -> Any:
-    found = convert_value(SimpleNamespace(fmiVersion=version, unitDefinitions=[]), variable(kind, **more), given)
-    return found.reason if isinstance(found, Misfit) else found
+    try:
+        return convert_value(SimpleNamespace(fmiVersion=version, unitDefinitions=[]), variable(kind, **more), given)
+    except ValueError as error:
+        return str(error)
 
 
 @pytest.mark.parametrize(

@@ -187,6 +187,8 @@ def test_a_reference_in_degrees_celsius_reaches_an_input_in_kelvin(tmp_path: Pat
         ("criteria", {"peak": {"of": "r.T", "max": "4 kg"}},
          "criteria.peak.max is '4 kg': it is a number [degC], or text with a unit: 3 degC"),
         ("criteria", {"peak": {"of": "r.none", "max": "4 kg"}}, "the unit of r.none is not known"),
+        ("criteria", {"settling_time": {"of": "r.T", "max": "1 s", "band": "-2 K"}},
+         "criteria.settling_time.band is -2.0: it should be greater than 0"),
     ],
 )  # fmt: skip
 def test_a_unit_that_does_not_fit_is_a_fault_with_its_place(tmp_path: Path, key: str, value: Any, fault: str) -> None:
@@ -194,6 +196,22 @@ def test_a_unit_that_does_not_fit_is_a_fault_with_its_place(tmp_path: Path, key:
     (found,) = [f for f in ScenarioFile(path).faults if fault in f.message]
     assert found.line == 1
     assert found.column > 1
+
+
+def test_faults_of_form_of_units_and_of_ranges_come_at_once(tmp_path: Path) -> None:
+    connections = [{"to": "f.T"}, {"from": "r.T", "to": "f.T", "offset": "3 m", "noise": {"variance": "-9 K2"}}]
+    path = heated(tmp_path, step="2 kg", connections=connections, faults=[{"on": "f.T", "kind": "stuck", "value": "x"}])
+    content = json.loads(path.read_text())
+    content["components"]["f"] = {"block": "fix", "rate": 1, "signals": {"T": {"unit": "K"}}}
+    path.write_text(json.dumps(content))
+    faults = " ".join(f.message for f in ScenarioFile(path).faults)
+    parts = (
+        "connections.0.from",
+        "connections.1.offset is '3 m'",
+        "connections.1.noise.variance is -9",
+        "faults.0.value",
+    )
+    assert all(part in faults for part in (*parts, "step is '2 kg'")), faults
 
 
 def test_units_are_taken_from_set_and_from_python(tmp_path: Path) -> None:
@@ -232,7 +250,7 @@ def test_parameters_of_a_model_file_are_converted(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         read_model(path)
     told = str(refused.value)
-    assert "model.yaml:3:9: mass is '5 m': it is a number [kg], or text with a unit: 3 kg, 3 g" in told
+    assert "model.yaml:3:9: parameters.mass is '5 m': it is a number [kg], or text with a unit: 3 kg, 3 g" in told
     assert "model.yaml:4:12: ambient is 1173.15; it lies in [200, 400] K" in told
     assert 'model.yaml:5:3: tank.py:Tank has no parameter "masss"; did you mean "mass"?' in told
 
@@ -248,9 +266,13 @@ def test_noise_and_tolerances_of_a_study_are_differences_and_shares(tmp_path: Pa
     assert study.content.noise == pytest.approx({"T": 0.1})
     assert study.content.tolerance == pytest.approx({"mass": 0.1})
     assert study.logs[0].outputs["T"][0] == pytest.approx(293.15)
-    path.write_text(text.replace("0.18 degF", "0.1 m"))
-    with pytest.raises(InputError, match=r"study.yaml:3:12: T is '0.1 m': it is a number \[K\]"):
-        read_study(path)
+    for noise, reason in (
+        ("0.1 m", r"'0.1 m': it is a number \[K\]"),
+        ("-0.9 degF", "-0.5: it should be greater than 0"),
+    ):
+        path.write_text(text.replace("0.18 degF", noise))
+        with pytest.raises(InputError, match=f"study.yaml:3:12: noise.T is {reason}"):
+            read_study(path)
     assert StudyFile.model_json_schema()["properties"]["noise"]["additionalProperties"]["type"] == ["number", "string"]
 
 

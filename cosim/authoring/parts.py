@@ -20,7 +20,7 @@ from cosim.core.messages import Note
 from cosim.core.times import difference
 from cosim.fmi.description import takes_any_step
 from cosim.fmi.sampled import sampled_by
-from cosim.system.event_blocks import default_block
+from cosim.system.events import default_block
 
 STOP, STEPS = 1.0, 500  # defaults without an FMU's declaration: duration [s], number of steps
 LONGEST = 24  # characters of a component's name, which precedes every signal

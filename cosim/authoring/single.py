@@ -28,8 +28,7 @@ from cosim.files.artefact import LOG
 from cosim.files.files import FilePath, check_writable
 from cosim.files.folders import new_run
 from cosim.files.kinds import check_given
-from cosim.files.yaml_file import short
-from cosim.files.yaml_nodes import Document, NotYaml
+from cosim.files.yaml_file import Document, NotYaml, short
 from cosim.simulation.workflow import Outcome, WriteReport, run
 
 MAX_STEPS = 1_000_000  # requested by the FMU's own times

@@ -17,7 +17,7 @@ from cosim.files.yaml_file import did_you_mean, short
 from cosim.fmi.description import unit_of
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.probing.log_runs import limits_of
-from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
+from cosim.scenario.start_values import convert_value, kind_of, settable
 
 NOT_VARIED = '--vary "{text}" is none of NAME, NAME=20% and NAME=LOW..HIGH, as in mass=0.3..2'
 
@@ -161,10 +161,10 @@ def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -
     ends = []
     for end in (f"{first} {unit}" if unit and _number(first) is not None else first, second):
         number = _number(end)
-        value = convert_value(description, variable, end if number is None else number)
-        if isinstance(value, Misfit):
-            raise ValueError(f"{variable.name}: {short(end)} is not allowed: {value.reason}")
-        ends.append(float(value))
+        try:
+            ends.append(float(convert_value(description, variable, end if number is None else number)))
+        except ValueError as error:
+            raise ValueError(f"{variable.name}: {short(end)} is not allowed: {error}") from None
     low, high = ends
     if not low < high:
         raise ValueError(f"{name}: {low:g} is not below {high:g}; give LOW..HIGH with LOW below HIGH")

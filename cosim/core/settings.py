@@ -108,8 +108,9 @@ Files = Annotated[Sequence[FilePath], Converted(_listed)]
 Names = Annotated[Sequence[str], Converted(_listed)]
 Values = Annotated[Mapping[str, Any], Converted(plain)]
 Given = Values | Names  # settings: {"name": value}, or texts "name=value"
-Seconds = Annotated[float, Converted(_seconds)]  # or text with a unit: 4 min
-PositiveSeconds = Annotated[float, Gt(0), Converted(_seconds)]
+IN_SECONDS = Converted(_seconds)
+Seconds = Annotated[float, IN_SECONDS]  # or text with a unit: 4 min
+PositiveSeconds = Annotated[float, Gt(0), IN_SECONDS]
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Whole = Annotated[int, Ge(0)]

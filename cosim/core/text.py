@@ -1,11 +1,13 @@
-"""Numbers and sentences as shown in reports."""
+"""Numbers and sentences as shown in reports, and suggestions of a close word for one that is unknown."""
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
 import re
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Sequence
+from itertools import islice
 from typing import Any
 
 from cosim.core.units import DISPLAY
@@ -17,6 +19,7 @@ RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOT_IN_YAML = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 MINUS = "\u2212"
 MISSING = "\u2013"
+WORDS, LONGEST_WORD = 2000, 100  # searched words, and their length
 MOST_NAMED = 3  # names in a sentence; a reader loses the thread of a longer chain
 
 
@@ -138,3 +141,21 @@ def as_yaml(value: Any) -> str:
     """Return a value as JSON that YAML reads too: what it takes for a line break, or for no character, is escaped."""
     text = json.dumps(value, ensure_ascii=False)
     return NOT_IN_YAML.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def closest(word: str, words: Iterable[str], similarity: float = 0.6) -> str:
+    """Return the closest of some words, or "".
+
+    Args:
+        similarity: Required similarity; 1 means equal.
+    """
+    if len(word) > LONGEST_WORD:
+        return ""
+    candidates = [w for w in islice(words, WORDS) if len(w) <= LONGEST_WORD]
+    return "".join(difflib.get_close_matches(word, candidates, n=1, cutoff=similarity))
+
+
+def did_you_mean(word: str, words: Iterable[str]) -> str:
+    """Return `; did you mean "…"?` for a close word, or ""."""
+    match = closest(word, words)
+    return f'; did you mean "{match}"?' if match else ""

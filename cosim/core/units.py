@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -195,6 +195,15 @@ def read_quantity(text: str, unit: str, *, difference: bool = False) -> float:
     if not math.isfinite(number):
         raise ValueError("it is not finite; write a finite number")
     return number
+
+
+def number_in(value: Any, unit: str, *, difference: bool = False) -> Any:
+    """Return the number of a text with a unit, other values unchanged; raise ValueError for a text without a unit."""
+    if not isinstance(value, str):
+        return value
+    if not has_unit(value):
+        raise ValueError(allowed_quantity(unit))
+    return read_quantity(value, unit, difference=difference)
 
 
 def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:

@@ -29,8 +29,8 @@ from cosim.files.yaml_file import did_you_mean
 OWN = (
     "cosim.files.csv_source:CSV",
     "cosim.files.parquet_source:PARQUET",
-    "cosim.files.mat_source:MAT",
-    "cosim.files.hdf5_source:HDF5",
+    "cosim.files.matrix_sources:MAT",
+    "cosim.files.matrix_sources:HDF5",
 )
 HEAD = 64  # bytes examined to detect a format
 SHOWN_FAULTS = 5  # faults of cells that are shown for a file; the rest are counted

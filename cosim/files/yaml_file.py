@@ -1,12 +1,22 @@
-"""YAML with the place of every key and value, validated with all faults at once."""
+"""YAML and JSON with the place of every key and value, validated with all faults at once.
+
+Oversized, deep or unsupported content is rejected. Nodes come from ruamel.yaml, whose messages are used, or for long
+texts from the faster libyaml if present. Supported are mappings with text keys, lists, text, numbers, true, false and
+null, and anchors, aliases and merge keys with limited expansion.
+"""
 
 from __future__ import annotations
 
 import copy
+import json
+import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -18,14 +28,30 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
 )
 from pydantic_core.core_schema import CoreSchema, no_info_wrap_validator_function
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import ScalarNode
 
 from cosim.core.errors import Fault, InputError
-from cosim.core.suggestions import closest as closest
-from cosim.core.suggestions import did_you_mean as did_you_mean
-from cosim.core.units import allowed_quantity, has_unit, read_quantity
+from cosim.core.text import closest as closest
+from cosim.core.text import did_you_mean as did_you_mean
+from cosim.core.units import has_unit, number_in, read_quantity
 from cosim.files.files import open_bytes
-from cosim.files.yaml_nodes import Location, NotYaml, document_of
 
+DEEPEST = 60  # levels of nesting
+LONG = 20_000  # text length from which loading another parser pays off
+# Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
+APART = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE)
+MOST_YAML = 800_000  # text length [characters] readable within seconds
+MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
+MOST_PARTS = 400_000  # keys and values after expanding aliases
+MERGE, TAG = "<<", "tag:yaml.org,2002:"
+TOO_DEEP = f"is nested too deep; at most {DEEPEST} levels are read"
+SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}  # tags
+Location = tuple[str | int, ...]
+Place = tuple[int, int]
+UNKNOWN: Place = (0, 0)
+CONSTRUCTOR: Any = YAML(typ="safe", pure=True).constructor
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
@@ -38,18 +64,11 @@ class InUnit:
     unit: str | None
     difference: bool = False
 
-    def number(self, value: Any) -> Any:
-        """Return the number of a text with a unit; return other values unchanged."""
-        if not isinstance(value, str) or self.unit is None:
-            return value
-        if not has_unit(value):
-            raise ValueError(allowed_quantity(self.unit))
-        return read_quantity(value, self.unit, difference=self.difference)
-
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-            waits = self.unit is None and isinstance(value, str) and has_unit(value)
-            return value if waits else inner(self.number(value))
+            if self.unit is not None:
+                return inner(number_in(value, self.unit, difference=self.difference))
+            return value if isinstance(value, str) and has_unit(value) else inner(value)
 
         return no_info_wrap_validator_function(number, handler(source))
 
@@ -63,15 +82,11 @@ class InUnit:
 Seconds = Annotated[Number, InUnit("s")]
 PositiveSeconds = Annotated[Positive, InUnit("s")]
 NotNegativeSeconds = Annotated[NotNegative, InUnit("s")]
-# The unit is that of a signal, known only from the whole scenario: `cosim.scenario.signal_units` converts the text.
-NUMBER_OR_TEXT = Field(json_schema_extra={"type": ["number", "string"]})
-Amount = Annotated[Number, NUMBER_OR_TEXT]
-PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
-NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
-
-
-UNIT_OF_KEY = InUnit(None)
 Share = InUnit("1")  # a number, or text such as `5 %`
+UNIT_OF_KEY = InUnit(None)  # The unit is known only from the whole file; a number, or text that waits.
+Amount = Annotated[Number, UNIT_OF_KEY]
+PositiveAmount = Annotated[Positive, UNIT_OF_KEY]
+NotNegativeAmount = Annotated[NotNegative, UNIT_OF_KEY]
 
 MOST_BYTES = 8_000_000  # size of a file [bytes]
 MOST_FAULTS = 200  # reported faults per file
@@ -123,28 +138,36 @@ class YamlFile:
         return Fault(self.path, *self.place(location, key), message, exit_code)
 
     def in_units(
-        self, at: Location, values: Mapping[str, Any], units: Mapping[str, str], *, difference: bool = False
-    ) -> tuple[dict[str, Any], list[Fault]]:
-        """Return values with text such as `400 kg` converted.
+        self, content: M, section: str, units: Mapping[str, str], *, difference: bool = False
+    ) -> tuple[M, list[Fault]]:
+        """Return the content with text such as `400 kg` in a section converted, and faults.
+
+        A faulty value is omitted; a text with an unknown name becomes a number, because the name is reported elsewhere.
 
         Args:
             units: Name → unit of its number.
-
-        Returns:
-            Numbers and faults. A faulty value is omitted; a value with an unknown name becomes a number, because the
-            name is reported elsewhere.
         """
-        numbers: dict[str, Any] = {}
-        faults = []
+        values: dict[str, Any] = getattr(content, section)
+        if not any(isinstance(value, str) for value in values.values()):
+            return content, []
+        numbers, faults = dict[str, Any](), list[Fault]()
         for name, value in values.items():
-            if not isinstance(value, str) or name not in units:
-                numbers[name] = 1.0 if isinstance(value, str) else value
-                continue
+            is_text = isinstance(value, str)
             try:
-                numbers[name] = read_quantity(value, units[name], difference=difference)
+                number = read_quantity(value, units[name], difference=difference) if is_text and name in units else 1.0
+                numbers[name] = number if is_text else value
             except ValueError as error:
-                faults.append(self.fault((*at, name), wrong_value(name, value, str(error))))
-        return numbers, faults
+                faults.append(self.wrong((section, name), value, error))
+        content = content.model_copy(update={section: numbers})
+        try:
+            return self.validate(type(content), dict(content)), faults
+        except InputError as error:  # of a number out of its range
+            return content, [*faults, *error.faults]
+
+    def wrong(self, at: Location, value: Any, reason: object, *, key: bool = False) -> Fault:
+        """Return the fault of a value."""
+        name, text = ".".join(map(short, at)) or "it", str(reason).replace(", or it should be ", " or ")
+        return self.fault(at, f"{name} is {format_value(value)}: {text}", key=key)
 
     def validate(self, model: type[M], data: Any = None) -> M:
         """Return the data, by default the whole, as a pydantic model; raise InputError with all faults."""
@@ -202,27 +225,22 @@ class YamlFile:
         faults = []
         for each in errors[:MOST_FAULTS]:
             location = location_in(data, each["loc"], each["type"])
-            name = ".".join(map(short, location)) or "it"
-            is_key = "[key]" in each["loc"][len(location) :]
             if each["type"] == "missing":
-                location, message = location[:-1], f'"{name}" is missing; add it'
+                name = ".".join(map(short, location))
+                faults.append(self.fault(location[:-1], f'"{name}" is missing; add it'))
             elif each["type"] == "extra_forbidden":
-                is_key, key, keys = True, str(location[-1]), _allowed_keys(model, each["loc"][:-1])
+                key, keys = str(location[-1]), _allowed_keys(model, each["loc"][:-1])
                 message = f'unknown key "{short(key)}"{did_you_mean(key, keys)} (known here: {", ".join(keys)})'
                 if cure := REMOVED_KEYS.get(key):
                     message = f'"{short(key)}" is no longer supported. {cure}'
+                faults.append(self.fault(location, message, key=True))
             else:
                 reasons = dict.fromkeys(map(_reason, (each, *each.get("else", ()))))
-                message = wrong_value(name, each.get("input"), ", or ".join(reasons))
-            faults.append(self.fault(location, message, key=is_key))
+                is_key = "[key]" in each["loc"][len(location) :]
+                faults.append(self.wrong(location, each.get("input"), ", or ".join(reasons), key=is_key))
         if len(errors) > MOST_FAULTS:
             faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
         return faults
-
-
-def wrong_value(name: str, value: Any, reason: str) -> str:
-    """Return the message on a value."""
-    return f"{name} is {format_value(value)}: {reason.replace(', or it should be ', ' or ')}"
 
 
 def _text(path: Path) -> str:
@@ -341,3 +359,186 @@ class Part(BaseModel):
     """A part of a file; unknown keys are rejected."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+# -- text as plain data with places ---------------------------------------------------------------
+
+
+class NotYaml(Exception):
+    """Invalid or unsupported YAML text, with line and column from 1."""
+
+    def __init__(self, message: str, mark: Any = None) -> None:
+        super().__init__(message)
+        self.line: int = 1 if mark is None else mark.line + 1
+        self.column: int = 1 if mark is None else mark.column + 1
+
+
+@lru_cache(maxsize=1)
+def _libyaml() -> Any:
+    """Return PyYAML's C parser with ruamel.yaml's scalar types, None if absent."""
+    try:
+        loader: Any = import_module("yaml").CLoader
+    except (ImportError, AttributeError):
+        return None
+
+    class Parser(loader):  # type: ignore[misc]
+        """Parser that counts the nesting, which would overflow the stack in libyaml."""
+
+        yaml_implicit_resolvers: ClassVar[Any] = {
+            first: [(str(tag), pattern) for tag, pattern in kinds]
+            for first, kinds in YAML(typ="safe", pure=True).resolver.versioned_resolver.items()
+        }
+        depth = 0
+
+        def descend_resolver(self, *_: Any) -> None:
+            self.depth += 1
+            if self.depth > 2 * DEEPEST:
+                raise RecursionError
+
+        def ascend_resolver(self) -> None:
+            self.depth -= 1
+
+    return Parser
+
+
+class Document:
+    """Plain data with the place of each part."""
+
+    def __init__(self, text: str) -> None:
+        def with_unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+            mapping = dict(pairs)
+            if len(mapping) < len(pairs):
+                raise ValueError("duplicate key")
+            return mapping
+
+        self._text, self._parts = text, 0
+        self._is_large = len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
+        self._is_json = True
+        try:
+            self.data = json.loads(text, object_pairs_hook=with_unique_keys, parse_constant=int)  # NaN is no int
+            if "\\u" in text:
+                json.dumps(self.data, ensure_ascii=False).encode()  # rejects unpaired surrogates
+            return
+        except (ValueError, RecursionError):  # YAML, or a fault whose place only YAML reading finds
+            self._is_json = False
+        if self._is_large:
+            raise NotYaml(
+                f"has {len(text) / 1e6:.1f} MB of YAML, of which at most {MOST_YAML / 1e6:g} MB and about {MOST_MARKS} "
+                "keys and values are read; write it as JSON, which may have 8 MB, or make it shorter"
+            )
+        self.data = None if self._root is None else self._value(self._root, 0)
+
+    @cached_property
+    def _root(self) -> Any:
+        """Root node, None if empty: id (scalar, sequence, mapping), tag, value, start_mark; a scalar has a style."""
+        text = self._text
+        if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
+            with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
+                return parser(text).get_single_node()
+        try:
+            return YAML(typ="safe", pure=True).compose(text)
+        except RecursionError:
+            raise NotYaml(TOO_DEEP) from None
+        except (YAMLError, ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError) as error:
+            told = " ".join(filter(None, (getattr(error, "context", None), getattr(error, "problem", None))))
+            if not told and isinstance(error, YAMLError):  # others come from mistakes of ruamel.yaml's scanner
+                told = str(error).partition("\n")[0]
+            mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+            raise NotYaml(f"is not YAML: {' '.join(told.split())[:200] or 'it cannot be understood'}", mark) from None
+
+    def place(self, location: Location, key: bool = False) -> Place:
+        """Return line and column of the nearest part at a location.
+
+        The result is UNKNOWN for JSON that is too large to search or no YAML.
+
+        Args:
+            key: Whether to return the place of the key instead of the value.
+        """
+        if self._is_json and self._is_large:
+            return UNKNOWN
+        try:
+            node, place = self._root, None
+        except NotYaml:
+            return UNKNOWN
+        for depth, step in enumerate(location, 1):
+            is_last = depth == len(location)
+            if node.id == "mapping" and step in (pairs := _pairs(node)):
+                at, node = pairs[str(step)]
+                # A missing key is reported at the key of its parent.
+                place = (at if (key and is_last) or (not is_last and node.id != "scalar") else node).start_mark
+            elif node.id == "sequence" and isinstance(step, int) and step < len(node.value):
+                node = node.value[step]
+                place = node.start_mark
+            else:
+                break
+        return (1, 1) if place is None else (place.line + 1, place.column + 1)
+
+    def _value(self, node: Any, depth: int) -> Any:
+        """Return the plain data of a YAML node; raise a fault if the file is too large or nested too deeply."""
+        self._parts += 1
+        if self._parts > MOST_PARTS:
+            raise NotYaml(
+                f"has more than {MOST_PARTS} values when its aliases are expanded; use fewer values or aliases",
+                node.start_mark,
+            )
+        if depth > DEEPEST:
+            raise NotYaml(TOO_DEEP, node.start_mark)
+        kind = str(node.tag).removeprefix(TAG)
+        if node.id == "mapping" and kind in {"map", "None"}:
+            return {key: self._value(value, depth + 1) for key, (_, value) in _pairs(node).items()}
+        if node.id == "sequence" and kind in {"seq", "None"}:
+            return [self._value(value, depth + 1) for value in node.value]
+        if node.id != "scalar" or kind not in SCALARS:
+            tag = str(node.tag).replace(TAG, "!!")[:60]
+            raise NotYaml(f'the tag "{tag}" means nothing here; leave it out', node.start_mark)
+        text = _text_of(node)
+        if kind == "null":
+            return None
+        if kind == "bool":
+            return text.lower() == "true"
+        if kind not in {"int", "float"}:
+            return text
+        try:
+            return getattr(CONSTRUCTOR, f"construct_yaml_{kind}")(ScalarNode(node.tag, node.value))
+        except (ValueError, IndexError):
+            raise NotYaml(f'"{text[:30]}" is no number', node.start_mark) from None
+
+
+document_of = lru_cache(maxsize=2)(Document)  # A file is examined for its kind first, and then read.
+
+
+def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
+    """Return key → (key node, value node) of a mapping with its merged keys, which replace the node's value."""
+    entries = node.value
+    if isinstance(entries, dict):
+        return entries
+    node.value = None
+    if entries is None:
+        raise NotYaml("merges itself; take the merge out", node.start_mark)
+    own: dict[str, tuple[Any, Any]] = {}
+    merged: dict[str, tuple[Any, Any]] = {}
+    for key, value in entries:
+        if key.id != "scalar":
+            raise NotYaml("a key is text, no list and no mapping", key.start_mark)
+        if key.value == MERGE and not key.style:
+            for other in value.value if value.id == "sequence" else [value]:
+                if other.id != "mapping":
+                    raise NotYaml("only a mapping, or a list of mappings, can be merged", value.start_mark)
+                merged = {**_pairs(other), **merged}
+        elif (name := _text_of(key)) in own:
+            raise NotYaml(f'duplicate key "{name[:60]}"; keep one', key.start_mark)
+        else:
+            own[name] = key, value
+    node.value = pairs = {**merged, **own}
+    return pairs
+
+
+def _text_of(node: Any) -> str:
+    """Return a scalar's text with JSON surrogate pairs joined."""
+    text: str = node.value
+    try:
+        return text.encode("utf-16", "surrogatepass").decode("utf-16")
+    except UnicodeDecodeError:
+        raise NotYaml(
+            "contains half a character (one half of a surrogate pair); write the whole character", node.start_mark
+        ) from None

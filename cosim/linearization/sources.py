@@ -27,7 +27,7 @@ from cosim.isolation.watch import Watch, fmi_calls
 from cosim.linearization.linear_model import Linear, Point
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
-from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
+from cosim.scenario.start_values import start_value
 
 MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
 NAME = "fmu"
@@ -345,16 +345,9 @@ def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dic
     variables = {v.name: v for v in description.modelVariables}
     converted, faults = dict[str, Any](), []
     for name, value in values.items():
-        variable = variables.get(name)
-        if variable is None:
-            cure = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
-            faults.append(f'has no variable "{name}"{cure}')
-        elif not settable(variable):
-            cure = "so it cannot be set; name a parameter, a state or an input"
-            faults.append(f"{name} is {kind_of(variable)} without a start value, {cure}")
-        elif isinstance(fitting := convert_value(description, variable, value), Misfit):
-            faults.append(f"{name} is {value!r}; {fitting.reason}")
-        else:
-            converted[name] = fitting
-    refuse(Fault(path, 0, 0, fault) for fault in faults)
+        try:
+            converted[name] = start_value(description, variables, name, value)
+        except ValueError as error:
+            faults.append(Fault(path, 0, 0, str(error)))
+    refuse(faults)
     return converted

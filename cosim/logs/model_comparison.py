@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.core.arrays import Array
-from cosim.core.correlation import correlation_at_lags
+from cosim.core.arrays import Array, correlation_at_lags
 from cosim.core.text import amount, plain
 from cosim.core.units import factor
 from cosim.logs.channel_noise import noise_level

@@ -20,7 +20,7 @@ from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, called_sl
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
 from cosim.master.inbox import MOST_IN_C
-from cosim.system.event_blocks import is_exchange
+from cosim.system.events import is_exchange
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 

@@ -21,7 +21,6 @@ from typing import Any
 
 from cosim.core.errors import Fault, refuse
 from cosim.isolation.rows import WAITING, Progress
-from cosim.scenario.start_values import Misfit
 from cosim.system.events import Targets, Variable
 from cosim.system.system import System
 
@@ -128,8 +127,13 @@ class Control:
         Raises:
             InputError: Every fault of the values; none is set then.
         """
-        converted = {target: self._targets.value(target, value) for target, value in values.items()}
-        refuse([Fault(Path(n), 0, 0, v.reason) for n, v in converted.items() if isinstance(v, Misfit)])
+        converted, faults = dict[str, Any](), []
+        for target, value in values.items():
+            try:
+                converted[target] = self._targets.value(target, value)
+            except ValueError as error:
+                faults.append(Fault(Path(target), 0, 0, str(error)))
+        refuse(faults)
         parts = [(*target.split(".", 1), value) for target, value in converted.items()]
         with self._lock, suppress(FileNotFoundError):
             _append(self._folder / SENT, _merge(*({owner: {name: value}} for owner, name, value in parts)))

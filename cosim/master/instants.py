@@ -30,7 +30,7 @@ from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import Copies, copy_values
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Policy
-from cosim.system.event_blocks import is_exchange, takes_part_of_step
+from cosim.system.events import is_exchange, takes_part_of_step
 from cosim.system.schedule import Stage
 
 if TYPE_CHECKING:

@@ -133,13 +133,15 @@ class InputFunctions(Observer):
     def check(self, system: System) -> None:
         """Raise InputError for names that cannot be set, and for what is no function."""
         targets = targets_of(system)
-        reasons = [targets.objection(name) for name in self._functions]
-        reasons += [
-            f"{n} is of type {type(f).__name__}; give a function of time and signals"
-            for n, f in self._functions.items()
-            if not callable(f)
-        ]
-        refuse([Fault(Path("inputs"), 0, 0, reason) for reason in reasons if reason])
+        reasons = []
+        for name, function in self._functions.items():
+            try:
+                targets.variable(name)
+            except ValueError as error:
+                reasons.append(str(error))
+            if not callable(function):
+                reasons.append(f"{name} is of type {type(function).__name__}; give a function of time and signals")
+        refuse([Fault(Path("inputs"), 0, 0, reason) for reason in reasons])
 
     def begin(self, run: ObservedRun) -> None:
         """Note the signals of a run."""

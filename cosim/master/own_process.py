@@ -19,7 +19,7 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
 from cosim.isolation.watch import Watch, fmi_calls
-from cosim.system.event_blocks import is_exchange
+from cosim.system.events import is_exchange
 from cosim.system.system import System
 
 Signals = tuple[list[float], list[Any]]  # in the row, and beside the row

@@ -16,8 +16,7 @@ from cosim.files.artefact import LOG
 from cosim.files.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
-from cosim.files.run_entries import Entry, entries
-from cosim.files.run_selection import select_groups
+from cosim.files.run_entries import Entry, entries, select_groups
 from cosim.pages.rows import Recording
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
 

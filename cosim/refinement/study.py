@@ -308,12 +308,11 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
 
 def _in_units(yaml: YamlFile, content: StudyFile, subject: Subject) -> tuple[StudyFile, list[Fault]]:
     """Return the study with standard deviations in the units of the subject, and faults."""
-    update, faults = {}, list[Fault]()
+    faults = list[Fault]()
     for key, signals in (("noise", subject.outputs), ("start_noise", subject.states)):
-        units = {q.name: q.unit for q in signals}
-        update[key], wrong = yaml.in_units((key,), getattr(content, key), units, difference=True)
+        content, wrong = yaml.in_units(content, key, {q.name: q.unit for q in signals}, difference=True)
         faults += wrong
-    return content.model_copy(update=update), faults
+    return content, faults
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from cosim.core.errors import Fault, refuse
 from cosim.core.text import split_assignment
-from cosim.files.yaml_file import did_you_mean, short
+from cosim.files.yaml_file import short
 from cosim.fmi.description import read_description
-from cosim.scenario.start_values import NOT_NUMBERS, Misfit, convert_value, settable
+from cosim.scenario.start_values import NOT_NUMBERS, start_value
 
 SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 
@@ -35,26 +34,20 @@ def start_values(
     faults = []
     for text in texts:
         name, _, written = split_assignment(text, variables)
-        variable = variables.get(name)
-        if not (name and written):
-            value: Any = Misfit("it is NAME=VALUE, as in gain=0.9")
-        elif variable is None:
-            value = Misfit(f"the FMU has no such variable{did_you_mean(name, variables)}")
-        elif not settable(variable):
-            value = Misfit("FMI lets nobody set it before a run")
-        else:
-            read: float | int | bool | str = written
-            if variable.type == "Boolean":
-                read = SWITCHES.get(written.lower(), written)
-            elif variable.type not in NOT_NUMBERS:
-                for number in (float, int):  # a whole number is one
-                    with suppress(ValueError):
-                        read = number(written)
-            value = convert_value(description, variable, read)
-        if isinstance(value, Misfit):
-            message = f'--start "{short(text)}": {value.reason}'
+        kind = getattr(variables.get(name), "type", "")
+        read: float | int | bool | str = written
+        if kind == "Boolean":
+            read = SWITCHES.get(written.lower(), written)
+        elif kind not in NOT_NUMBERS:
+            for number in (float, int):  # a whole number is one
+                with suppress(ValueError):
+                    read = number(written)
+        try:
+            if not (name and written):
+                raise ValueError("it is NAME=VALUE, as in gain=0.9")
+            values[name] = start_value(description, variables, name, read)
+        except ValueError as error:
+            message = f'--start "{short(text)}": {error}'
             faults.append(Fault(fmu, 0, 0, message) if fault is None else fault(name, message))
-        else:
-            values[name] = value
     refuse(faults)
     return values

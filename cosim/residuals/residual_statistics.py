@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
-from cosim.core.correlation import centre, correlation
+from cosim.core.arrays import Array, Rows, centre, correlation
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.logs.log import slowness
 

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 from cosim.blocks.coupling import DEFAULT, AlgorithmKey
 from cosim.blocks.profile import Profile
 from cosim.files.yaml_file import (
+    UNIT_OF_KEY,
     Amount,
     InUnit,
     NotNegativeAmount,
@@ -310,7 +311,7 @@ class Criterion(Part):
     """
 
     of: Variable
-    to: Number | Variable = 0.0
+    to: Annotated[Number | Variable, UNIT_OF_KEY] = 0.0
     band: PositiveAmount | None = None
     after: Seconds = 0.0
     until: Seconds | None = None

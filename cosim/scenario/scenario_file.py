@@ -6,25 +6,37 @@ import copy
 import hashlib
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import reduce
 from itertools import islice
+from operator import getitem
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from pydantic import ValidationError
 
-from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.errors import Fault, InputError
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import SCHEMA_VERSION, other_version
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, location_in, short
-from cosim.files.yaml_nodes import Document, Location, NotYaml
+from cosim.files.yaml_file import (
+    MOST_FAULTS,
+    Document,
+    Location,
+    NotYaml,
+    Origin,
+    YamlFile,
+    did_you_mean,
+    location_in,
+    short,
+)
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
-from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, StepControl
-from cosim.scenario.signal_units import convert_quantities
+from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario
+from cosim.scenario.start_values import STAND_IN, waiting_texts
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
+FILES = ("fmu", "file")  # keys of file names of a component
 SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
 LONGEST = 2000  # of a message [characters]
 Place = tuple[str | int, ...]  # keys of a part of the scenario
@@ -50,6 +62,8 @@ class ScenarioFile:
         places: Indices in the file of the remaining connections, faults and events.
     """
 
+    scenario: Scenario
+
     def __init__(
         self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None, option: str = "--set"
     ) -> None:
@@ -74,29 +88,41 @@ class ScenarioFile:
                 f"{SCHEMA_VERSION}"
             )
         self.warnings += other_version(path, self.manifest or {})
-        convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
-        self.broken: set[str] = set()
-        lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
-        self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
-        self.stands_in = False  # whether name, duration or step are replaced
-        self.scenario = self._validate(data)
+        form_faults = self._read(data)
+        texts = [*waiting_texts(self.scenario, self.places, self.resolve)]
+        for at, text, number_of in texts:
+            part = reduce(getitem, at[:-1], data)
+            try:
+                part[at[-1]] = number_of(text)
+            except ValueError as error:
+                part[at[-1]] = STAND_IN
+                self.faults.append(self.yaml.wrong(at, text, error))
+        if texts:
+            form_faults = self._read(data)  # Ranges hold for numbers.
+        self.faults += form_faults
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
         self.faults += [self.fault(where, message) for where, message in self._time_faults()]
 
-    def _validate(self, data: dict[str, Any]) -> Scenario:
-        """Return the scenario, without faulty parts if necessary."""
+    def _read(self, data: dict[str, Any]) -> list[Fault]:
+        """Set the scenario, without faulty parts if necessary; return the faults of form."""
+        self.broken, self.stands_in = set[str](), False  # whether name, duration or step are replaced
+        lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
+        self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
         try:
-            return self.yaml.validate(Scenario, data)
+            self.scenario = self.yaml.validate(Scenario, data)
+            return []
         except InputError as error:
-            self.faults += error.faults
+            faults = [*error.faults]
+        data = copy.deepcopy(data)
         for _ in range(3):  # The remainder may lack a required key.
             try:
-                return Scenario.model_validate(data)
+                self.scenario = Scenario.model_validate(data)
+                return faults
             except ValidationError as error:
                 found = error.errors(include_url=False)
                 self._drop(data, [location_in(data, e["loc"], e["type"]) for e in found])
-        raise InputError(self.faults)
+        raise InputError(faults)
 
     def _drop(self, data: dict[str, Any], locations: Sequence[tuple[int | str, ...]]) -> None:
         """Remove the smallest part around each location, so that the rest can be checked."""
@@ -105,7 +131,18 @@ class ScenarioFile:
             if first in LISTS and rest and isinstance(rest[0], int):
                 entries.setdefault(str(first), set()).add(rest[0])
             elif first == "components" and rest:
-                self._drop_from_component(data["components"], str(rest[0]), rest[1:])
+                name, *within = rest
+                component = data["components"].get(name)
+                start = component.get("start") if isinstance(component, dict) else None
+                key = within[0] if within else ""
+                if isinstance(component, dict) and within == [key] and key in component and key not in {"fmu", "block"}:
+                    del component[key]
+                elif key == "start" and isinstance(start, dict) and len(within) == 2:
+                    start.pop(within[1], None)
+                else:
+                    data["components"].pop(name, None)
+                    self.broken.add(str(name))
+                    data["components"] = data["components"] or {"_": {"block": "reference", "signals": {"_": {}}}}
             elif first == "criteria" and rest:
                 data["criteria"].pop(rest[0], None)
             elif first in STAND_INS:
@@ -117,19 +154,6 @@ class ScenarioFile:
             parts: tuple[dict[str, Any], ...] = (data, self.places)
             for part in parts:
                 part[key] = [entry for k, entry in enumerate(part[key]) if k not in faulty]
-
-    def _drop_from_component(self, components: dict[str, Any], name: str, rest: list[int | str]) -> None:
-        component = components.get(name)
-        start = component.get("start") if isinstance(component, dict) else None
-        if isinstance(component, dict) and len(rest) == 1 and rest[0] in component and rest[0] not in {"fmu", "block"}:
-            del component[rest[0]]
-        elif isinstance(start, dict) and len(rest) == 2 and rest[0] == "start":
-            start.pop(rest[1], None)
-        else:
-            components.pop(name, None)
-            self.broken.add(name)
-            if not components:
-                components["_"] = {"block": "reference", "signals": {"_": {}}}
 
     def resolve(self, name: str) -> Path:
         """Return a file's path relative to the scenario's folder."""
@@ -150,63 +174,63 @@ class ScenarioFile:
         """Return a fault at a place of the scenario."""
         return self.yaml.fault(location, message, exit_code=exit_code)
 
-    def _time_faults(self) -> Iterator[tuple[Location, str]]:
-        """Yield places and faults of times that contradict each other."""
-        s = self.scenario
-        if not self.stands_in:  # Otherwise duration or step is faulty itself.
-            control = [] if s.control is None else [*self._control_faults(s.control)]
-            yield from control or self._step_faults()
-            if isinstance(s.record, Recording) and (every := s.record.every) is not None:
-                steps, at = every / s.step, ("record", "every")
-                if every > s.duration * (1.0 + ROUNDING):
-                    yield at, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
-                elif not _is_whole(steps):
-                    near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
-                    yield at, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}"
-        for kind, k, criterion in s.goals:
-            where: Location = ("criteria", kind, *(() if k is None else (k,)))
-            if kind == "settling_time" and criterion.band is None:
-                yield where, f"{kind} needs a band; add the allowed distance from its target"
-            elif kind != "settling_time" and criterion.band is not None:
-                yield where, f"{kind} takes no band; leave it out"
-            start, end = criterion.after, s.duration if criterion.until is None else criterion.until
-            is_inside = self.stands_in or (start < end <= s.duration and end - start >= s.step)
-            if start < 0 or not is_inside:
-                interval = f"{kind} looks from {start:g} s to {end:g} s of {s.duration:g} s"
-                yield where, f"{interval}; choose times within the run, a step or more apart"
-
-    def _step_faults(self) -> Iterator[tuple[Location, str]]:
-        """Yield the fault of a duration that is no whole number of steps."""
-        s, overrides = self.scenario, self.yaml.overrides
+    def _time_faults(self) -> list[tuple[Location, str]]:
+        """Return places and faults of times that contradict each other."""
+        s, control, overrides = self.scenario, self.scenario.control, self.yaml.overrides
+        faults: list[tuple[Location, str]] = []
+        if control is not None and not self.stands_in:  # Otherwise duration or step is faulty itself.
+            rows = control.max if control.rows is None else control.rows
+            if not control.min <= control.max <= rows * (1.0 + ROUNDING):
+                times = f"min is {control.min:g} s, max {control.max:g} s and rows {rows:g} s"
+                key = "min" if control.min > control.max else "max"
+                faults.append((("step", key), f"{times}; min is at most max, and max at most rows"))
+            least = TICKS * math.ulp(abs(s.start_time) + s.duration)
+            if control.min < least:
+                text = f"min is {control.min:g} s, too short for floating-point times of this run"
+                faults.append((("step", "min"), f"{text}; give at least {least:.2g} s"))
+            if control.bonds and control.estimator not in (None, "energy"):
+                cure = f"bonds belong to estimator: energy, not to {control.estimator}; leave one out"
+                faults.append((("step", "bonds"), cure))
+            if control.estimator == "energy" and not control.bonds:
+                cure = "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
+                faults.append((("step", "estimator"), cure))
         count = s.duration / s.step
-        if not count <= MOST_STEPS:
-            steps = f"which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}"
-            yield ("step",), f"step is {s.step:g} s, {steps}; give a longer step or a shorter duration"
+        if faults or self.stands_in:
+            pass
+        elif not count <= MOST_STEPS:
+            number = f"which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}"
+            cure = "give a longer step or a shorter duration"
+            faults.append((("step",), f"step is {s.step:g} s, {number}; {cure}"))
         elif not _is_whole(count):
             where: Location = ("step",)
-            if s.control is not None:
-                where = ("step", "max" if s.control.rows is None else "rows")
+            if control is not None:
+                where = ("step", "max" if control.rows is None else "rows")
             elif ("duration",) in overrides and ("step",) not in overrides:
                 where = ("duration",)
             divisor = s.duration / max(1, math.ceil(count))
             cure = f"use a whole divisor of duration {s.duration:g} s, {divisor:.6g} s for one"
-            yield where, f"step is {s.step:g} s; {cure}"
-
-    def _control_faults(self, control: StepControl) -> Iterator[tuple[Location, str]]:
-        """Yield the faults of contradicting keys of `step`."""
-        rows = control.max if control.rows is None else control.rows
-        if not control.min <= control.max <= rows * (1.0 + ROUNDING):
-            times = f"min is {control.min:g} s, max {control.max:g} s and rows {rows:g} s"
-            key = "min" if control.min > control.max else "max"
-            yield ("step", key), f"{times}; min is at most max, and max at most rows"
-        least = TICKS * math.ulp(abs(self.scenario.start_time) + self.scenario.duration)
-        if control.min < least:
-            reason = "too short for floating-point times of this run"
-            yield ("step", "min"), f"min is {control.min:g} s, {reason}; give at least {least:.2g} s"
-        if control.bonds and control.estimator not in (None, "energy"):
-            yield ("step", "bonds"), f"bonds belong to estimator: energy, not to {control.estimator}; leave one out"
-        if control.estimator == "energy" and not control.bonds:
-            yield ("step", "estimator"), "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
+            faults.append((where, f"step is {s.step:g} s; {cure}"))
+        if not self.stands_in and isinstance(s.record, Recording) and (every := s.record.every) is not None:
+            steps, where = every / s.step, ("record", "every")
+            if every > s.duration * (1.0 + ROUNDING):
+                faults.append((where, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"))
+            elif not _is_whole(steps):
+                near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
+                faults.append(
+                    (where, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}")
+                )
+        for kind, k, criterion in s.goals:
+            where = ("criteria", kind, *(() if k is None else (k,)))
+            if kind == "settling_time" and criterion.band is None:
+                faults.append((where, f"{kind} needs a band; add the allowed distance from its target"))
+            elif kind != "settling_time" and criterion.band is not None:
+                faults.append((where, f"{kind} takes no band; leave it out"))
+            start, end = criterion.after, s.duration if criterion.until is None else criterion.until
+            is_inside = self.stands_in or (start < end <= s.duration and end - start >= s.step)
+            if start < 0 or not is_inside:
+                interval = f"{kind} looks from {start:g} s to {end:g} s of {s.duration:g} s"
+                faults.append((where, f"{interval}; choose times within the run, a step or more apart"))
+        return faults
 
 
 class Diagnosis:
@@ -224,10 +248,6 @@ class Diagnosis:
         self.faults.append(self.file.fault(where, message, exit_code=exit_code))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
-
-    def raise_any(self) -> None:
-        """Raise InputError if any fault was noted."""
-        refuse(self.faults)
 
 
 def _is_whole(count: float) -> bool:
@@ -258,9 +278,9 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
             at.append(index)
             if len(at) == len(keys):
                 try:
-                    node[index] = _from_here(keys, Document(value).data)
+                    node[index] = from_here(keys, Document(value).data)
                 except NotYaml:
-                    node[index] = _from_here(keys, value)
+                    node[index] = from_here(keys, value)
                 return tuple(at)
             node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
         reason = f"leads nowhere: there is no {short(target)} in the scenario"
@@ -281,30 +301,20 @@ def keys_of(target: str) -> list[str]:
     return keys
 
 
-FILES = ("fmu", "file")  # keys of file names of a component
-
-
-def _from_here(keys: Sequence[str], value: Any) -> Any:
-    """Return a value of --set with absolute file names.
+def from_here(keys: Sequence[str], value: Any) -> Any:
+    """Return a part of a scenario with absolute file names.
 
     Relative names start at the current folder, where the user typed them.
+
+    Args:
+        keys: Place of the part; none for the whole scenario.
     """
-    if keys[0] != "components" or len(keys) not in {2, 3}:
+    if keys and keys[0] != "components":
         return value
-    if len(keys) == 2:
-        return {k: _from_here([*keys, str(k)], v) for k, v in value.items()} if isinstance(value, dict) else value
-    return os.path.abspath(value) if keys[2] in FILES and isinstance(value, str) and value else value
-
-
-def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a fileless scenario with absolute file names."""
-    scenario = dict(data)
-    if isinstance(components := scenario.get("components"), Mapping):
-        scenario["components"] = {
-            name: _from_here(["components", str(name)], dict(c)) if isinstance(c, Mapping) else c
-            for name, c in components.items()
-        }
-    return scenario
+    if len(keys) < 3 and isinstance(value, Mapping):
+        return {key: from_here([*keys, str(key)], part) for key, part in value.items()}
+    is_file = len(keys) == 3 and keys[2] in FILES and isinstance(value, str) and value != ""
+    return os.path.abspath(value) if is_file else value
 
 
 # -- files of a repeated run, which must have the content hash in the manifest ---------------------

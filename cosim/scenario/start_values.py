@@ -1,27 +1,49 @@
-"""Conversion of start values to the type and unit of their FMU variable."""
+"""Values of a scenario in the type and unit of their FMU variable or signal.
+
+Texts in the unit of a signal, such as `2 deg`, wait until the scenario is known. Quantities with a fixed unit, such as
+`duration`, are converted by `cosim.files.yaml_file.InUnit`.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 from cosim.blocks.component import Signal
-from cosim.core.units import allowed_quantity, split_quantity
-from cosim.files.yaml_file import did_you_mean
-from cosim.fmi.description import enumeration_items, is_difference, unit_definition, unit_of
+from cosim.blocks.sources import playback
+from cosim.core.errors import FmuError, InputError
+from cosim.core.units import (
+    allowed_quantity,
+    computed_in,
+    has_unit,
+    read_quantity,
+    split_quantity,
+    unit_product,
+)
+from cosim.files.yaml_file import Location, did_you_mean
+from cosim.fmi.description import enumeration_items, is_difference, read_description, unit_definition, unit_of
 from cosim.fmi.fmi_types import FmiType, element_names, kinds_of
+from cosim.scenario.scenario import (
+    FixedSignal,
+    FmuComponent,
+    Noise,
+    PlaybackComponent,
+    ReferenceComponent,
+    Scenario,
+    Variable,
+)
 
+STAND_IN = 1.0  # replaces a faulty quantity, so that checks can go on
+Resolve = Callable[[str], Path]
+# unit of a signal, and a function from (text, difference=) to a number in this unit, which may raise ValueError
+Measure = tuple[str, Callable[..., float]]
+# place, number or text, kind (value, difference, square, rate per second, integral over time), signal or its measure
+Quantity = tuple[Location, float | str | None, str, Variable | Measure]
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """Reason for a value's misfit with its variable."""
-
-    reason: str
 
 
 def settable(variable: Any) -> bool:
@@ -53,46 +75,51 @@ def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
         array = variables.get(name.rpartition("[")[0])
         if name in variables or array is None or not array.shape or name not in (names := element_names(array)):
             continue
-        values = _elements(merged.get(array.name, array.start), len(names))
-        if values is not None:
+        values = merged.get(array.name, array.start)
+        values = [values or 0.0] if values is None or isinstance(values, (int, float)) else values
+        values = values.split() if isinstance(values, str) else values
+        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:  # other numbers are reported elsewhere
+            values = [*map(_number, values)] * (len(names) // len(values))
             del merged[name]
             merged[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
     return merged
 
 
-def _elements(value: Any, count: int) -> list[Any] | None:
-    """Return the values of an array as a list, or None if their number is wrong, which is reported elsewhere."""
+def _number(text: Any) -> Any:
+    """Return an XML start value as a number, if numeric."""
+    if not isinstance(text, str):
+        return text
+    try:
+        return int(text) if text.lstrip("+-").isdigit() else float(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text, text)
 
-    def number(text: Any) -> Any:
-        """Return an XML start value as a number, if numeric."""
-        if not isinstance(text, str):
-            return text
-        try:
-            return int(text) if text.lstrip("+-").isdigit() else float(text)
-        except ValueError:
-            return {"true": True, "false": False}.get(text, text)
 
-    values = [value or 0.0] if value is None or isinstance(value, (int, float)) else value
-    values = values.split() if isinstance(values, str) else values
-    if isinstance(values, (list, tuple)) and len(values) in {1, count}:
-        return [*map(number, values)] * (count // len(values))
-    return None
+def start_value(description: Any, variables: Mapping[str, Any], name: str, value: Any, component: str = "") -> Any:
+    """Return a start value in the FMI type of the variable; raise ValueError for an unsuitable name or value."""
+    variable, full_name = variables.get(name), f"{component}.{name}".lstrip(".")
+    if variable is None:
+        hint = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
+        raise ValueError(f'{component or "the FMU"} has no variable "{name}"{hint}')
+    if not settable(variable):
+        raise ValueError(f"{full_name} is {kind_of(variable)}; it takes no start value")
+    try:
+        return convert_value(description, variable, value)
+    except ValueError as error:
+        raise ValueError(f"{full_name} is {value!r}; {error}") from None
 
 
 def convert_value(description: Any, variable: Any, value: Any) -> Any:
-    """Return a start value in the variable's FMI type, or a `Misfit` with the reason why it does not fit.
+    """Return a start value in the variable's FMI type; raise ValueError with the reason if it does not fit.
 
     An array has a list of values.
     """
-    count = math.prod(variable.shape or ())
-    try:
-        if not variable.shape:
-            return _scalar(description, variable, value)
-        if not isinstance(value, list) or len(value) != count:
-            raise ValueError(f"it is a list of {count} values")
-        return [_scalar(description, variable, each) for each in value]
-    except ValueError as error:
-        return Misfit(str(error))
+    if not variable.shape:
+        return _scalar(description, variable, value)
+    count = math.prod(variable.shape)
+    if not isinstance(value, list) or len(value) != count:
+        raise ValueError(f"it is a list of {count} values")
+    return [_scalar(description, variable, each) for each in value]
 
 
 def _scalar(description: Any, variable: Any, value: Any) -> Any:
@@ -174,3 +201,93 @@ def convert_quantity(description: Any, variable: Any, text: str, difference: boo
     if not written or not (by := source.conversion(target)):
         raise ValueError(allowed_quantity(unit, displays))
     return by[0] * number + by[1]
+
+
+# -- text in the unit of a signal ------------------------------------------------------------------
+
+
+def waiting_texts(
+    scenario: Scenario, places: Mapping[str, Sequence[int]], resolve: Resolve
+) -> Iterator[tuple[Location, str, Callable[[str], float]]]:
+    """Yield place, text and reader of each text in the unit of a signal; a reader may raise ValueError.
+
+    Args:
+        places: Indices in the file of connections and faults.
+    """
+    measure = cache(partial(_measure, scenario, resolve))
+    for at, text, kind, of in _quantities(scenario, places):
+        if isinstance(text, str):
+            yield at, text, partial(_read, kind, measure, of)
+
+
+def _quantities(scenario: Scenario, places: Mapping[str, Sequence[int]]) -> Iterator[Quantity]:
+    for k, connection in zip(places["connections"], scenario.connections, strict=True):
+        yield ("connections", k, "offset"), connection.offset, "difference", connection.target
+        yield from _of_noise(("connections", k, "noise"), connection.noise, connection.target)
+    for k, fault in zip(places["faults"], scenario.faults, strict=True):
+        of = _measure_in("1") if fault.kind == "scale" else fault.on
+        yield ("faults", k, "value"), fault.value, "value" if fault.kind == "stuck" else "difference", of
+    for goal, index, criterion in scenario.goals:
+        at: Location = ("criteria", goal) if index is None else ("criteria", goal, index)
+        if isinstance(criterion.to, str) and has_unit(criterion.to):  # other text names a signal
+            yield (*at, "to"), criterion.to, "value", criterion.of
+        yield (*at, "band"), criterion.band, "difference", criterion.of
+        if goal == "settling_time":
+            yield (*at, "max"), criterion.max, "value", _measure_in("s")
+        else:  # A peak without a target is a value: at most 80 degC.
+            is_value = goal == "peak" and not criterion.to
+            kind = "integral" if goal == "effort" else "value" if is_value else "difference"
+            yield (*at, "max"), criterion.max, kind, criterion.of
+    for name, component in scenario.components.items():
+        if isinstance(component, FmuComponent | PlaybackComponent):
+            continue
+        for signal, about in component.signals.items():
+            at, measure = ("components", name, "signals", signal), _measure_in(about.unit)
+            if isinstance(about, FixedSignal):
+                yield from _of_noise((*at, "noise"), about.noise, measure)
+                continue
+            yield (*at, "start"), about.start, "value", measure  # Degrees become radians later.
+            for k, change in enumerate(about.changes):
+                yield (*at, "changes", k, "to"), change.to, "value", measure
+                yield (*at, "changes", k, "rate"), change.rate, "rate", measure
+
+
+def _of_noise(at: Location, noise: Noise | None, of: Variable | Measure) -> Iterator[Quantity]:
+    if noise is not None:
+        yield (*at, "bias"), noise.bias, "difference", of
+        yield (*at, "variance"), noise.variance, "square", of
+
+
+def _measure(scenario: Scenario, resolve: Resolve, signal: str) -> Measure | None:
+    """Return the unit of a signal and its reader of texts; None if its component has a fault, reported elsewhere."""
+    owner, _, name = signal.partition(".")
+    component = scenario.components.get(owner)
+    try:
+        if component is None:
+            return None
+        if isinstance(component, FmuComponent):
+            description = read_description(resolve(component.fmu))
+            names = {v.name: v for v in description.modelVariables}
+            variable = names.get(name) or names[name.rpartition("[")[0]]
+            return unit_of(variable), partial(convert_quantity, description, variable)
+        if isinstance(component, PlaybackComponent):
+            outputs = playback(owner, resolve(component.file), (name,)).outputs
+            return _measure_in({s.name: s.unit for s in outputs}[name])
+        unit = (component.signals.get(name) or component.signals[name.removesuffix("_meas")]).unit
+    except (FmuError, InputError, OSError, ValueError, KeyError):
+        raise ValueError(f"the unit of {signal} is not known; write a number alone") from None
+    return _measure_in(computed_in(unit)[0] if isinstance(component, ReferenceComponent) else unit)
+
+
+def _measure_in(unit: str) -> Measure:
+    return unit, partial(read_quantity, unit=unit)
+
+
+def _read(kind: str, measure: Callable[[str], Measure | None], of: Variable | Measure, text: str) -> float:
+    if (unit_and_reader := measure(of) if isinstance(of, str) else of) is None:
+        return STAND_IN
+    unit, number = unit_and_reader
+    if kind in {"value", "difference"}:
+        return number(text, difference=kind == "difference")
+    factors = {"square": [(unit, 2)], "rate": [(unit, 1), ("s", -1)], "integral": [(unit, 1), ("s", 1)]}
+    return read_quantity(text, unit_product(factors[kind]), difference=True)

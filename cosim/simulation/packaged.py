@@ -18,7 +18,7 @@ from cosim.files.artefact import SSP
 from cosim.files.files import check_writable, write_json
 from cosim.files.folders import remove_earlier
 from cosim.files.kinds import kind_by_form
-from cosim.files.yaml_nodes import Location
+from cosim.files.yaml_file import Location
 from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
 from cosim.ssp.package import Element, open_package
 from cosim.ssp.read import SspSystem, read

@@ -32,8 +32,7 @@ from cosim.core.scratch import lock_file
 from cosim.core.times import rounding, roundings
 from cosim.core.version import __version__
 from cosim.files.files import write_json
-from cosim.files.folders import content_of, new_run, newest_run
-from cosim.files.record_types import fault_of, sound_part
+from cosim.files.folders import content_of, fault_of, new_run, newest_run, sound_part
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.state_file import sync, unpack
 from cosim.isolation.rows import read_exact, read_table

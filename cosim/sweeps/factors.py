@@ -19,7 +19,7 @@ from cosim.files.yaml_file import YamlFile, did_you_mean, short
 from cosim.fmi.description import unit_of
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
-from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
+from cosim.scenario.start_values import convert_quantity, convert_value, settable
 from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, SweepFile, Varied
 from cosim.system.system import System, build_system
@@ -117,18 +117,15 @@ class Factors:
             return None
 
         def value(where: Location, entry: Any) -> Any:
-            number = entry
             try:
                 if where != STANDARD_DEVIATION:
-                    number = convert_value(block.description, variable, entry)
-                elif isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
-                    number = convert_quantity(block.description, variable, entry, difference=True)
+                    return convert_value(block.description, variable, entry)
+                if isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
+                    return convert_quantity(block.description, variable, entry, difference=True)
             except ValueError as error:
-                number = Misfit(str(error))
-            if isinstance(number, Misfit):
-                self._note(("vary", name, *where), f"{name} is {entry!r}; {number.reason}")
+                self._note(("vary", name, *where), f"{name} is {entry!r}; {error}")
                 return None
-            return number
+            return entry
 
         return self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -20,8 +20,8 @@ from cosim.fmi.description import matches, read_description, state_names, ways
 from cosim.fmi.fmi_types import element_names, kinds_of
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
-from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
-from cosim.system.event_blocks import event_block
+from cosim.scenario.start_values import start_value, with_elements
+from cosim.system.events import event_block
 
 
 def build_components(file: ScenarioFile, diagnosis: Diagnosis) -> dict[str, Component]:
@@ -117,7 +117,13 @@ def _fmu(
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
     description = read(path)
-    start = _start_values(name, description, component.start, diagnosis)
+    variables = {v.name: v for v in description.modelVariables} if component.start else {}
+    start = {}
+    for variable, value in with_elements(component.start, variables).items():
+        try:
+            start[variable] = start_value(description, variables, variable, value, name)
+        except ValueError as error:
+            diagnosis.note(("components", name, "start", variable), str(error))
     connected = frozenset(_variables_of(name, [connection.target for connection in file.scenario.connections]))
     if component.interface not in (None, *ways(description)):
         message = f"{path.name} offers {' and '.join(ways(description))} only"
@@ -162,23 +168,3 @@ def _fmu(
 def _variables_of(component: str, ends: Iterable[str]) -> set[str]:
     """Return the variables of a component among ends of connections, `component.variable`."""
     return {variable for owner, _, variable in (end.partition(".") for end in ends) if owner == component}
-
-
-def _start_values(component: str, description: Any, stated: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return start values in the types of their variables; note a fault for each unsuitable value."""
-    variables = {v.name: v for v in description.modelVariables} if stated else {}
-    values = {}
-    for name, value in with_elements(stated, variables).items():
-        variable, full = variables.get(name), f"{component}.{name}"
-        if variable is None:
-            hint = did_you_mean(name, [v.name for v in variables.values() if settable(v)])
-            message = f'{component} has no variable "{name}"{hint}'
-        elif not settable(variable):
-            message = f"{full} is {kind_of(variable)}; it takes no start value"
-        elif isinstance(converted := convert_value(description, variable, value), Misfit):
-            message = f"{full} is {value!r}; {converted.reason}"
-        else:
-            values[name] = converted
-            continue
-        diagnosis.note(("components", component, "start", name), message)
-    return values

@@ -1,22 +1,177 @@
-"""Events of a scenario: parameters and inputs set at given times."""
+"""Events of a scenario, and FMUs with event mode: which of them use it, their clocks, and their fitness."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+from cosim.blocks.clocks import PERIODIC, Timing, read_clocks
+from cosim.blocks.component import Component
+from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.model_exchange import ModelExchange
+from cosim.blocks.scheduled import ScheduledFmu
+from cosim.blocks.sources import SourceBlock
 from cosim.core.times import first_point
+from cosim.core.units import read_quantity
 from cosim.files.yaml_file import did_you_mean
-from cosim.fmi.description import enumeration_items, unit_of
+from cosim.fmi.description import Way, enumeration_items, takes_any_step, unit_of, ways
 from cosim.fmi.fmi_types import input_aliases
+from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
-from cosim.scenario.start_values import Misfit, bounds_of, convert_value
-from cosim.system.event_blocks import clock_interval
+from cosim.scenario.start_values import bounds_of, convert_value
+from cosim.system.schedule import Loop, Schedule, Stage
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
+REALS = ("Real", "Float64", "Float32")
+
+
+def event_block(
+    file: ScenarioFile,
+    name: str,
+    component: FmuComponent,
+    path: Path,
+    read: Callable[[Path], Any],
+    diagnosis: Diagnosis,
+) -> Callable[..., FmuBlock] | None:
+    """Return the class of an FMU's block, or None."""
+    description = read(path)
+    way = component.interface or ways(description)[0]
+    clocks = read_clocks(path, description)
+    wanted = bool(clocks) if component.event_mode is None else component.event_mode
+    uses = way == "scheduled-execution" or (wanted and has_event_mode(description, way))
+    if not uses:
+        if component.event_mode:
+            reason = "its FMU declares none (hasEventMode)"
+            if not description.fmiVersion.startswith("3") or way != "co-simulation":
+                version = f"FMI {description.fmiVersion} for {way}"
+                reason = f"it is run as {version}; event mode is part of FMI 3.0 for co-simulation"
+            diagnosis.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
+            return None
+        if component.clocks:
+            message = f"{name} has no clocks; leave out clocks:"
+            if clocks:
+                message = f"{name} ticks no clocks without event mode; leave out event_mode: false"
+            diagnosis.note(("components", name, "clocks"), message)
+        return FmuBlock
+    timings = {}
+    for clock_name, timing in component.clocks.items():
+        clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
+        if clock is None or clock.causality != "input":
+            hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
+            message = f'{name} has no input clock "{clock_name}"{hint}'
+        elif full_name in file.scenario.targets:
+            message = f"{full_name} has times in the scenario and a connection; keep one"
+        elif clock.kind == "constant" or (clock.kind != "triggered" and clock.interval is None):
+            what = f"{full_name} is a {clock.kind} clock, whose FMU gives its times"
+            message = f"{what}; leave out its times in the scenario"
+        elif clock.kind in PERIODIC and (timing.at or timing.shift is not None):
+            what = f"{full_name} is a {clock.kind} clock: give its interval only"
+            message = f"{what}; only triggered clocks have shift: and at:"
+        elif bool(timing.at) == (timing.interval is not None):
+            message = f"{full_name} needs either interval: or at:"
+        elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < file.scenario.start_time):
+            message = f"the times of {full_name} are not in order, from the start of the run on"
+        else:
+            timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
+            continue
+        diagnosis.note(("components", name, "clocks", clock_name), message)
+    jumping = set()  # inputs whose sources jump
+    for connection in file.scenario.connections:
+        owner, _, variable = connection.target.partition(".")
+        source, _, output = connection.source.partition(".")
+        if owner != name:
+            continue
+        fmu = file.scenario.components.get(source)
+        if not isinstance(fmu, FmuComponent) or fmu.step is not None:
+            jumping.add(variable)
+        elif (source_path := file.resolve(fmu.fmu)).is_file():
+            names = output, output.partition("[")[0]
+            ends = [v for v in read(source_path).modelVariables if v.name in names]
+            if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
+                jumping.add(variable)
+    kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
+    return partial(kind, timings=timings, jumping=frozenset(jumping))
+
+
+def default_block(path: Path, description: Any) -> type[FmuBlock]:
+    """Return the default class of an FMU's block."""
+    way = ways(description)[0]
+    if way == "scheduled-execution":
+        return ScheduledFmu
+    return EventFmu if has_event_mode(description, way) and read_clocks(path, description) else FmuBlock
+
+
+def has_event_mode(description: Any, way: Way) -> bool:
+    """Return whether an FMU has event mode."""
+    return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
+
+
+def is_exchange(component: Component) -> bool:
+    """Return whether model exchange steps a component."""
+    return isinstance(component, FmuBlock) and isinstance(component.calls, ModelExchange)
+
+
+def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
+    """Return whether a component steps to any event; the components of an algebraic loop make whole steps."""
+    component = stage.component
+    if any(component.name in loop.members for loop in loops):
+        return False
+    if stage.every > 1 or (component.nominal_step is True and isinstance(component, FmuBlock)):
+        return False
+    if isinstance(component, EventFmu):
+        return component.may_return or not component.steps
+    if isinstance(component, SourceBlock) or is_exchange(component):
+        return True
+    return isinstance(component, FmuBlock) and takes_any_step(component.description) and not sampled_by(component.path)
+
+
+def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
+    """Return a clock's interval [s] in an event; None if the target is no clock. Raise ValueError if unsuitable."""
+    clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
+    if clock is None:
+        return None
+    if clock.kind != "tunable" or clock.interval is None:
+        reason = "is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
+        raise ValueError(f"{target} {reason}")
+    with suppress(ValueError):
+        value = read_quantity(value, "s") if isinstance(value, str) else value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        raise ValueError(f"{target} is {value!r}; give the interval of the clock, a time above 0 s")
+    return float(value)
+
+
+def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, connected: Collection[str]) -> None:
+    """Note faults and warnings of event mode.
+
+    Args:
+        apart: Components with a process of their own.
+        connected: Inputs with a source.
+    """
+    events = [stage.component for stage in plan.stages if isinstance(stage.component, EventFmu)]
+    if not events:
+        return
+    loops = {name: loop.name for loop in plan.loops for name in loop.members}
+    for stage in plan.stages:
+        name, reason = stage.component.name, ""
+        if name in loops:
+            reason = f"is part of the algebraic loop {loops[name]}"
+        elif not takes_part_of_step(stage):
+            reason = "takes only steps of one length"
+        elif name in apart and is_exchange(stage.component):
+            reason = "uses model exchange in a process of its own"
+        if reason:
+            diagnosis.warnings.append(f"{name} {reason}: an event within a step reaches it at the end of the step")
+    clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
+    if idle := [name for name in clocks if name not in connected]:
+        names = ", ".join(idle)
+        message = f"{names}: never ticks; connect it to an output clock, or give its times under clocks:"
+        diagnosis.warnings.append(message)
 
 
 def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
@@ -41,15 +196,14 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
             name, _, variable = target.partition(".")
             if name not in blocks and isinstance(scenario.components.get(name), FmuComponent):
                 continue  # Its FMU cannot be used, which is a fault already.
-            value = clock_interval(blocks.get(name), target, written)
-            value = targets.value(target, written) if value is None else value
-            if isinstance(value, Misfit):
-                diagnosis.note(("events", k, "set", target), value.reason)
-            elif (first := values.setdefault((event.at, target), value)) != value:
-                message = f"two values at {event.at:g} s: {first!r} and {value!r}; keep one"
-                diagnosis.note(("events", k, "set", target), message)
-            else:
+            try:
+                value = clock_interval(blocks.get(name), target, written)
+                value = targets.value(target, written) if value is None else value
+                if (first := values.setdefault((event.at, target), value)) != value:
+                    raise ValueError(f"two values at {event.at:g} s: {first!r} and {value!r}; keep one")
                 changes.setdefault(point, {}).setdefault(name, {})[variable] = value
+            except ValueError as error:
+                diagnosis.note(("events", k, "set", target), str(error))
     return changes
 
 
@@ -95,36 +249,29 @@ class Targets:
         self._variables = {name: {v.name: v for v in d.modelVariables} for name, d in descriptions.items()}
 
     def value(self, target: str, written: Any) -> Any:
-        """Return a value in the FMI type of the variable `component.variable`, or a `Misfit` with the reason."""
-        variable = self._variable(target)
-        if isinstance(variable, Misfit):
-            return variable
-        value = convert_value(self._descriptions[target.partition(".")[0]], variable, written)
-        if isinstance(value, Misfit):
-            return Misfit(f"{target} is {written!r}; {value.reason}")
-        return value
+        """Return a value in the FMI type of the variable `component.variable`; raise ValueError if unsuitable."""
+        variable = self.variable(target)
+        try:
+            return convert_value(self._descriptions[target.partition(".")[0]], variable, written)
+        except ValueError as error:
+            raise ValueError(f"{target} is {written!r}; {error}") from None
 
-    def objection(self, target: str) -> str:
-        """Return why `component.variable` cannot be set during a run, or ""."""
-        variable = self._variable(target)
-        return variable.reason if isinstance(variable, Misfit) else ""
-
-    def _variable(self, target: str) -> Any:
-        """Return the variable `component.variable`, or a `Misfit` if it cannot be set."""
+    def variable(self, target: str) -> Any:
+        """Return the variable `component.variable`; raise ValueError if it cannot be set during a run."""
         name, _, variable_name = target.partition(".")
         description = self._descriptions.get(name)
         if description is None:
-            return Misfit(f'no FMU "{name}" among the components{did_you_mean(name, self._descriptions)}')
+            raise ValueError(f'no FMU "{name}" among the components{did_you_mean(name, self._descriptions)}')
         variables = self._variables[name]
         variable = variables.get(variable_name)
         if variable is None:
             hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
-            return Misfit(f'{name} has no variable "{variable_name}"{hint}')
+            raise ValueError(f'{name} has no variable "{variable_name}"{hint}')
         if not _is_changeable(variable):
             kind = f"{variable.variability} {variable.causality}"
-            return Misfit(f"{target} is a {kind}; inputs and tunable parameters change while it runs")
+            raise ValueError(f"{target} is a {kind}; inputs and tunable parameters change while it runs")
         if self._is_connected(target):
-            return Misfit(f"{target} is connected, which decides its value; use faults: for what disturbs a connection")
+            raise ValueError(f"{target} is connected, which decides its value; use faults: for its disturbances")
         return variable
 
     def variables(self, starts: Mapping[str, Mapping[str, Any]]) -> list[Variable]:

@@ -55,11 +55,12 @@ def recorded_part(
 ) -> RecordedPart | None:
     """Return the recorded part of a run, None for all signals in every row; note faults of its keys."""
     record = scenario.record
+    place = ("record", "signals") if isinstance(record, Recording) else ("record",)
+    for k, pattern in enumerate(scenario.recorded):
+        if objection := _objection(pattern, scenario, components, layout):
+            diagnosis.note((*place, k), objection)
     if not isinstance(record, Recording):
         return None
-    for k, pattern in enumerate(record.signals or ()):
-        if objection := _objection(pattern, scenario, components, layout):
-            diagnosis.note(("record", "signals", k), objection)
     steps = 1 if record.every is None else round(record.every / scenario.step)
     columns, beside = (
         tuple(k for k, c in enumerate(names) if record.signals is None or any(_is_meant(p, c) for p in record.signals))

@@ -12,23 +12,23 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.component import Component, Signal
+from cosim.blocks.component import Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
+from cosim.core.errors import refuse
 from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings
 from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
 from cosim.system.components import build_components
 from cosim.system.control import Control, control_of
-from cosim.system.event_blocks import check_events
-from cosim.system.events import Events, changes_of
+from cosim.system.events import Events, changes_of, check_events
 from cosim.system.recording import RecordedPart, recorded_part
-from cosim.system.schedule import Loop, Schedule, Stage, schedule
-from cosim.system.wiring import Transfer, alias_transfers, connect, connection_warnings, lay_out
+from cosim.system.schedule import Schedule, schedule
+from cosim.system.wiring import alias_transfers, connect, connection_warnings, lay_out
 
 ROUNDING = 1e-6  # fraction of a step, the tolerance of sampled FMUs
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -36,30 +36,23 @@ BYTES = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
-class System:
-    """A system ready for the master.
+class System(Schedule):
+    """A system ready for the master: its schedule and the layout of its rows.
 
     Attributes:
-        stages: Stages in stepping order.
-        held: Transfers at the end of a step; their targets use values from the start of the step.
         beside: Columns stored outside the row of doubles, for values without exact double.
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
         halved: Whether rows hold the differences made by halving each step, instead of signals.
         control: Control of the communication steps, None for equal ones.
         courses: Degrees of the courses of extrapolated and of interpolated inputs during a step.
-        clock_wires: Connected clocks, output and input, as `component.clock`.
-        loops: Algebraic loops to solve at each communication point.
         solving: Settings of their solution, None for the default.
         pace: Simulated seconds per second, set by runs that keep to the clock; None for as fast as possible.
         recording: Recorded part of the rows, None for all of them.
-        opened: As in `Schedule`; `assumed` too.
     """
 
-    stages: tuple[Stage, ...]
-    held: tuple[Transfer, ...]
-    columns: tuple[str, ...]
-    units: Mapping[str, str]
+    columns: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     seed: int = 0
     start: float = 0.0
     warnings: tuple[str, ...] = ()
@@ -69,16 +62,11 @@ class System:
     events: Events = field(default_factory=dict)
     apart: frozenset[str] = frozenset()
     halved: bool = False
-    clock_wires: tuple[tuple[str, str], ...] = ()
     control: Control | None = None
     courses: tuple[int, int] = (0, 0)
-    loops: tuple[Loop, ...] = ()
     solving: LoopSettings | None = None
     pace: float | None = None
     recording: RecordedPart | None = None
-    opened: tuple[Loop, ...] = ()
-    assumed: bool = False
-    known: frozenset[str] = frozenset()
 
     @property
     def names(self) -> list[str]:
@@ -159,52 +147,31 @@ def build_system(file: ScenarioFile) -> System:
     check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     events = changes_of(file, blocks, diagnosis)
-    _check_record(file, components, diagnosis)
-    diagnosis.raise_any()
+    for name, component in components.items():
+        if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
+            cure = f"record: [{name}.*] does so"
+            diagnosis.warnings.append(f"{name} has no inputs and outputs, so nothing of it is recorded; {cure}")
+    refuse(diagnosis.faults)
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
     warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
+    scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
-        plan.stages,
-        (*plan.held, *of_aliases),
-        layout.columns,
-        layout.units,
-        scenario.seed,
-        scenario.start_time,
-        warnings,
-        {name: (block.path, block.description) for name, block in blocks.items()},
-        layout.beside,
-        layout.signals,
-        events,
-        scenario.isolated | separated,
-        clock_wires=plan.clock_wires,
-        loops=plan.loops,
+        **scheduled,
+        columns=layout.columns,
+        units=layout.units,
+        seed=scenario.seed,
+        start=scenario.start_time,
+        warnings=warnings,
+        fmus={name: (block.path, block.description) for name, block in blocks.items()},
+        beside=layout.beside,
+        signals=layout.signals,
+        events=events,
+        apart=scenario.isolated | separated,
         solving=scenario.loops,
         control=control,
         courses=courses,
         recording=recording,
-        opened=plan.opened,
-        assumed=plan.assumed,
-        known=plan.known,
     )
-
-
-def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
-    """Note a fault for each pattern of `record` without component, and a warning for patterns without variable."""
-    record = file.scenario.record
-    for k, pattern in enumerate(record if isinstance(record, list) else ()):
-        name = pattern.partition(".")[0]
-        component = components.get(name)
-        if "*" not in name and name not in file.scenario.components:
-            hint = did_you_mean(name, file.scenario.components)
-            diagnosis.note(("record", k), f'no component "{name}"{hint}; write component.* or component.variable')
-        elif isinstance(component, FmuBlock) and not component.names_any(pattern):
-            hint = did_you_mean(pattern, [f"{name}.{v.name}" for v in component.description.modelVariables])
-            diagnosis.note(("record", k), f'no variable "{pattern}"{hint}')
-    for name, component in components.items():
-        if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
-            diagnosis.warnings.append(
-                f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
-            )
 
 
 def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:

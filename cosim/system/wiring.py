@@ -253,19 +253,16 @@ class _Wiring:
             message = f"{ends}: {len(sources)} values do not go to {len(targets)}"
             self.diagnosis.note(("connections", k), message)
             return ()
-        transfers = []
-        for source, target in zip(sources, targets, strict=True):
-            transfer = self._transfer(connection, source, target)
-            if isinstance(transfer, str):
-                self.diagnosis.note(("connections", k), transfer)
-                return ()
-            transfers.append(transfer)
-        return tuple(transfers)
+        try:
+            return tuple(self._transfer(connection, *pair) for pair in zip(sources, targets, strict=True))
+        except ValueError as error:
+            self.diagnosis.note(("connections", k), str(error))
+            return ()
 
-    def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer | str:
-        """Return the transfer between two signals, or the objection."""
+    def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer:
+        """Return the transfer between two signals; raise ValueError if they do not fit."""
         if objection := _objection(connection, source, target):
-            return objection
+            raise ValueError(objection)
         ends = f"{connection.source} to {connection.target}"
         origin = f"{connection.source.partition('.')[0]}.{source.name}"
         name = f"{connection.target.partition('.')[0]}.{target.name}"
@@ -273,7 +270,7 @@ class _Wiring:
         faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in self._faults.get(key, ()))
         if target.kind == "Clock":
             if connection.noise or connection.conversion is not None or name in self._faults:
-                return f"{ends}: no factor, offset, noise or fault acts on a clock"
+                raise ValueError(f"{ends}: no factor, offset, noise or fault acts on a clock")
             return Transfer(at, to, name, origin=origin, is_clock=True)
         noise = connection.noise if self.file.scenario.noise else None
         factor, offset = connection.conversion or source.conversion(target) or (1.0, 0.0)
@@ -285,7 +282,7 @@ class _Wiring:
         changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
         changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
         if changes and (from_beside or to_beside):
-            return f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}"
+            raise ValueError(f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}")
         sides = from_beside, to_beside
         return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
 

@@ -87,7 +87,7 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
     """
     from cosim.comparison.several import RunSource
     from cosim.files.results import rows_in
-    from cosim.files.run_selection import Selected, select_groups
+    from cosim.files.run_entries import Selected, select_groups
     from cosim.simulation.run_files import RecordedRun, read_ran
     from cosim.simulation.run_signals import Run, Signals
 

@@ -16,7 +16,7 @@ from cosim.files.folders import RESULTS
 from cosim.verbs.cli import say, say_json, warn
 
 if TYPE_CHECKING:
-    from cosim.files.run_selection import Removal
+    from cosim.files.run_entries import Removal
 
 MOST_NAMES = 10
 
@@ -42,8 +42,7 @@ def command(
 
     Example: cosim gc --keep 5
     """
-    from cosim.files.run_entries import entries
-    from cosim.files.run_selection import Removal, find_entries, plan_removal, remove
+    from cosim.files.run_entries import Removal, entries, find_entries, plan_removal, remove
 
     root = results or RESULTS
     chosen = find_entries(names, root)

@@ -19,7 +19,7 @@ def command(names: list[str] | None = None, *, results: Path | None = None, json
 
     Example: cosim list 'tank*'
     """
-    from cosim.files.run_selection import find_entries
+    from cosim.files.run_entries import find_entries
 
     root = results or RESULTS
     found = [(entry, datetime.fromtimestamp(entry.time)) for entry in find_entries(names, root)]

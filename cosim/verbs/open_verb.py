@@ -24,11 +24,10 @@ def command(run: str | None = None, *, results: Path | None = None, browser: boo
     Example: cosim open 3
     """
     from cosim.files.folders import has_results, state_of, warnings_on
-    from cosim.files.run_entries import entries
-    from cosim.files.run_selection import Selected, select_results
+    from cosim.files.run_entries import Selected, entries, select_groups
 
     root = results or RESULTS
-    found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_results([run], root)
+    found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_groups([run], root)[0]
     if not found:
         text = "no results here; run a command without --out first, or name their folder as --results"
         raise InputError.at(root, text)

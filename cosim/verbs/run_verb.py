@@ -131,7 +131,7 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
     with temporary_folder("scenario") as scratch:
         path = scratch / "scenario.json"
         try:
-            path.write_text(dumps(from_here(scenario)), encoding="utf-8")
+            path.write_text(dumps(from_here((), scenario)), encoding="utf-8")
         except (TypeError, ValueError) as error:
             raise InputError.at(label, f"holds what no file can: {error!s}") from None
         try:

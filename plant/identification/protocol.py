@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from cosim.core.errors import refuse
-from cosim.core.units import factor
+from cosim.core.units import factor, number_in
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import (
     UNIT_OF_KEY,
@@ -86,10 +87,10 @@ class CellFile(Part):
     @classmethod
     def _in_its_unit(cls, value: Any, info: ValidationInfo) -> Any:
         """Return loads in the unit of the cell."""
-        unit = InUnit(str(info.data.get("unit", "")))
+        number = partial(number_in, unit=str(info.data.get("unit", "")))
         if info.field_name == "points" and isinstance(value, list):
-            return [[unit.number(p[0]), *p[1:]] if isinstance(p, list) and p else p for p in value]
-        return [unit.number(v) for v in value] if isinstance(value, list) else unit.number(value)
+            return [[number(p[0]), *p[1:]] if isinstance(p, list) and p else p for p in value]
+        return [*map(number, value)] if isinstance(value, list) else number(value)
 
     @model_validator(mode="after")
     def _has_a_curve(self) -> Self:
@@ -301,7 +302,8 @@ def read_protocol(path: Path) -> Protocol:
     yaml, bench = YamlFile(path), Bench()
     content = yaml.validate(ProtocolFile)
     declared = bench.declared
-    values, faults = yaml.in_units(("parameters",), content.parameters, {n: p.unit for n, p in declared.items()})
+    content, faults = yaml.in_units(content, "parameters", {n: p.unit for n, p in declared.items()})
+    values = content.parameters
     for name, value in values.items():
         if name not in declared:
             text = f'a bench has no "{name}"{did_you_mean(name, declared)}'

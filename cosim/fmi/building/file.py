@@ -189,10 +189,9 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
         raise
     for section, declared in (("parameters", model.declared), ("sensors", model.sensor_parameters)):
         units, is_sensor = {n: p.unit for n, p in declared.items()}, section == "sensors"
-        numbers, wrong = yaml.in_units((section,), getattr(content, section), units, difference=is_sensor)
-        content = content.model_copy(update={section: numbers})
+        content, wrong = yaml.in_units(content, section, units, difference=is_sensor)
         faults += wrong
-        for name, value in numbers.items():
+        for name, value in getattr(content, section).items():
             if name not in declared:
                 unknown = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, declared)}'
                 faults.append(yaml.fault((section, name), unknown, key=True))
