@@ -233,4 +233,4 @@ class Search:
     def cost(self, parts: Sequence[Candidate]) -> float:
         """Return the score cost of candidates."""
         shapes = sum(math.log(c.among) + self.price * len(c.free) for c in parts)
-        return self.problem.scatter * (shapes - log_prior(len(parts), max(self.on_trial, len(parts))))
+        return float(self.problem.scatter * (shapes - log_prior(len(parts), max(self.on_trial, len(parts)))))
