@@ -223,6 +223,10 @@ def cvode(
             library.CVodeSetInitStep(self.memory, ctypes.c_double(longest or 0.0))
             library.CVodeSetMaxStep(self.memory, ctypes.c_double(longest or whole))
 
+        def __del__(self) -> None:
+            super().__del__()
+            core.SUNContext_Free(ctypes.byref(self.sunctx))  # else its log stays open
+
         @property
         def last_step(self) -> float:
             return self._number("CVodeGetLastStep")
