@@ -1,27 +1,31 @@
-"""Comparison of held and interpolated inputs between rows by their likelihood.
+"""Comparison of held and interpolated inputs between rows, and of inputs taken earlier, by their likelihood.
 
-Only the recalibrated base model is compared. The two alternatives are not nested, so their difference is compared with
-its scatter over blocks of time (Vuong 1989).
+With even prior odds, another way is told if its probability is that of a claimed part, and its gain is no chance over
+blocks of time.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.special import logit
+from scipy.stats import norm
 
 from cosim.core.text import counted, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.scatter import blocks_of, gain_per_scatter
+from cosim.refinement.decision.posterior import CERTAIN, MISFIT
+from cosim.refinement.decision.scatter import steadiness
 from cosim.refinement.search.hypotheses import Hypothesis
 
 Way = Literal["held", "interpolated"]
-EARLIER = (1, 2, 4, 8)  # rows by which an input is taken earlier than recorded
-LIKELIER, STEADILY = 5.0, 3.0  # gain ("very strong", Kass and Raftery 1995) and gain per scatter to warn
+
+
+def _is_likelier(gain: float, steady: float) -> bool:
+    return gain > float(logit(CERTAIN)) and float(norm.sf(steady)) < MISFIT
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Between:
     @property
     def is_otherwise(self) -> bool:
         """Return whether the opposite choice is clearly likelier."""
-        return self.gain > LIKELIER and self.steady > STEADILY
+        return _is_likelier(self.gain, self.steady)
 
     @property
     def other_line(self) -> str:
@@ -82,10 +86,7 @@ def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, fl
     """Return the gain of a hypothesis by a refit to other inputs, and the gain divided by its scatter."""
     # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
     refit = fit(other, h.fit.free, h.fit.values, other.plain)
-    scored, scored_refit = problem.score(h.fit.values, h.fit.noise), other.score(refit.values, refit.noise)
-    block = blocks_of(problem, scored, math.exp(h.fit.noise.memory))
-    steady = gain_per_scatter(block, scored, scored_refit, h.fit.penalty - refit.penalty)
-    return h.fit.objective - refit.objective, steady
+    return h.fit.objective - refit.objective, steadiness(problem, refit, h.fit, other)
 
 
 @dataclass(frozen=True)
@@ -115,17 +116,17 @@ def late_input(problem: Problem, best: Hypothesis) -> Late | None:
     row and by twice as many as long as that is likelier.
     """
     late: Late | None = None
+    shortest = min(len(data.u) for data in problem.logs)
     for column, name in enumerate(problem.layout.inputs):
-        if not any(np.ptp(data.u[:, column]) for data in problem.logs):
-            continue
-        for rows in EARLIER:
+        rows = 1
+        while rows < shortest and any(np.ptp(data.u[:, column]) for data in problem.logs):
             logs = []
             for data in problem.logs:
                 u = data.u.copy()
                 u[:-rows, column], u[-rows:, column] = u[rows:, column].copy(), u[-1, column]
                 logs.append(replace(data, u=u))
             moved = Late(name, rows, *_gain_of(problem, best, replace(problem, logs=logs)))
-            if not (moved.gain > max(LIKELIER, late.gain if late else 0.0) and moved.steady > STEADILY):
+            if not _is_likelier(moved.gain, moved.steady) or (late is not None and moved.gain <= late.gain):
                 break
-            late = moved
+            late, rows = moved, 2 * rows
     return late

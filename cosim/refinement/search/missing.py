@@ -53,16 +53,20 @@ class MissingInput:
 Smoothed = Sequence[tuple[int, MissingInput]]  # index of a log in the problem, and its smoothed input
 
 
+def rows_of_delay(problem: Problem, p: Array, step: float) -> int:
+    """Return the number of rows of commands before a step that a delay may reach back to."""
+    delay = problem.layout.delay
+    return 2 + math.ceil(p[delay] / step if delay >= 0 else 0.0)
+
+
 class Steps:
     """Single kernel steps from any row of a log."""
 
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.problem, self.kernel, self.data = problem, problem.kernel, problem.logs[index]
-        layout = problem.layout
         # Unknown inputs keep their usual correlation time.
         self.p = problem.numbers(problem.of_log({**problem.values, **values}, index))
-        late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
-        self.back = 2 + math.ceil(late)  # rows of commands before a step that a delay may reach back to
+        self.back = rows_of_delay(problem, self.p, self.data.step)
 
     def step(self, rows: Rows, states: Array, memories: Array) -> tuple[Array, Array]:
         """Return the state at the next row and the outputs at each row."""
