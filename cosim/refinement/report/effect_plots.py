@@ -32,7 +32,7 @@ from cosim.refinement.search.missing import (
     smooth_unknown_inputs,
     smoothed_logs,
 )
-from cosim.refinement.search.shapes import Shape, signals_of
+from cosim.refinement.search.shapes import Shape, signals_of, values_of
 from cosim.report.charts import Charts
 from cosim.report.panels import Band, Panel, Trace, extent
 
@@ -146,7 +146,7 @@ def _compare_residual(r: Refinement) -> EffectComparison:
         if local := first.get("local"):
             shape = Shape.of_entry(first["equation"], local)
             term = shape.columns(signals) @ np.array(local["sizes"])
-            against = Regressor(shape.signal, shape.unit, shape.positions(signals))
+            against = Regressor(shape.signal, shape.unit, values_of(signals, shape.of))
         elif basis := subject.nameless(first["signal"]):
             evaluate, units = basis
             values = np.broadcast_to(evaluate(*(signals[name] for name in units)), signals["time"].shape)
@@ -154,7 +154,7 @@ def _compare_residual(r: Refinement) -> EffectComparison:
             against = Regressor(chosen, units.get(chosen, "s"), signals[chosen])
         else:
             break
-        term = scale_to_missing(problem, best, column, term, value[:, column])
+        term = scale_to_missing(term, value[:, column])
         share, effect = residual.get("share"), first["signal"]
         return _of_equation(subject, parts, column, against, effect=effect, term=term, recorded=share)
     return _of_equation(subject, parts, column, _choose(_regressors(subject, problem, parts), (), value[:, column]))

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import orthonormal
-from cosim.refinement.search.shapes import SLIP, Shape, Signals
-
-LIKE = 0.9  # share of a shape's variance beside a straight line that a law explains
-WIDTHS = np.geomspace(0.02, 0.5, 12)  # half widths of free play, as shares of half the signal's range
+from cosim.estimation.kernel.nameless import KNOTS
+from cosim.refinement.decision.posterior import LITTLE
+from cosim.refinement.search.shapes import Shape, Signals, values_of
 
 
 def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, is_rate: bool) -> str:
@@ -25,35 +24,28 @@ def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, 
         is_rate: True if the signal is a velocity.
     """
     shapes = [shape for shape, _ in terms]
-    if any(shape.times or shape.turned for shape in shapes) or all(shape.kind != "spline" for shape in shapes):
+    if any(shape.times for shape in shapes) or all(shape.kind != "spline" for shape in shapes):
         return ""
-    z, columns = shapes[0].positions(signals), np.hstack([shape.columns(signals) for shape in shapes])
+    z, columns = values_of(signals, shapes[0].of), np.hstack([shape.columns(signals) for shape in shapes])
     line, space = (orthonormal(np.column_stack(parts)) for parts in ([np.ones_like(z), z], [*columns.T]))
 
     def beside_line(column: Array) -> Array:
         return np.asarray(column - line @ (line.T @ column))
 
     rest = beside_line(columns @ np.concatenate([sizes for _, sizes in terms]))
-    power = float(rest @ rest)
-    shares: dict[str, float] = {}
-    for name, column in _laws(z, is_rate=is_rate):
-        law = beside_line(space @ (space.T @ column))
-        size = float(law @ law)
-        shares[name] = max(shares.get(name, 0.0), float(law @ rest) ** 2 / size / power if size * power > 0.0 else 0.0)
-    return " or ".join(name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] >= LIKE)
-
-
-def _laws(z: Array, *, is_rate: bool) -> Iterator[tuple[str, Array]]:
-    """Yield laws over a signal: words, and values."""
-    low, high = np.percentile(z, (0.5, 99.5))
-    half = 0.5 * float(high - low) or 1.0
-    sign = np.tanh(z / (SLIP * half))
     if is_rate:
-        yield "dry friction", sign
-        yield "drag with the square of the speed", z * np.abs(z)
-        yield "friction with the cube of the speed", z**3
-        return
-    yield "a preload", sign
-    yield "a spring with the cube of the deflection", z**3
-    for share in WIDTHS:
-        yield "free play", np.clip(z, -share * half, share * half)
+        laws = [
+            ("dry friction", np.sign(z)),
+            ("drag with the square of the speed", z * np.abs(z)),
+            ("friction with the cube of the speed", z**3),
+        ]
+    else:
+        widths = np.linspace(0.0, np.abs(z).max(), KNOTS)[1:-1]
+        laws = [("a preload", np.sign(z)), ("a spring with the cube of the deflection", z**3)]
+        laws += [("free play", np.clip(z, -width, width)) for width in widths]
+    shares: dict[str, float] = {}
+    for name, column in laws:
+        law = beside_line(space @ (space.T @ column))
+        power = float(law @ law) * float(rest @ rest)
+        shares[name] = max(shares.get(name, 0.0), float(law @ rest) ** 2 / power if power else 0.0)
+    return " or ".join(n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 1.0 - LITTLE)
