@@ -148,13 +148,9 @@ class LocalShape(_Entry):
     kind: Literal["bump", "step", "spline"] = Field(description="a spline is a row of bumps")
     of: list[str] = Field(description="the signal that it is over; of two the first less the second")
     place: Finite = Field(description="of the middle, of a spline's first bump")
-    width: Finite = Field(description="of a bump at half its height, of a step, of a spline from bump to bump")
+    width: Finite = Field(description="of a bump at about half its height, of a step, of a spline from bump to bump")
     unit: str = Field(description="of place and width")
-    turned: bool = Field(description="over an angle that turns: the shape comes back every turn")
     times: list[str] = Field(description="what it is multiplied by, as `of`; empty for nothing")
-    dry: bool = Field(description="by the sign of that alone")
-    slip: Finite = Field(description="value of that within which the sign turns")
-    well: bool = Field(description="it is multiplied by the distance from its place")
     sizes: list[Finite] = Field(description="of its bumps or its step")
 
 

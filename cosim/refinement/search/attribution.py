@@ -14,8 +14,9 @@ from dataclasses import replace
 from itertools import chain, combinations
 
 import numpy as np
+from scipy.stats import norm
 
-from cosim.estimation.fit import Fit
+from cosim.estimation.fit import NOISE_DIFFERENCE, Fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen, with_finer_steps
@@ -24,22 +25,16 @@ from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
+from cosim.refinement.decision.posterior import MISFIT
 from cosim.refinement.decision.scatter import scatter_ratio
 from cosim.refinement.search.around import fit_neighbours
-from cosim.refinement.search.fits import HOPE, Parts, Progress, Search, SearchResult, Trial, key_of
+from cosim.refinement.search.fits import HOPE, SCREEN_ITERATIONS, Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
 
-FITTED = 6  # sets fitted in each round
-AMONG = 10  # most promising candidates from which pairs and larger sets are formed
-TOGETHER = 4  # largest set around the base model
+FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
 NEAR = 12.0  # score difference within which a set is worth a fit, and a hypothesis is fitted to convergence
 DONE = 1.0  # score improvement below which a round has found nothing better
-ROUNDS = 10
-STARTS = 20  # fits in turn with start states
-SIGNIFICANT = 3.0  # standard deviations of a usual size, below which logs would not show it
-SETTLING = 15  # iterations
-SILENT = 0.1  # distance of ln variance from the lower limit of a sensor
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
 
 
@@ -81,11 +76,9 @@ class Attributor:
         """Fit promising sets of candidates in rounds, then the finalists; return the result."""
         search = self.search
         best, idle = self._start_from(base), 0
-        for number in range(ROUNDS):
-            proposed = self._proposals(best)
-            if not proposed:
-                break
-            stage = "trying every effect, sensor and parameter" if number == 0 else "looking for what is missing beside"
+        while proposed := self._proposals(best):
+            is_first = len(search.tried) == 1
+            stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
             fitted = search.fit_all(proposed, best, stage, NEAR)
             reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
             before, best = best.score, best_hypothesis((best, *fitted, *reduced))
@@ -99,7 +92,7 @@ class Attributor:
                     break
             else:
                 idle = 0
-                (settled,) = search.fit_again([best], SETTLING)
+                (settled,) = search.fit_again([best], SCREEN_ITERATIONS)
                 settled = self._with_stamp_errors(settled)
                 further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
                 search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
@@ -148,10 +141,7 @@ class Attributor:
         of the fit.
         """
         search = self.search
-        for _ in range(STARTS):
-            posed = with_likely_starts(search.problem, base.fit.values, base.fit.noise)
-            if posed is search.problem:
-                break
+        while (posed := with_likely_starts(search.problem, base.fit.values, base.fit.noise)) is not search.problem:
             self.fine, search.problem = (p.with_same_range(x0=posed.x0) for p in (self.fine, search.problem))
             before, base = base, search.hypothesis((), base.fit, loosen=False)
             if base.fit.objective > before.fit.objective - DONE:
@@ -166,7 +156,7 @@ class Attributor:
         """
         search, problem = self.search, self.search.problem
         low, stated = base.fit.noise.like(problem.limits.low).sensors, np.log(problem.r)
-        silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT) & (low < stated)
+        silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + NOISE_DIFFERENCE) & (low < stated)
         if not silent.any():
             return base
         sensors = np.where(silent, stated, base.fit.noise.sensors)
@@ -181,10 +171,7 @@ class Attributor:
         With too few, an integrator may imitate what the model lacks; the fit begins at the given values too.
         """
         search = self.search
-        for _ in range(ROUNDS):
-            posed = with_finer_steps(search.problem, h.fit.values, h.fit.noise)
-            if posed is search.problem:
-                break
+        while (posed := with_finer_steps(search.problem, h.fit.values, h.fit.noise)) is not search.problem:
             self.fine, search.problem = with_finer_steps(self.fine, h.fit.values, h.fit.noise), posed
             h = best_hypothesis(search.hypothesis(h.candidates, start, loosen=False) for start in (h.fit, None))
         return h
@@ -208,7 +195,7 @@ class Attributor:
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
         search, chosen = self.search, {c.name: c for c in self.candidates if c.name in best.names}
         every = [chosen.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
-        self.candidates, periods = with_likely_periods(test, every, best.names, lambda c: search.cost([c]) / HOPE)
+        self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
             self.periods |= periods
             self.fine, search.problem = (
@@ -257,15 +244,15 @@ class Attributor:
         """Yield sets of candidates near a hypothesis: some added, one removed, one replaced by up to two."""
         others = [name for name in choice.terms if name not in best.names]
         promises = choice.extensions(best.names)
-        ranked = list(promises)
-        yield from ((*best.names, name) for name in ranked if promises[name].within)
-        for count in range(2, 3 if best.names else TOGETHER + 1):
-            yield from ((*best.names, *more) for more in combinations(ranked[:AMONG], count))
+        likely = [*promises][:FITTED]
+        yield from ((*best.names, name) for name in promises if promises[name].within)
+        for count in range(2, len(likely) + 1):
+            yield from ((*best.names, *more) for more in combinations(likely, count))
         for part in best.names:
             if choice.terms[part].candidate.kind != "parameter":
                 rest = [name for name in best.names if name != part]
-                likely = combinations(ranked[: AMONG // 2], 2)
-                yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
+                replacements = chain([()], combinations(others, 1), combinations(likely, 2))
+                yield from ((*rest, *more) for more in replacements)
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
         """Return each fit's candidates without ineffective parts."""
@@ -294,7 +281,7 @@ class Attributor:
         fit_neighbours(search, self.candidates)
         best = best_hypothesis(h for h in search.tried.values() if h.ended)
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
-        hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < SIGNIFICANT**2)
+        hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
         return SearchResult(search, best, hidden, tuple(self.candidates))
 
     def _beyond_special_cases(self, best: Hypothesis) -> list[tuple[Parts, Fit]]:
