@@ -27,7 +27,6 @@ from cosim.refinement.search.missing import (
     Steps,
     contributions,
     loosen_noise,
-    scale_to_missing,
     smooth_logs,
     smooth_unknown_inputs,
     smoothed_logs,
@@ -154,7 +153,8 @@ def _compare_residual(r: Refinement) -> EffectComparison:
             against = Regressor(chosen, units.get(chosen, "s"), signals[chosen])
         else:
             break
-        term = scale_to_missing(term, value[:, column])
+        power = float(term @ term)
+        term = term * max(0.0, float(value[:, column] @ term) / power if power else 0.0)
         share, effect = residual.get("share"), first["signal"]
         return _of_equation(subject, parts, column, against, effect=effect, term=term, recorded=share)
     return _of_equation(subject, parts, column, _choose(_regressors(subject, problem, parts), (), value[:, column]))

@@ -202,25 +202,14 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     if layout.is_free_run:
         change = (runs[1].states - runs[0].states)[:, layout.forced_places]
         return np.asarray(change[min(count_unscored(data), len(change) - 1) : MOST_ROWS])
-    without, with_it = (Steps(problem, index, f.values) for f in (base, after))
-    shared, forced = list(layout.stochastic), layout.forced_places
-    rows = min(len(data.u), MOST_ROWS)
-    added = np.full((rows, len(forced)), np.nan)
-    without_states, with_states = (np.empty((rows - 1, len(layout.states))) for _ in runs)
-    for k in range(rows - 1):
-        without_states[k] = problem.drop_unknown_inputs(runs[0].states[k])
-        with_states[k] = problem.drop_unknown_inputs(runs[1].states[k])
-    without_states[:, shared] = with_states[:, shared]
-    plain = without.step(np.arange(rows - 1), without_states, runs[0].memory)[0]
-    fuller = with_it.step(np.arange(rows - 1), with_states, runs[1].memory)[0]
-    added[: rows - 1] = (fuller - plain)[:, forced] / data.step
-    return added[min(count_unscored(data), rows - 1) : rows - 1]
-
-
-def scale_to_missing(term: Array, missing: Array) -> Array:
-    """Return a term scaled by regression to a missing input; zero with the wrong sign."""
-    power = float(term @ term)
-    return np.asarray(max(0.0, float(missing @ term) / power) * term if power > 0.0 else term)
+    rows, shared = min(len(data.u), MOST_ROWS) - 1, list(layout.stochastic)
+    states = [np.array([problem.drop_unknown_inputs(x) for x in run.states[:rows]]) for run in runs]
+    states[0][:, shared] = states[1][:, shared]
+    without, with_it = (
+        Steps(problem, index, f.values).step(np.arange(rows), x, run.memory)[0]
+        for f, x, run in zip((base, after), states, runs, strict=True)
+    )
+    return np.asarray((with_it - without)[min(count_unscored(data), rows) :, layout.forced_places] / data.step)
 
 
 def _linear(problem: Problem, steps: Steps, run: Filtered, rows: int, every: int) -> tuple[Array, Array]:

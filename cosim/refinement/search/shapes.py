@@ -20,7 +20,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
 from cosim.estimation.kernel.nameless import KNOTS, LOCAL, RATE, bump, rise
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.posterior import CERTAIN
+from cosim.refinement.decision.posterior import CERTAIN, LITTLE
 from cosim.refinement.search.missing import Smoothed, smooth_unknown_inputs
 
 EVERY = 4  # rows between linearizations, sufficient for a regression
@@ -175,3 +175,41 @@ def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[st
                 bumps = np.linspace(low, high, count).tolist()
                 width = 2.0 * (high - low) / (count - 1)
                 yield from (replace(shape, kind="bump", place=p, width=width, times=factor) for p in bumps)
+
+
+def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, is_rate: bool) -> str:
+    """Return the laws that local shapes over one signal resemble together, in words; "" for none.
+
+    Laws are compared as far as the shapes can follow them, which takes a spline. A straight line is no law of its own,
+    since parameters of the model take its place.
+
+    Args:
+        terms: Shapes with their coefficients.
+        is_rate: True if the signal is a velocity.
+    """
+    shapes = [shape for shape, _ in terms]
+    if any(shape.times for shape in shapes) or all(shape.kind != "spline" for shape in shapes):
+        return ""
+    z, columns = values_of(signals, shapes[0].of), np.hstack([shape.columns(signals) for shape in shapes])
+    line, space = (orthonormal(np.column_stack(parts)) for parts in ([np.ones_like(z), z], [*columns.T]))
+
+    def beside_line(column: Array) -> Array:
+        return np.asarray(column - line @ (line.T @ column))
+
+    rest = beside_line(columns @ np.concatenate([sizes for _, sizes in terms]))
+    if is_rate:
+        laws = [
+            ("dry friction", np.sign(z)),
+            ("drag with the square of the speed", z * np.abs(z)),
+            ("friction with the cube of the speed", z**3),
+        ]
+    else:
+        widths = np.linspace(0.0, np.abs(z).max(), KNOTS)[1:-1]
+        laws = [("a preload", np.sign(z)), ("a spring with the cube of the deflection", z**3)]
+        laws += [("free play", np.clip(z, -width, width)) for width in widths]
+    shares: dict[str, float] = {}
+    for name, column in laws:
+        law = beside_line(space @ (space.T @ column))
+        power = float(law @ law) * float(rest @ rest)
+        shares[name] = max(shares.get(name, 0.0), float(law @ rest) ** 2 / power if power else 0.0)
+    return " or ".join(n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 1.0 - LITTLE)

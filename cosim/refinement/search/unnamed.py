@@ -28,8 +28,7 @@ from cosim.estimation.screen import ScoreTest
 from cosim.estimation.subject.candidates import Free
 from cosim.refinement.decision.posterior import CERTAIN, MISFIT
 from cosim.refinement.search.fits import SCREEN_ITERATIONS
-from cosim.refinement.search.resemblance import law_of
-from cosim.refinement.search.shapes import Shape, promising_shapes
+from cosim.refinement.search.shapes import Shape, law_of, promising_shapes
 
 
 @dataclass(frozen=True)
