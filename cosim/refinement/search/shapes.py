@@ -204,7 +204,7 @@ def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, 
             ("friction with the cube of the speed", z**3),
         ]
     else:
-        widths = np.linspace(0.0, np.abs(z).max(), KNOTS)[1:-1]
+        widths = np.abs(z).max() * 0.5 ** np.arange(1, KNOTS)
         laws = [("a preload", np.sign(z)), ("a spring with the cube of the deflection", z**3)]
         laws += [("free play", np.clip(z, -width, width)) for width in widths]
     shares: dict[str, float] = {}
