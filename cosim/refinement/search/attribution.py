@@ -52,7 +52,6 @@ class Attributor:
         self.fine = problem
         self.search = Search(subject, coarsen(problem), len(candidates), progress)
         self.identifiable: dict[str, float] = {}
-        self.periods: dict[str, float] = {}  # of candidates that repeat along a position
 
     def run(self) -> SearchResult:
         """Fit the base model and search; search again if the base model is then fitted far better.
@@ -75,7 +74,7 @@ class Attributor:
     def _search_from(self, base: Hypothesis) -> SearchResult:
         """Fit promising sets of candidates in rounds, then the finalists; return the result."""
         search = self.search
-        best, idle = self._start_from(base), 0
+        best = self._start_from(base)
         while proposed := self._proposals(best):
             is_first = len(search.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
@@ -84,22 +83,17 @@ class Attributor:
             before, best = best.score, best_hypothesis((best, *fitted, *reduced))
             if (better := self._better_base(base, best)) is not base:
                 base = best = self._start_from(better)
-                idle = 0
                 continue
             if best.score > before - DONE:
-                idle += 1
-                if idle > 1:
-                    break
-            else:
-                idle = 0
-                (settled,) = search.fit_again([best], SCREEN_ITERATIONS)
-                settled = self._with_stamp_errors(settled)
-                further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
-                search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
-                search.tried[settled.names] = settled
-                best = self._rescore(settled)
-                if search.problem.trusted:  # the costs have changed
-                    best = best_hypothesis((best, *search.tried.values()))
+                break
+            (settled,) = search.fit_again([best], SCREEN_ITERATIONS)
+            settled = self._with_stamp_errors(settled)
+            further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
+            search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
+            search.tried[settled.names] = settled
+            best = self._rescore(settled)
+            if search.problem.trusted:  # the costs have changed
+                best = best_hypothesis((best, *search.tried.values()))
         return self._finish(base, best)
 
     def _start_from(self, base: Hypothesis) -> Hypothesis:
@@ -197,7 +191,6 @@ class Attributor:
         every = [chosen.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
         self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
-            self.periods |= periods
             self.fine, search.problem = (
                 p.with_same_range(values={**p.values, **periods}) for p in (self.fine, search.problem)
             )
@@ -208,7 +201,19 @@ class Attributor:
             self.identifiable[name] = max(t.identifiable, self.identifiable.get(name, 0.0))
         switched = {t.candidate.name: t.candidate for t in terms if t.switched and t.candidate.name not in best.names}
         grown = [t for t in terms if t.candidate.name not in switched]
-        ranking = self._ranking(Choice(test, grown, best.candidates, self.search.problem.values), best)
+        choice, named = (
+            Choice(test, grown, best.candidates, search.problem.values),
+            {c.name: c for c in self.candidates},
+        )
+        ranking: list[tuple[float, Trial]] = []
+        for names in self._sets(choice, best):
+            if tuple(sorted(names)) in search.tried:
+                continue
+            promise, parts = choice.promise(names), tuple(named[n] for n in names)
+            dearer = search.cost(parts) - search.cost(best.candidates)
+            if promise.within and (HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR):
+                ranking.append((dearer - promise.gain, (parts, promise.values)))
+        ranking.sort(key=lambda entry: entry[0])
         whole = [] if best.candidates else [*self._complete_errors()]
         known = {key_of(parts) for parts, _ in whole}
         likely = [trial for _, trial in ranking[:FITTED] if key_of(trial[0]) not in known]
@@ -226,19 +231,6 @@ class Attributor:
             if problem.score({**problem.values, **c.complete}, problem.plain).nll != plain:  # it acts on these logs
                 given = {f.name: problem.values[f.name] for f in self.search.free((c,))}
                 yield (c,), {**given, **c.complete}
-
-    def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
-        """Return sets of candidates worth a fit, best first."""
-        search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
-        for names in self._sets(choice, best):
-            if tuple(sorted(names)) in search.tried:
-                continue
-            promise, candidates = choice.promise(names), tuple(parts[n] for n in names)
-            dearer = search.cost(candidates) - search.cost(best.candidates)
-            worth = HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR
-            if promise.within and worth:
-                ranking.append((best.score - promise.gain + dearer, (candidates, promise.values)))
-        return sorted(ranking, key=lambda entry: entry[0])
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
         """Yield sets of candidates near a hypothesis: some added, one removed, one replaced by up to two."""
