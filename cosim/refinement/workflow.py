@@ -306,8 +306,7 @@ def _proof(
         before, after = (played[name]["validation"][study.subject.horizon] for name in ("before", variant))
         risen = find_rises(before, after)
         remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-    inputs = between.other_line if between.is_otherwise else ""
-    return Proof(risen, remaining, study.content.candidates is not None, inputs, is_written)
+    return Proof(risen, remaining, study.content.candidates is not None, between.line, is_written)
 
 
 def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:

@@ -34,41 +34,27 @@ class Between:
 
     Attributes:
         steady: Gain divided by its scatter over blocks of time.
+        line: Line of a study with the opposite choice, if that is clearly likelier; else "".
     """
 
     ways: Mapping[str, Way]
     gain: float
     steady: float
-
-    @property
-    def is_otherwise(self) -> bool:
-        """Return whether the opposite choice is clearly likelier."""
-        return _is_likelier(self.gain, self.steady)
-
-    @property
-    def other_line(self) -> str:
-        """Return the line of a study with the opposite choice."""
-        opposite = {name: "held" if way == "interpolated" else "interpolated" for name, way in self.ways.items()}
-        setting = opposite[next(iter(opposite))]
-        if len(set(opposite.values())) > 1:
-            setting = f"{{{', '.join(f'{name}: {way}' for name, way in opposite.items())}}}"
-        return f"`inputs: {setting}`"
+    line: str = ""
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Return a warning if the opposite choice is clearly likelier."""
-        if not self.is_otherwise:
+        if not self.line:
             return ()
         inputs = []
         for way in dict.fromkeys(self.ways.values()):
             names = [name for name in self.ways if self.ways[name] == way]
             inputs.append(f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} taken as {way}")
-        texts = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "line": self.other_line}
         return (
-            (
-                "between rows {inputs}; the other way raises the log-likelihood of the logs by {gain}, {steadiness} "
-                "times its scatter: if the rig commands its inputs that way, write {line} in the study"
-            ).format(inputs=" and ".join(inputs), **texts),
+            f"between rows {' and '.join(inputs)}; the other way raises the log-likelihood of the logs by "
+            f"{plain(self.gain)}, {plain(self.steady, 2)} times its scatter: if the rig commands its inputs that way, "
+            f"write {self.line} in the study",
         )
 
 
@@ -78,8 +64,12 @@ def between_rows(problem: Problem, base: Hypothesis) -> Between:
     flipped = frozenset(names) - ramped
     logs = [replace(data, interpolated=flipped) for data in problem.logs]
     other = replace(problem, logs=logs, settings=replace(problem.settings, interpolated=flipped))
+    gain, steady = _gain_of(problem, base, other)
     ways: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
-    return Between(ways, *_gain_of(problem, base, other))
+    opposite = {name: "interpolated" if name in flipped else "held" for name in names}
+    setting = ", ".join(f"{name}: {way}" for name, way in opposite.items())
+    setting = opposite[names[0]] if len(set(opposite.values())) == 1 else f"{{{setting}}}"
+    return Between(ways, gain, steady, f"`inputs: {setting}`" if _is_likelier(gain, steady) else "")
 
 
 def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, float]:
@@ -100,13 +90,12 @@ class Late:
 
     def warning(self, step: float) -> str:
         """Return a warning for logs with this time between rows [s]."""
-        numbers = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "time": plain(self.rows * step)}
         return (
-            "{name} taken {rows} earlier than recorded raises the log-likelihood of the logs by {gain}, "
-            "{steadiness} times its scatter: its column may lag, as behind a filter or a sensor of its own, "
-            "which no candidate describes; log the input before the filter, or move its column {time} s earlier "
-            "and refine again"
-        ).format(name=self.name, rows=counted(self.rows, "row"), **numbers)
+            f"{self.name} taken {counted(self.rows, 'row')} earlier than recorded raises the log-likelihood of the "
+            f"logs by {plain(self.gain)}, {plain(self.steady, 2)} times its scatter: its column may lag, as behind a "
+            "filter or a sensor of its own, which no candidate describes; log the input before the filter, or move "
+            f"its column {plain(self.rows * step)} s earlier and refine again"
+        )
 
 
 def late_input(problem: Problem, best: Hypothesis) -> Late | None:
