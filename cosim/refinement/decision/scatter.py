@@ -164,14 +164,6 @@ def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) ->
     return refit if left_out is None else fit_for_held_out(problem, refit, left_out)
 
 
-def scatter_ratio(problem: Problem, f: Fit) -> float:
-    """Return the ratio of the estimates' variance from time blocks to the variance for a white residual, at least 1."""
-    spread, white = with_sandwich_covariance(problem, f).scattered, inverse(f.information)
-    assert spread is not None
-    ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
-    return max(1.0, float(np.median(ratios))) if ratios else 1.0
-
-
 def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     """Return the hypothesis with the covariance of its estimates: scatter over blocks of time, and from log to log.
 

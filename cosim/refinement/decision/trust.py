@@ -3,8 +3,7 @@
 A free unknown input absorbs every one-step prediction error, for example an input that was not held between two rows or
 an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's own horizon,
 have little weight. If a fit without unknown inputs predicts clearly better in open loop, the search is repeated without
-them. The residual is then not white, and the cost of every candidate is scaled by the ratio of the estimates' scatter
-over blocks of time to the scatter for a white residual.
+them. The residual is then not white, and the cost of every candidate is scaled by the dispersion of the likelihood.
 """
 
 from __future__ import annotations

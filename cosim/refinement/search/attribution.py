@@ -25,8 +25,8 @@ from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import MISFIT
-from cosim.refinement.decision.scatter import scatter_ratio
+from cosim.refinement.decision.bundle import evidence
+from cosim.refinement.decision.posterior import MISFIT, dispersion
 from cosim.refinement.search.around import fit_neighbours
 from cosim.refinement.search.fits import HOPE, SCREEN_ITERATIONS, Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
@@ -122,7 +122,7 @@ class Attributor:
         search = self.search
         if not search.problem.trusted:
             return h
-        search.problem = replace(search.problem, scatter=scatter_ratio(search.problem, h.fit))
+        search.problem = replace(search.problem, scatter=dispersion(evidence(search, h)))
         search.tried = {
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
