@@ -90,8 +90,8 @@ class Leftover:
         fit: Hypothesis with these terms; None without terms.
         gain: Log-likelihood gain of all terms together.
         among: Number of coefficients tried.
-        is_stable: Whether a term of the same signal leads without any one log.
-        is_placed: Whether this term is always one of the same equation.
+        is_stable: Whether a term of the same signal is among the likeliest without any one log.
+        is_placed: Whether one of the same equation is.
     """
 
     terms: tuple[UnnamedTerm, ...] = ()
@@ -121,15 +121,15 @@ def find_unnamed_terms(
     among = len(simple) + tried
     densities = dict(zip(problem.layout.forced, np.sqrt(problem.plain.density), strict=True))
 
-    def effects(u: UnnamedTerm) -> tuple[Array, list[float]]:
+    def effects(u: UnnamedTerm) -> tuple[list[Array], list[float]]:
         """Return the change of the innovations by a detectable step of each coefficient, and the steps."""
-        rows, steps = [], []
+        rows, steps = list[Array](), list[float]()
         for name in u.names:
             step = DIFFERENCE * densities[u.equation]
             size = float(np.linalg.norm(test.row({**u.settings, name: step})))
             steps.append(step / size if size > 0.0 else step)
             rows.append(test.row({**u.settings, name: steps[-1]}))
-        return np.array(rows), steps
+        return rows, steps
 
     found = in_parallel(effects, terms)
     rows_of = {u: rows for u, (rows, _) in zip(terms, found, strict=True)}
@@ -138,21 +138,22 @@ def find_unnamed_terms(
     def is_chance(u: UnnamedTerm, gain: float) -> bool:
         return among * float(chi2.sf(2.0 * gain / problem.scatter, len(u.names))) > MISFIT
 
-    def first_of(gains: Sequence[float]) -> int:
-        """Return the simplest term of those that are nearly as likely as the best."""
+    def likeliest(gains: Sequence[float]) -> list[int]:
+        """Return the terms that are nearly as likely as the best, simplest first."""
         nets = [gain / problem.scatter - price * len(u.names) for u, gain in zip(terms, gains, strict=True)]
-        return next(k for k, net in enumerate(nets) if net >= max(nets) - float(logit(CERTAIN)))
+        return [k for k, net in enumerate(nets) if net >= max(nets) - float(logit(CERTAIN))]
 
     chosen: list[UnnamedTerm] = []
-    before, sum_before = np.zeros((0, test.residual.size)), 0.0
+    before, sum_before = list[Array](), 0.0
     while terms and len(chosen) < SLOTS:  # each local shape has a slot of the kernel
         gains = [test.gain([*before, *rows_of[u]])[0] - sum_before for u in terms]
-        u = terms[k := first_of(gains)]
+        k = likeliest(gains)[0]
+        u = terms[k]
         if is_chance(u, gains[k]):
             break
         multiples = test.gain(rows_of[u])[1]
         sizes = tuple(float(m * step) for m, step in zip(multiples, steps_of[u], strict=True))
-        before, sum_before = np.vstack([before, rows_of[u]]), sum_before + gains[k]
+        before, sum_before = [*before, *rows_of[u]], sum_before + gains[k]
         chosen.append(replace(u, gain=gains[k], sizes=sizes, slot=len(chosen) + 1))
     if not chosen:
         return Leftover()
@@ -183,12 +184,12 @@ def find_unnamed_terms(
         own = [(u.shape, u.sizes) for u in refitted if u.shape and (u.equation, u.signal) == where]
         like = law_of(own, signals, is_rate={*problem.layout.rates.values()}.issuperset(first.shape.of))
     logs = range(max(2, len(problem.logs)))
-    leaders = [terms[first_of([test.gain_without(rows_of[u], log) for u in terms])] for log in logs]
+    of_logs = [[terms[k] for k in likeliest([test.gain_without(rows_of[u], log) for u in terms])] for log in logs]
     return Leftover(
         (replace(first, share=share, like=like), *refitted[1:]),
         fitted,
         without.objective - fitted.objective,
         among,
-        is_stable=all(u.signal == first.signal for u in leaders),
-        is_placed=all(u.equation == first.equation for u in leaders),
+        is_stable=all(any(u.signal == first.signal for u in likely) for likely in of_logs),
+        is_placed=all(any(u.equation == first.equation for u in likely) for likely in of_logs),
     )
