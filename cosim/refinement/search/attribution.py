@@ -54,36 +54,20 @@ class Attributor:
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> SearchResult:
-        """Fit the base model and search; search again if the base model is then fitted far better.
-
-        The first fit may end in a local optimum with much sensor noise, where no candidate promises anything, or which
-        a candidate leaves without an effect of its own.
-        """
+        """Fit the base model, promising sets of candidates in rounds, then the finalists; return the result."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_likely_starts(search.from_first_rows(search.hypothesis((), None)))
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
-        result = self._search_from(base)
-        settled = search.tried[()]
-        better, reached = (self._better_base(settled, result.best), settled) if result.best.names else (settled, base)
-        if search.problem.trusted or better.fit.objective > reached.fit.objective - NEAR:
-            return result
-        search.problem, self.identifiable = coarsen(self.fine, better.fit.values), {}
-        return self._search_from(self._with_stamp_errors(self._with_stated_noise(better)))
-
-    def _search_from(self, base: Hypothesis) -> SearchResult:
-        """Fit promising sets of candidates in rounds, then the finalists; return the result."""
-        search = self.search
-        best = self._start_from(base)
+        search.tried, search.bound = {(): base}, base.fit.objective
+        search.problem = replace(search.problem, sensing=base.fit.noise)
+        best = self._rescore(base)
         while proposed := self._proposals(best):
             is_first = len(search.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
             fitted = search.fit_all(proposed, best, stage, NEAR)
             reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
             before, best = best.score, best_hypothesis((best, *fitted, *reduced))
-            if (better := self._better_base(base, best)) is not base:
-                base = best = self._start_from(better)
-                continue
             if best.score > before - DONE:
                 break
             (settled,) = search.fit_again([best], SCREEN_ITERATIONS)
@@ -95,27 +79,6 @@ class Attributor:
             if search.problem.trusted:  # the costs have changed
                 best = best_hypothesis((best, *search.tried.values()))
         return self._finish(base, best)
-
-    def _start_from(self, base: Hypothesis) -> Hypothesis:
-        """Begin the search from a fit of the base model; return it with its score."""
-        search = self.search
-        search.tried = {(): base}
-        search.bound = base.fit.objective
-        search.problem = replace(search.problem, sensing=base.fit.noise)
-        return self._rescore(base)
-
-    def _better_base(self, base: Hypothesis, best: Hypothesis) -> Hypothesis:
-        """Return the fit of the base model, from the values of the best hypothesis if it is better there.
-
-        A fit may end in a local optimum, which candidates leave without an effect of their own.
-        """
-        problem = self.search.problem
-        free = {f.name for f in base.fit.free}
-        values = {n: best.fit.values[n] if n in free else value for n, value in problem.values.items()}
-        if not best.candidates or problem.score(values, best.fit.noise).nll >= base.fit.nll - DONE:
-            return base
-        other = self.search.hypothesis((), replace(best.fit, values={**best.fit.values, **values}), loosen=False)
-        return other if other.fit.objective < base.fit.objective - DONE else base
 
     def _rescore(self, h: Hypothesis) -> Hypothesis:
         """Update all scores for a non-white residual of trusted equations."""
@@ -269,7 +232,9 @@ class Attributor:
             (refit,) = (best,) = search.fit_again([best])
         best = self._rescore(self._with_enough_substeps(best))
         search.bound = refit.fit.objective
-        search.fit_to_the_end(self._beyond_special_cases(best))
+        # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
+        from_best: list[tuple[Parts, Fit]] = [((), best.fit)] if best.candidates else []
+        search.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
         fit_neighbours(search, self.candidates)
         best = best_hypothesis(h for h in search.tried.values() if h.ended)
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
