@@ -13,7 +13,7 @@ from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.propagation import lasting, propagations
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.scatter import Replays
+from cosim.refinement.decision.scatter import replay_errors
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import build
@@ -67,7 +67,7 @@ def test_a_free_run_leaves_no_more_than_the_noise(problem: Problem) -> None:
 
 def test_predictions_are_parts_of_the_free_run(study: Study, problem: Problem) -> None:
     undisturbed = replace(fitting.initial_fit(problem), noise=problem.at(problem.noise.smallest))
-    residuals = Replays(problem, study.subject.horizon, undisturbed, 0).residuals(problem.values)
+    residuals = replay_errors(problem, study.subject.horizon, undisturbed, 0)
     sizes = np.sqrt(np.nanmean(residuals**2, axis=(0, 1)))
     assert sizes == pytest.approx([*NOISE.values()], rel=0.3)
 

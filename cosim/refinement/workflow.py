@@ -147,7 +147,7 @@ def refine(
             before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
             risen = find_rises(before, after)
             remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-        inputs, is_restricted = between.other_line if between.is_otherwise else "", bool(study.content.candidates)
+        inputs, is_restricted = between.line, bool(study.content.candidates)
         told = {"is_restricted": is_restricted, "is_written": bool(files)}
         text = sentence(claims, subject, risen, remaining, inputs, **told)
         written = record(

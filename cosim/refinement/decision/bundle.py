@@ -10,7 +10,6 @@ import numpy as np
 from scipy.special import expit, logsumexp
 from scipy.stats import chi2, norm
 
-from cosim.core.arrays import Rows
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.fit import Fit, inverse, slopes
 from cosim.estimation.problem import Problem
@@ -35,14 +34,13 @@ from cosim.refinement.decision.posterior import (
     log_prior,
     posterior,
 )
-from cosim.refinement.decision.scatter import steadiness
+from cosim.refinement.decision.scatter import blocks_of_time, steadiness
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.unnamed import Leftover
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.terms.alike import contains
 
-BLOCKS = 20  # blocks of time of a study
 COMPARED = 5  # classes of which equivalences are sought
 
 
@@ -81,21 +79,6 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
     )
     search.evidences[h.names] = h, found
     return found
-
-
-def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
-    """Return the block of each measurement, and the log of each block; blocks last about equally long.
-
-    Args:
-        rows: Row of each measurement, log by log.
-    """
-    lengths = [int(np.ptp(r)) + 1 if r.size else 0 for r in rows]
-    numbers, logs = [], list[int]()
-    for log, (r, length) in enumerate(zip(rows, lengths, strict=True)):
-        parts = max(1, round(BLOCKS * length / sum(lengths)))
-        numbers.append(len(logs) + (r - r[:1]) * parts // max(1, length))
-        logs += [log] * parts
-    return np.concatenate(numbers), np.array(logs)
 
 
 def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:

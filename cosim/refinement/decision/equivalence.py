@@ -8,26 +8,24 @@ base parameters within their tolerances, adapt to the predictions of the other. 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import WIDTHS
+from cosim.refinement.decision.posterior import MIXTURE
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.missing import MOST_ROWS
 
 EQUIVALENT = 1e-3  # share of an effect's response below which a difference is that of rounding and integration
-PULL = 0.1  # share of EQUIVALENT that one standard deviation of a prior weighs
-WITHIN = 2.0  # standard deviations, one tolerance, by which base parameters may go further to adapt
-ENLARGED = 3.0  # factor on the ranges of inputs, and least factor on the sizes of effects, beyond those of the logs
-MOST_ROWS = 2000
-LONGEST_HOLD = 0.1  # share of the rows for which a level of an input is held at most
-EVALUATIONS = 30
-SEED = 26  # fixed for reproducible results
+ENLARGED = max(MIXTURE)  # factor on the ranges of inputs, and least factor on the sizes of effects
 
 
 def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
@@ -51,37 +49,37 @@ def _own(h: Hypothesis) -> tuple[str, ...]:
 
 
 def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: float) -> bool:
-    """Return True if a hypothesis can adapt to the predictions of another one, both with enlarged effects."""
-    given = {**truth.fit.values, **{n: search.problem.values[n] for n in _own(truth)}}
+    """Return True if a hypothesis can adapt to the predictions of another one, both with enlarged effects.
+
+    Base parameters adapt within one tolerance beyond those of the fit.
+    """
+    problem = search.problem
+    given = {**truth.fit.values, **{n: problem.values[n] for n in _own(truth)}}
+    sigma = np.exp(0.5 * problem.plain.sensors)
     for both_signs in (True, False):  # an FMU may fail with inputs of a sign that it never gets
-        course = _Course.exciting(search.problem, min(times, ENLARGED), both_signs=both_signs)
-        wanted, without = course.outputs(given | _enlarged(truth, search.problem, times)), course.outputs(given)
-        if np.isfinite(wanted).all() and np.isfinite(without).all():
+        data = _exciting(problem, min(times, ENLARGED), both_signs=both_signs)
+        wanted, without = (
+            _outputs(problem, data, given | _enlarged(truth, problem, times)),
+            _outputs(problem, data, given),
+        )
+        if np.isfinite([wanted, without]).all():
             break
-    effect = float(np.linalg.norm((wanted - without) / course.sigma))
-    if not 0.0 < effect < np.inf:
+    scale = EQUIVALENT * float(np.linalg.norm((wanted - without) / sigma)) * sigma
+    if not (np.isfinite(scale).all() and scale.any()):
         return False
-    free = search.free(adapted.candidates)
-    scale = course.sigma * effect * EQUIVALENT
-    priors = [(k, *f.prior) for k, f in enumerate(free) if f.prior]
-    start = given | _enlarged(adapted, search.problem, times)
+    start, free = given | _enlarged(adapted, problem, times), search.free(adapted.candidates)
+    names, begin = [f.name for f in free], np.array([start[f.name] for f in free])
+    most = np.array([WIDTHS * f.prior[1] if f.prior else np.inf for f in free])
+    low, high = (np.array([getattr(f, limit) for f in free]) for limit in ("low", "high"))
+    low, high = np.maximum(low, np.minimum(begin, high) - most), np.minimum(high, np.maximum(begin, low) + most)
 
     def residuals(theta: Array) -> Array:
-        """Return differences of predictions, and pulls of tolerances."""
-        values = start | {f.name: float(v) for f, v in zip(free, theta, strict=True)}
-        errors = np.nan_to_num((course.outputs(values) - wanted) / scale, nan=1e9, posinf=1e9, neginf=-1e9)
-        return np.concatenate([errors.ravel(), [PULL * (theta[k] - mean) / sigma for k, mean, sigma in priors]])
+        errors = (_outputs(problem, data, start | dict(zip(names, theta.tolist(), strict=True))) - wanted) / scale
+        return np.nan_to_num(errors.ravel(), nan=1.0 / EQUIVALENT**2)
 
-    from scipy.optimize import least_squares
-
-    low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
-    margin = np.where(np.isfinite(high - low), 1e-9 * (high - low), 0.0)
-    begin = np.clip([start[f.name] for f in free], low + margin, high - margin)
-    sizes = np.array([f.size for f in free])
-    done = least_squares(residuals, begin, bounds=(low, high), x_scale=sizes, max_nfev=EVALUATIONS)
-    errors, pulls = np.split(done.fun, [wanted.size])
-    before = sum((given[free[k].name] - mean) ** 2 / sigma**2 for k, mean, sigma in priors)
-    return bool(np.linalg.norm(errors) < 1.0 and pulls @ pulls < PULL**2 * (before + WITHIN**2))
+    sizes = [f.size for f in free]
+    done = least_squares(residuals, np.clip(begin, low, high), bounds=(low, high), x_scale=sizes, ftol=EQUIVALENT)
+    return bool(np.linalg.norm(done.fun) < 1.0)
 
 
 def _enlarged(h: Hypothesis, problem: Problem, times: float) -> dict[str, float]:
@@ -98,47 +96,33 @@ def _enlarged(h: Hypothesis, problem: Problem, times: float) -> dict[str, float]
     return values
 
 
-@dataclass(frozen=True)
-class _Course:
-    """Simulations from the start of the first log along inputs.
+def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
+    """Return a log with levels of random duration over the ranges of the inputs.
 
-    Attributes:
-        sigma: Standard deviation of the noise of each output.
+    Args:
+        times: Factor on the ranges.
+        both_signs: Let inputs with one sign have the other one, too, since a threshold at zero shows there only.
     """
+    first = problem.logs[0].rows(0, MOST_ROWS)
+    rng, rows = np.random.default_rng(0), len(first.u)
+    u = np.empty_like(first.u)
+    for k in range(u.shape[1]):
+        columns = [d.u[:, k] for d in problem.logs]
+        low, high = min(c.min() for c in columns), max(c.max() for c in columns)
+        middle, half = 0.5 * (low + high), 0.5 * times * (high - low) or 0.5 * abs(high) or 1.0
+        if both_signs and abs(middle) > half:
+            middle, half = 0.0, abs(middle) + half
+        holds = rng.geometric(1.0 / np.sqrt(rows), rows)
+        u[:, k] = np.repeat(middle + half * rng.uniform(-1.0, 1.0, rows), holds)[:rows]
+    return replace(first, u=u, late=None)
 
-    problem: Problem
-    data: Data
-    sigma: Array
 
-    @classmethod
-    def exciting(cls, problem: Problem, times: float, *, both_signs: bool) -> _Course:
-        """Return simulations along levels of random duration over the ranges of the inputs in the logs.
-
-        Args:
-            times: Factor on the ranges.
-            both_signs: Let inputs with one sign have the other one, too, since a threshold at zero shows there only.
-        """
-        first = problem.logs[0].rows(0, MOST_ROWS)
-        rng, rows = np.random.default_rng(SEED), len(first.u)
-        u = np.empty_like(first.u)
-        for k in range(u.shape[1]):
-            columns = [d.u[:, k] for d in problem.logs]
-            low, high = min(c.min() for c in columns), max(c.max() for c in columns)
-            middle, half = 0.5 * (low + high), 0.5 * times * (high - low) or 0.1 * abs(high) or 1.0
-            holds = np.exp(rng.uniform(0.0, np.log(max(2.0, LONGEST_HOLD * rows)), rows)).astype(int)
-            if both_signs and abs(middle) > half:
-                middle, half = 0.0, abs(middle) + half
-            u[:, k] = np.repeat(middle + half * rng.uniform(-1.0, 1.0, rows), holds)[:rows]
-        return cls(problem, replace(first, u=u, late=None), np.exp(0.5 * problem.plain.sensors))
-
-    def outputs(self, values: Mapping[str, float]) -> Array:
-        """Return the noise-free readings, shape (rows, outputs); NaN if the FMU fails."""
-        problem = self.problem
-        p, state = problem.numbers(problem.of_log(values, 0)), problem.start(values, 0)[0]
-        lags = problem.in_rows(problem.lagging, values, 0)
-        columns = range(self.data.y.shape[1])
-        try:
-            run = problem.kernel.simulate(self.data, p, state, np.zeros(problem.layout.memory))
-        except (FmuError, SimulationError):
-            return np.full(self.data.y.shape, np.nan)
-        return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in columns]))
+def _outputs(problem: Problem, data: Data, values: Mapping[str, float]) -> Array:
+    """Return noise-free readings from the start of the first log, shape (rows, outputs); NaN if the FMU fails."""
+    p, state = problem.numbers(problem.of_log(values, 0)), problem.start(values, 0)[0]
+    lags = problem.in_rows(problem.lagging, values, 0)
+    try:
+        run = problem.kernel.simulate(data, p, state, np.zeros(problem.layout.memory))
+    except (FmuError, SimulationError):
+        return np.full(data.y.shape, np.nan)
+    return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))

@@ -1,18 +1,18 @@
 """Scatter of gains and estimates over blocks of time and over logs, and predictions of logs left out.
 
 A likelihood assumes white residuals; residuals of a real system are correlated. The scatter of a gain and of an
-estimate is therefore computed from blocks of time longer than the correlation of an unknown input,
+estimate is therefore computed from the same blocks of time as the dispersion of the likelihood,
 
-    z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
+    cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      s_b: score of block b
 
-(Vuong 1989; White 1982), for a part of a hypothesis as in `gain_per_chance`. On a held-out log, what the other logs say
-of a parameter is its prior. Each hypothesis predicts in open loop from its own filtered state.
+(White 1982), that of a gain as in `gain_per_chance`. On a held-out log, what the other logs say of a parameter is its
+prior. Each hypothesis predicts in open loop from its own filtered state.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -30,49 +30,38 @@ from cosim.estimation.problem import Problem, Scored
 from cosim.estimation.subject.candidates import Free
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
 from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.missing import rows_of_delay
 
-BLOCK = 100  # least rows of a block
-LASTING = 3.0  # length of a block, as a multiple of the correlation time of an unknown input
-FEWEST = 12  # least number of blocks over all logs
-DIVERGED = 1e6  # NLL of a measurement for which a filter has diverged
-BACK = 200  # rows before a replay that a delay may reach back to
-PREDICTED = 8  # least number of replays of a log for a model judged by a free run
+BLOCKS = 20  # blocks of time of a study
 
 
-def blocks_of(problem: Problem, scored: Scored, memory: float) -> Rows:
-    """Return the time block of each scored measurement; blocks are longer than the correlation of the residual."""
-    length = correlation_length(scored) if problem.trusted else memory / problem.logs[0].step
-    rows = max(BLOCK, round(LASTING * length))
-    total = sum(len(d.u) for d in problem.logs)
-    rows = max(1, min(rows, total // FEWEST))
-    numbers, first = [], 0
-    for part in scored.of_each_log(scored.rows):
-        block = first + part // rows
-        numbers.append(block)
-        first = int(block.max()) + 1 if block.size else first
-    return np.concatenate(numbers)
+def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
+    """Return the block of each measurement, and the log of each block; blocks last about equally long.
+
+    Args:
+        rows: Row of each measurement, log by log.
+    """
+    lengths = [int(np.ptp(r)) + 1 if r.size else 0 for r in rows]
+    numbers, logs = [], list[int]()
+    for log, (r, length) in enumerate(zip(rows, lengths, strict=True)):
+        parts = max(1, round(BLOCKS * length / sum(lengths)))
+        numbers.append(len(logs) + (r - r[:1]) * parts // max(1, length))
+        logs += [log] * parts
+    return np.concatenate(numbers), np.array(logs)
 
 
-def correlation_length(scored: Scored) -> float:
-    """Return the autocorrelation length of normalised errors [rows]."""
-    parts, rows = scored.of_each_log(scored.errors / np.sqrt(scored.variances)), scored.of_each_log(scored.rows)
-    longest = 0.0
-    for part, at in zip(parts, rows, strict=True):
-        series = np.bincount(at, np.nan_to_num(part))
-        power = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
-        correlation = np.fft.irfft(power)[: len(series)]
-        end = np.append(np.flatnonzero(correlation <= 0.0), len(correlation))[0]
-        longest = max(longest, float(correlation[:end].sum() / (correlation[0] or 1.0)))
-    return longest
+def steadiness(problem: Problem, better: Fit, worse: Fit, other: Problem | None = None) -> float:
+    """Return the likelihood gain of a fit over another one, divided by the scatter of the gain by chance.
 
-
-def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
-    """Return the likelihood gain of a fit over a fit that it contains, divided by the scatter of the gain by chance."""
-    scored, others = (problem.score(f.values, f.noise) for f in (better, worse))
-    if scored.errors.size != others.errors.size:
+    Args:
+        other: Problem of the better fit, if it has other inputs.
+    """
+    scored = (other or problem).score(better.values, better.noise)
+    before = problem.score(worse.values, worse.noise)
+    if scored.errors.size != before.errors.size:
         return math.inf
-    block = blocks_of(problem, scored, math.exp(better.noise.memory))
-    return gain_per_chance(block, others, scored, worse.penalty - better.penalty) if block.size else math.inf
+    block, _ = blocks_of_time(scored.of_each_log(scored.rows))
+    return gain_per_chance(block, before, scored, worse.penalty - better.penalty)
 
 
 def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float = 0.0) -> float:
@@ -86,45 +75,22 @@ def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float 
     The factor 1/(1 − h_b) is that of the jackknife over blocks; a gain in a single block would have no scatter without
     it (CV3 of MacKinnon, Nielsen and Webb 2023, J. Appl. Econometrics 38:671).
     """
-    gains = _terms(worse) - _terms(better)
-    expected = _divergences(block, better, worse)
+    gain = constant + worse.nll - better.nll
+    if not math.isfinite(gain):  # a filter diverged
+        return math.inf if math.isfinite(better.nll) else -math.inf
+    moved, ratio = worse.errors - better.errors, better.variances / worse.variances
+    divergences = 0.5 * (ratio - 1.0 - np.log(ratio) + moved**2 / worse.variances)
+    expected = np.bincount(block, divergences)
     share = expected / (np.sum(expected) or 1.0)
-    chance = (sum_by_block(block, gains) - expected) / np.maximum(1.0 - share, np.finfo(float).eps)
-    return _ratio(constant + float(np.sum(gains)), math.sqrt(float(np.sum(chance**2))))
-
-
-def _divergences(block: Rows, true: Scored, other: Scored) -> Array:
-    """Return the Kullback-Leibler divergence of other predictions from true ones, by block."""
-    moved, ratio = other.errors - true.errors, true.variances / other.variances
-    with np.errstate(over="ignore", invalid="ignore"):
-        divergence = 0.5 * (ratio - 1.0 - np.log(ratio) + moved**2 / other.variances)
-    return sum_by_block(block, np.nan_to_num(divergence, nan=0.0, posinf=0.0))
-
-
-def _terms(scored: Scored) -> Array:
-    """Return the NLL of each measurement, finite for a diverged filter too."""
-    return np.nan_to_num(scored.terms, nan=DIVERGED, posinf=DIVERGED)
-
-
-def sum_by_block(block: Rows, numbers: Array) -> Array:
-    """Return the sums over the blocks that contain a measurement."""
-    return np.bincount(block, numbers).astype(np.float64)[np.bincount(block) > 0]
-
-
-def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
-    """Return a likelihood gain per scatter over time blocks, for hypotheses of which none contains the other."""
-    gains = sum_by_block(block, _terms(worse) - _terms(better))
-    return _ratio(constant + float(np.sum(gains)), float(np.std(gains)) * math.sqrt(gains.size))
-
-
-def _ratio(total: float, spread: float) -> float:
-    return total / spread if spread > 0.0 else math.copysign(math.inf, total) if total else 0.0
+    chance = (np.bincount(block, worse.terms - better.terms) - expected) / np.maximum(1.0 - share, np.finfo(float).eps)
+    spread = float(np.linalg.norm(chance))
+    return gain / spread if spread else math.copysign(math.inf, gain) if gain else 0.0
 
 
 def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Iterable[int] | None = None) -> float:
     """Return the logarithm of the open-loop RMSE, mean over the outputs, with a fit for each log, by default all."""
     logs = range(len(problem.logs)) if logs is None else logs
-    errors = [Replays(problem, horizon, f, k).residuals(f.values) for f, k in zip(fits, logs, strict=False)]
+    errors = [replay_errors(problem, horizon, f, k) for f, k in zip(fits, logs, strict=False)]
     rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
     sums, counts = np.nansum(rows**2, axis=0), np.isfinite(rows).sum(axis=0)
     seen = (counts > 0) & (sums > 0.0)  # not an output without readings in these logs
@@ -141,47 +107,34 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
     return search.cross_fits[key]
 
 
-class Replays:
-    """Consecutive open-loop predictions of a log, each from the state that a fit's filter estimates.
+def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
+    """Return measurement − open-loop prediction of a log, shape (replays, rows, outputs); NaN if not finite.
 
-    Each lasts one horizon of the model, or an eighth of the log for a free run.
+    Consecutive replays last one horizon of the model, at most half of the log, from the states that the filter
+    estimates. A library begins at the start of a log only; its one free run is cut into as many.
     """
-
-    def __init__(self, problem: Problem, horizon: float, f: Fit, index: int, rows: Sequence[int] | None = None) -> None:
-        """Filter the log.
-
-        Args:
-            rows: Rows at which the predictions start; None for one after the other.
-        """
-        self.problem, self.index = problem, index
-        self.data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
-        every = len(self.data.u)
-        length = every // PREDICTED if math.isinf(horizon) else round(horizon / self.data.step)
-        self.length = max(2, min(length, (every - first) // 2))
-        self.rows = range(first, every - self.length, self.length) if rows is None else rows
-        run = problem.run(f.values, f.noise, index, states=True)
-        self.starts = [(problem.begin_replay(run, k), run.memory[k]) for k in self.rows]
-
-    def residuals(self, values: Mapping[str, float]) -> Array:
-        """Return measurement − prediction with these parameters, NaN beyond 1e30, shape (replays, rows, outputs)."""
-        check_wanted()
-        problem, data = self.problem, self.data
-        p = problem.numbers(problem.of_log(values, self.index))
-        residuals = np.full((len(self.rows), self.length, data.y.shape[1]), np.nan)
-        if problem.layout.is_free_run and len(self.rows):  # a library begins at the start of a log only
-            begin, memory = self.starts[0][0], np.zeros(problem.layout.memory)
-            whole = data.y - lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
-            residuals[:] = [whole[row + 1 : row + 1 + self.length] for row in self.rows]
-            return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
+    check_wanted()
+    data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
+    every = len(data.u)
+    length = max(2, round(min(horizon / data.step, (every - first) // 2)))
+    run, p = problem.run(f.values, f.noise, index, states=True), problem.numbers(problem.of_log(f.values, index))
+    rows = range(first, every - length, length)
+    if problem.layout.is_free_run:
+        begin, memory = problem.begin_replay(run, first), np.zeros(problem.layout.memory)
+        errors = data.y - lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
+        replays = [errors[row + 1 : row + 1 + length] for row in rows]
+    else:
+        back = rows_of_delay(problem, p, data.step)
         begins: list[Begin] = []
-        for row, (state, memory) in zip(self.rows, self.starts, strict=True):
-            back = min(row, BACK)
-            begins.append((data.rows(row - back, row + self.length + 1), p, state, memory, None, back))
-        runs = simulate_all(problem.kernel, begins)
-        for replay, row, of_row, run in zip(residuals, self.rows, begins, runs, strict=True):
-            back, end, predicted = of_row[-1], row + self.length + 1, run.outputs
-            replay[:] = data.y[row + 1 : end] - lagged_table(predicted[back:], data.lags, data.y[row])[1:]
-        return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
+        for row in rows:
+            part, before = data.rows(max(0, row - back), row + length + 1), min(row, back)
+            begins.append((part, p, problem.begin_replay(run, row), run.memory[row], None, before))
+        replays = []
+        for row, begin_at, replay in zip(rows, begins, simulate_all(problem.kernel, begins), strict=True):
+            predicted = lagged_table(replay.outputs[begin_at[-1] :], data.lags, data.y[row])[1:]
+            replays.append(data.y[row + 1 : row + 1 + length] - predicted)
+    found = np.array(replays).reshape(len(rows), length, data.y.shape[1])
+    return np.where(np.isfinite(found), found, np.nan)
 
 
 def noise_gains(problem: Problem, f: Fit) -> list[float]:
@@ -209,14 +162,6 @@ def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) ->
     values = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
     refit = fit(problem, problem.own, values, fixed.noise, others, SCREEN_ITERATIONS, sensing=False)
     return refit if left_out is None else fit_for_held_out(problem, refit, left_out)
-
-
-def scatter_ratio(problem: Problem, f: Fit) -> float:
-    """Return the ratio of the estimates' variance from time blocks to the variance for a white residual, at least 1."""
-    spread, white = with_sandwich_covariance(problem, f).scattered, inverse(f.information)
-    assert spread is not None
-    ratios = [spread[k, k] / white[k, k] for k in range(len(f.free)) if white[k, k] > 0.0]
-    return max(1.0, float(np.median(ratios))) if ratios else 1.0
 
 
 def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
@@ -256,7 +201,7 @@ def _variance_with_logs(f: Fit, fits: Sequence[Fit], x: Free) -> float:
 def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
     """Return the fit with White's sandwich covariance."""
     at_fit = slopes(problem, f)
-    block = blocks_of(problem, at_fit.scored, math.exp(f.noise.memory))
+    block, _ = blocks_of_time(at_fit.scored.of_each_log(at_fit.scored.rows))
     sums = np.stack([np.bincount(block, row) for row in at_fit.gradients])
     inside = inverse(at_fit.information)
     covariance = inside @ (sums @ sums.T) @ inside

@@ -191,7 +191,7 @@ def _dependence_text(c: Claims) -> str:
     if shape.kind == "spline":
         return f"depends on {signal}, by no simple law"
     how = f", changing at {place}" if shape.kind == "step" else f", most near {place} (width {width})"
-    by = f", times {'the ' if shape.well or shape.dry else ''}{shape.factor}" if shape.factor else ""
+    by = f", times {shape.factor}" if shape.factor else ""
     return f"depends on {signal}{how}{by}"
 
 

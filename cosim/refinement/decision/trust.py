@@ -3,8 +3,7 @@
 A free unknown input absorbs every one-step prediction error, for example an input that was not held between two rows or
 an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's own horizon,
 have little weight. If a fit without unknown inputs predicts clearly better in open loop, the search is repeated without
-them. The residual is then not white, and the cost of every candidate is scaled by the ratio of the estimates' scatter
-over blocks of time to the scatter for a white residual.
+them. The residual is then not white, and the cost of every candidate is scaled by the dispersion of the likelihood.
 """
 
 from __future__ import annotations
@@ -27,21 +26,6 @@ MOST_TERMS = 2  # candidates that free runs of an FMU may name; more imitate tog
 CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better
 
 
-def _is_likelier(trusted: SearchResult, free: SearchResult) -> bool:
-    """Return True if the logs make exact equations likelier than unknown inputs, by half of BIC.
-
-    A fit without unknown inputs minimises the errors of free runs, so that it predicts its own logs better in any case,
-    and its candidates imitate a disturbance that unknown inputs explain.
-    """
-
-    def score(r: SearchResult) -> float:
-        search, h = r.search, r.best
-        noise = search.price * len(search.problem.limits.free)
-        return float(h.fit.nll + search.cost(h.candidates) / search.problem.scatter + noise)
-
-    return score(trusted) < score(free)
-
-
 def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> SearchResult:
     """Return the best hypothesis, with or without unknown inputs.
 
@@ -50,6 +34,10 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
 
     def error(search: Search, h: Hypothesis) -> float:
         return log_error(search.problem, subject.horizon, repeat(h.fit))
+
+    def score(r: SearchResult) -> float:
+        noise = r.search.price * len(r.search.problem.limits.free)
+        return float(r.best.fit.nll + r.search.cost(r.best.candidates) / r.search.problem.scatter + noise)
 
     result = Attributor(subject, problem, candidates, progress).run()
     if not any(gain > unknown_input_gain(problem) for gain in noise_gains(result.search.problem, result.best.fit)):
@@ -65,6 +53,8 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     other = Attributor(subject, trusted, candidates, progress).run()
     if error(other.search, other.best) > free - CLEARLY:
         return result
-    if problem.layout.is_free_run and not (len(other.best.candidates) <= MOST_TERMS and _is_likelier(other, result)):
+    # A fit without unknown inputs minimises the errors of free runs, so that it predicts its own logs better in any
+    # case, and its candidates imitate a disturbance that unknown inputs explain: the likelihood must agree (BIC).
+    if problem.layout.is_free_run and not (len(other.best.candidates) <= MOST_TERMS and score(other) < score(result)):
         return result
     return replace(other, free_noise=result.best.fit.noise)

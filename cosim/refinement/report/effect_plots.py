@@ -26,12 +26,11 @@ from cosim.refinement.search.missing import (
     Steps,
     contributions,
     loosen_noise,
-    scale_to_missing,
     smooth_logs,
     smooth_unknown_inputs,
     smoothed_logs,
 )
-from cosim.refinement.search.shapes import Shape, signals_of
+from cosim.refinement.search.shapes import Shape, signals_of, values_of
 from cosim.report.charts import Charts
 from cosim.report.panels import Band, Panel, Trace, extent
 
@@ -124,7 +123,7 @@ def _compare_residual(r: Refinement) -> EffectComparison:
     if first and first.get("local"):
         shape = Shape.of_entry(first["equation"], first["local"])
         term = shape.columns(signals) @ np.array(first["local"]["sizes"])
-        against = Regressor(shape.signal, shape.unit, shape.positions(signals))
+        against = Regressor(shape.signal, shape.unit, values_of(signals, shape.of))
     elif first and basis:
         evaluate, units = basis
         term = first["coefficient"] * np.broadcast_to(
@@ -134,7 +133,8 @@ def _compare_residual(r: Refinement) -> EffectComparison:
         against = Regressor(chosen, units.get(chosen, "s"), signals[chosen])
     else:
         return _of_equation(subject, parts, column, _choose(subject, signals, (), value[:, column]))
-    term = scale_to_missing(problem, best, column, term, value[:, column])
+    power = float(term @ term)
+    term = term * max(0.0, float(value[:, column] @ term) / power if power else 0.0)
     return _of_equation(subject, parts, column, against, effect=first["signal"], term=term, share=residual["share"])
 
 

@@ -14,8 +14,9 @@ from dataclasses import replace
 from itertools import chain, combinations
 
 import numpy as np
+from scipy.stats import norm
 
-from cosim.estimation.fit import Fit
+from cosim.estimation.fit import NOISE_DIFFERENCE, Fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen, with_finer_steps
@@ -24,21 +25,16 @@ from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.scatter import scatter_ratio
+from cosim.refinement.decision.bundle import evidence
+from cosim.refinement.decision.posterior import MISFIT, dispersion
 from cosim.refinement.search.around import fit_neighbours
 from cosim.refinement.search.fits import HOPE, Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
 
-FITTED = 6  # sets fitted in each round
-AMONG = 10  # most promising candidates from which pairs and larger sets are formed
-TOGETHER = 4  # largest set around the base model
+FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
 NEAR = 12.0  # score difference within which a set is worth a fit, and a hypothesis is fitted to convergence
 DONE = 1.0  # score improvement below which a round has found nothing better
-ROUNDS = 10
-STARTS = 20  # fits in turn with start states
-SIGNIFICANT = 3.0  # standard deviations of a usual size, below which logs would not show it
-SILENT = 0.1  # distance of ln variance from the lower limit of a sensor
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
 
 
@@ -56,84 +52,40 @@ class Attributor:
         self.fine = problem
         self.search = Search(subject, coarsen(problem), len(candidates), progress)
         self.identifiable: dict[str, float] = {}
-        self.periods: dict[str, float] = {}  # of candidates that repeat along a position
 
     def run(self) -> SearchResult:
-        """Fit the base model and search; search again if the base model is then fitted far better.
-
-        The first fit may end in a local optimum with much sensor noise, where no candidate promises anything, or which
-        a candidate leaves without an effect of its own.
-        """
+        """Fit the base model, promising sets of candidates in rounds, then the finalists; return the result."""
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_likely_starts(search.from_the_prior(search.hypothesis((), None)))
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
-        result = self._search_from(base)
-        settled = search.tried[()]
-        better, reached = (self._better_base(settled, result.best), settled) if result.best.names else (settled, base)
-        if search.problem.trusted or better.fit.objective > reached.fit.objective - NEAR:
-            return result
-        search.problem, self.identifiable = coarsen(self.fine, better.fit.values), {}
-        return self._search_from(self._with_stamp_errors(self._with_stated_noise(better)))
-
-    def _search_from(self, base: Hypothesis) -> SearchResult:
-        """Fit promising sets of candidates in rounds, then the finalists; return the result."""
-        search = self.search
-        best, idle = self._start_from(base), 0
-        for number in range(ROUNDS):
-            proposed = self._proposals(best)
-            if not proposed:
-                break
-            stage = "trying every effect, sensor and parameter" if number == 0 else "looking for what is missing beside"
+        search.tried = {(): base}
+        search.problem = replace(search.problem, sensing=base.fit.noise)
+        best = self._rescore(base)
+        while proposed := self._proposals(best):
+            is_first = len(search.tried) == 1
+            stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
             fitted = search.fit_all(proposed, best, stage, NEAR)
             reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
             before, best = best.score, best_hypothesis((best, *fitted, *reduced))
-            if (better := self._better_base(base, best)) is not base:
-                base = best = self._start_from(better)
-                idle = 0
-                continue
             if best.score > before - DONE:
-                idle += 1
-                if idle > 1:
-                    break
-            else:
-                idle = 0
-                (settled,) = search.fit_to_the_end([(best.candidates, best.fit)])
-                settled = self._with_stamp_errors(settled)
-                further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
-                search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
-                search.tried[settled.names] = settled
-                best = self._rescore(settled)
-                if search.problem.trusted:  # the costs have changed
-                    best = best_hypothesis((best, *search.tried.values()))
+                break
+            (settled,) = search.fit_to_the_end([(best.candidates, best.fit)])
+            settled = self._with_stamp_errors(settled)
+            further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
+            search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
+            search.tried[settled.names] = settled
+            best = self._rescore(settled)
+            if search.problem.trusted:  # the costs have changed
+                best = best_hypothesis((best, *search.tried.values()))
         return self._finish(base, best)
-
-    def _start_from(self, base: Hypothesis) -> Hypothesis:
-        """Begin the search from a fit of the base model; return it with its score."""
-        search = self.search
-        search.tried = {(): base}
-        search.problem = replace(search.problem, sensing=base.fit.noise)
-        return self._rescore(base)
-
-    def _better_base(self, base: Hypothesis, best: Hypothesis) -> Hypothesis:
-        """Return the fit of the base model, from the values of the best hypothesis if it is better there.
-
-        A fit may end in a local optimum, which candidates leave without an effect of their own.
-        """
-        problem = self.search.problem
-        free = {f.name for f in base.fit.free}
-        values = {n: best.fit.values[n] if n in free else value for n, value in problem.values.items()}
-        if not best.candidates or problem.score(values, best.fit.noise).nll >= base.fit.nll - DONE:
-            return base
-        other = self.search.hypothesis((), replace(best.fit, values={**best.fit.values, **values}), loosen=False)
-        return other if other.fit.objective < base.fit.objective - DONE else base
 
     def _rescore(self, h: Hypothesis) -> Hypothesis:
         """Update all scores for a non-white residual of trusted equations."""
         search = self.search
         if not search.problem.trusted:
             return h
-        search.problem = replace(search.problem, scatter=scatter_ratio(search.problem, h.fit))
+        search.problem = replace(search.problem, scatter=dispersion(evidence(search, h)))
         search.tried = {
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
@@ -146,10 +98,7 @@ class Attributor:
         of the fit.
         """
         search = self.search
-        for _ in range(STARTS):
-            posed = with_likely_starts(search.problem, base.fit.values, base.fit.noise)
-            if posed is search.problem:
-                break
+        while (posed := with_likely_starts(search.problem, base.fit.values, base.fit.noise)) is not search.problem:
             self.fine, search.problem = (p.with_same_range(x0=posed.x0) for p in (self.fine, search.problem))
             before, base = base, search.hypothesis((), base.fit, loosen=False)
             if base.fit.objective > before.fit.objective - DONE:
@@ -164,7 +113,7 @@ class Attributor:
         """
         search, problem = self.search, self.search.problem
         low, stated = base.fit.noise.like(problem.limits.low).sensors, np.log(problem.r)
-        silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT) & (low < stated)
+        silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + NOISE_DIFFERENCE) & (low < stated)
         if not silent.any():
             return base
         sensors = np.where(silent, stated, base.fit.noise.sensors)
@@ -179,10 +128,7 @@ class Attributor:
         With too few, an integrator may imitate what the model lacks; the fit begins at the given values too.
         """
         search = self.search
-        for _ in range(ROUNDS):
-            posed = with_finer_steps(search.problem, h.fit.values, h.fit.noise)
-            if posed is search.problem:
-                break
+        while (posed := with_finer_steps(search.problem, h.fit.values, h.fit.noise)) is not search.problem:
             self.fine, search.problem = with_finer_steps(self.fine, h.fit.values, h.fit.noise), posed
             h = best_hypothesis(search.hypothesis(h.candidates, start, loosen=False) for start in (h.fit, None))
         return h
@@ -206,9 +152,8 @@ class Attributor:
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
         search, chosen = self.search, {c.name: c for c in self.candidates if c.name in best.names}
         every = [chosen.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
-        self.candidates, periods = with_likely_periods(test, every, best.names, lambda c: search.cost([c]) / HOPE)
+        self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
-            self.periods |= periods
             self.fine, search.problem = (
                 p.with_same_range(values={**p.values, **periods}) for p in (self.fine, search.problem)
             )
@@ -219,7 +164,19 @@ class Attributor:
             self.identifiable[name] = max(t.identifiable, self.identifiable.get(name, 0.0))
         switched = {t.candidate.name: t.candidate for t in terms if t.switched and t.candidate.name not in best.names}
         grown = [t for t in terms if t.candidate.name not in switched]
-        ranking = self._ranking(Choice(test, grown, best.candidates, self.search.problem.values), best)
+        choice, named = (
+            Choice(test, grown, best.candidates, search.problem.values),
+            {c.name: c for c in self.candidates},
+        )
+        ranking: list[tuple[float, Trial]] = []
+        for names in self._sets(choice, best):
+            if tuple(sorted(names)) in search.tried:
+                continue
+            promise, parts = choice.promise(names), tuple(named[n] for n in names)
+            dearer = search.cost(parts) - search.cost(best.candidates)
+            if promise.within and (HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR):
+                ranking.append((dearer - promise.gain, (parts, promise.values)))
+        ranking.sort(key=lambda entry: entry[0])
         whole = [] if best.candidates else [*self._complete_errors()]
         known = {key_of(parts) for parts, _ in whole}
         likely = [trial for _, trial in ranking[:FITTED] if key_of(trial[0]) not in known]
@@ -238,32 +195,19 @@ class Attributor:
                 given = {f.name: problem.values[f.name] for f in self.search.free((c,))}
                 yield (c,), {**given, **c.complete}
 
-    def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
-        """Return sets of candidates worth a fit, best first."""
-        search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
-        for names in self._sets(choice, best):
-            if tuple(sorted(names)) in search.tried:
-                continue
-            promise, candidates = choice.promise(names), tuple(parts[n] for n in names)
-            dearer = search.cost(candidates) - search.cost(best.candidates)
-            worth = HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR
-            if promise.within and worth:
-                ranking.append((best.score - promise.gain + dearer, (candidates, promise.values)))
-        return sorted(ranking, key=lambda entry: entry[0])
-
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
         """Yield sets of candidates near a hypothesis: some added, one removed, one replaced by up to two."""
         others = [name for name in choice.terms if name not in best.names]
         promises = choice.extensions(best.names)
-        ranked = list(promises)
-        yield from ((*best.names, name) for name in ranked if promises[name].within)
-        for count in range(2, 3 if best.names else TOGETHER + 1):
-            yield from ((*best.names, *more) for more in combinations(ranked[:AMONG], count))
+        likely = [*promises][:FITTED]
+        yield from ((*best.names, name) for name in promises if promises[name].within)
+        for count in range(2, len(likely) + 1):
+            yield from ((*best.names, *more) for more in combinations(likely, count))
         for part in best.names:
             if choice.terms[part].candidate.kind != "parameter":
                 rest = [name for name in best.names if name != part]
-                likely = combinations(ranked[: AMONG // 2], 2)
-                yield from ((*rest, *more) for more in chain([()], combinations(others, 1), likely))
+                replacements = chain([()], combinations(others, 1), combinations(likely, 2))
+                yield from ((*rest, *more) for more in replacements)
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
         """Return each fit's candidates without ineffective parts."""
@@ -285,11 +229,13 @@ class Attributor:
         search.tried = {n: replace(h, ended=False) for n, h in search.tried.items()}
         best = search.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
         best = self._rescore(self._with_enough_substeps(best))
-        search.fit_to_the_end(self._beyond_special_cases(best))
+        # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
+        from_best: list[tuple[Parts, Fit]] = [((), best.fit)] if best.candidates else []
+        search.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
         fit_neighbours(search, self.candidates)
         best = best_hypothesis(h for h in search.tried.values() if h.ended)
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
-        hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < SIGNIFICANT**2)
+        hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
         return SearchResult(search, best, hidden, tuple(self.candidates))
 
     def _beyond_special_cases(self, best: Hypothesis) -> list[tuple[Parts, Fit]]:

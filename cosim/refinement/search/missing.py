@@ -1,12 +1,12 @@
 """Missing acceleration of a model in each row, and the contribution of a hypothesis to it.
 
-The missing input is estimated as follows. The equations are linearized along the filtered states of the base fit by
-single kernel steps. Each forced equation has an unknown input d, estimated by a Rauch-Tung-Striebel smoother (1965):
+Each forced equation has an unknown input, a state of the filter. A Rauch-Tung-Striebel smoother (1965) estimates it in
+each row from the readings before and after, along the filtered states x̂ with covariances P,
 
-    δ⁺ = F·δ + (f(x̄) − x̄⁺) + w      y − g(x̄) = C·δ + v      d among the δ
+    xₖ = x̂ₖ + G·(xₖ₊₁ − f(x̂ₖ))      G = P·F'·(F·P·F' + Q)⁻¹      F = ∂f/∂x by differences of single kernel steps
 
-The power of d is the fitted power, at least `NoiseRange.plain`. The contribution of a hypothesis is a model step with
-the hypothesis minus a step without, divided by the step.
+The power of the unknown inputs is the fitted power, at least `NoiseRange.plain`. The contribution of a hypothesis is a
+model step with the hypothesis minus a step without, divided by the step.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.core.arrays import Array, Flags, Rows
-from cosim.core.linear_algebra import least_squares, solution
+from cosim.core.arrays import Array, Rows
+from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored
-from cosim.estimation.fit import DIFFERENCE, Fit
+from cosim.estimation.fit import Fit
 from cosim.estimation.kernel.kernel import DEVIATION, Data, Filtered, single_steps
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.refinement.decision.posterior import CERTAIN
 
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first
 NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth on this scale
-NONE = 1e-6  # distance of ln input power from the minimum that counts as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +53,20 @@ class MissingInput:
 Smoothed = Sequence[tuple[int, MissingInput]]  # index of a log in the problem, and its smoothed input
 
 
+def rows_of_delay(problem: Problem, p: Array, step: float) -> int:
+    """Return the number of rows of commands before a step that a delay may reach back to."""
+    delay = problem.layout.delay
+    return 2 + math.ceil(p[delay] / step if delay >= 0 else 0.0)
+
+
 class Steps:
     """Single kernel steps from any row of a log."""
 
     def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
         self.problem, self.kernel, self.data = problem, problem.kernel, problem.logs[index]
-        layout = problem.layout
         # Unknown inputs keep their usual correlation time.
         self.p = problem.numbers(problem.of_log({**problem.values, **values}, index))
-        late = self.p[layout.delay] / self.data.step if layout.delay >= 0 else 0.0
-        self.back = 2 + math.ceil(late)  # rows of commands before a step that a delay may reach back to
+        self.back = rows_of_delay(problem, self.p, self.data.step)
 
     def step(self, rows: Rows, states: Array, memories: Array) -> tuple[Array, Array]:
         """Return the state at the next row and the outputs at each row."""
@@ -76,139 +80,82 @@ class Steps:
         return np.asarray(self.kernel.simulate(self.data, self.p, begin, memory).outputs[:count])
 
 
-def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> MissingInput:
-    """Return the smoothed missing input of a log.
+def smooth_logs(problem: Problem, base: Fit) -> tuple[Smoothed, Array, Array]:
+    """Smooth the first logs; return the results of each log, and all values and standard deviations stacked.
+
+    Of free runs these are the filtered deviations of the outputs.
+    """
+    if not problem.layout.is_free_run:
+        return smooth_unknown_inputs(problem, base)
+    found = [(k, _deviations(problem, base, k)) for k in smoothed_logs(problem)]
+    return found, np.vstack([m.value for _, m in found]), np.vstack([m.sigma for _, m in found])
+
+
+def smooth_unknown_inputs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
+    """Return the smoothed missing inputs of the first logs; of free runs what drives the deviations.
 
     Args:
         every: Rows between two linearizations.
     """
-    layout, data = problem.layout, problem.logs[index]
-    noise = loosen_noise(problem, base.noise)
-    run = problem.run({**problem.values, **base.values}, noise, index, states=True)
-    rows = min(len(data.u), MOST_ROWS)
+    found = [(k, _smooth_log(problem, base, k, every)) for k in smoothed_logs(problem)]
+    return found, np.vstack([m.value for _, m in found]), np.vstack([m.sigma for _, m in found])
+
+
+def _smooth_log(problem: Problem, base: Fit, index: int, every: int) -> MissingInput:
+    """Return the smoothed missing input of a log."""
+    layout, values = problem.layout, {**problem.values, **base.values}
+    data, noise = problem.data(values, index), loosen_noise(problem, base.noise)
+    run = problem.run(values, noise, index, states=True)
+    rows, reached = min(len(data.u), MOST_ROWS), list(layout.stochastic)
+    x, P, Q = run.states[:rows, reached], run.covariances, np.diag(problem.densities(noise)) * data.step
+    assert P is not None
     if layout.is_free_run:
-        return _deviations(problem, run, slice(count_unscored(data), rows), index)
-    model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
-    readings = problem.data({**problem.values, **base.values}, index).y[:rows]
-    value, sigma = _smooth(problem, model, run.states, noise, index, readings)
-    scored = slice(min(count_unscored(data), rows - 1), rows - 1)
-    return MissingInput(data.times[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
+        F = _transitions_of_deviations(problem, values, noise, index)[:rows]
+        ahead = np.einsum("kij,kj->ki", F, x)
+    else:
+        ahead, F = _linear(problem, Steps(problem, index, base.values), run, rows, every)
+    smooth, P = x.copy(), P[:rows].copy()
+    for k in range(rows - 2, -1, -1):
+        spread = F[k] @ P[k] @ F[k].T + Q
+        gain = least_squares(spread, F[k] @ P[k]).T
+        smooth[k] += gain @ (smooth[k + 1] - ahead[k])
+        P[k] += gain @ (P[k + 1] - spread) @ gain.T
+    scored, places = slice(min(count_unscored(data), rows - 1), rows - 1), list(layout.noisy)
+    sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
+    return MissingInput(data.times[scored], layout.forced, smooth[scored, places], sigma[scored], run.states[scored])
 
 
-def _deviations(problem: Problem, run: Filtered, rows: slice, index: int) -> MissingInput:
+def _deviations(problem: Problem, base: Fit, index: int) -> MissingInput:
     """Return the filtered deviations of the outputs of a free run."""
     layout, data = problem.layout, problem.logs[index]
+    run = problem.run({**problem.values, **base.values}, loosen_noise(problem, base.noise), index, states=True)
+    rows = slice(count_unscored(data), min(len(data.u), MOST_ROWS))
     places = [k for k, name in enumerate(layout.states) if name.startswith(DEVIATION)]
     assert run.covariances is not None
     variances = np.diagonal(run.covariances, axis1=1, axis2=2)[rows, [layout.stochastic.index(k) for k in places]]
     return MissingInput(data.times[rows], layout.forced, run.states[rows, places], np.sqrt(variances), run.states[rows])
 
 
-def smooth_unknown_inputs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
-    """Return the smoothed missing inputs; of free runs what drives the deviations, not the deviations themselves."""
-    if not problem.layout.is_free_run:
-        return smooth_logs(problem, base, every)
-    return _stacked([(k, _drive_of_deviations(problem, base, k)) for k in smoothed_logs(problem)])
+def _transitions_of_deviations(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> Array:
+    """Return the transition of a free run's random states from each row to the next.
 
-
-def _drive_of_deviations(problem: Problem, base: Fit, index: int) -> MissingInput:
-    """Return the smoothed unknown inputs of a free run."""
-    layout, values, noise = problem.layout, {**problem.values, **base.values}, loosen_noise(problem, base.noise)
-    run, data = problem.run(values, noise, index, states=True), problem.data(values, index)
-    rows = min(len(data.u), MOST_ROWS)
-    places = [layout.states.index(name) for name in layout.outputs]
-    F, C = deviations_of(problem, values, noise, index)
-    nothing = np.zeros((rows, F.shape[1]))
-    model = _Linear(F[:rows], nothing, C[:rows], run.states[:rows, places])
-    value, sigma = _smooth(problem, model, np.zeros_like(run.states), noise, index, data.y[:rows])
-    scored = slice(min(count_unscored(data), rows - 1), rows - 1)
-    return MissingInput(data.times[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
-
-
-def deviations_of(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-    """Return a free run's random states as linear model: transition from each row to the next, and readings."""
+    These are the deviations a row earlier, what drives the deviations, the deviations, and constants.
+    """
     layout, data = problem.layout, problem.data(values, index)
-    rows, ny, n = len(data.u), len(layout.outputs), len(layout.stochastic)
-    F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
-    earlier, drive, deviation = (slice(k * ny, (k + 1) * ny) for k in range(3))
-    begin = problem.start(values, index)[0]
-    slopes, propagation = problem.kernel.responses(data, begin)  # type: ignore[attr-defined]
-    F[:, earlier, deviation] = C[:, :, deviation] = np.eye(ny)
-    F[:, 3 * ny :, 3 * ny :], C[:, :, 3 * ny :] = np.eye(n - 3 * ny), slopes
-    F[:, drive, drive] = math.exp(-data.step / math.exp(noise.memory)) * np.eye(ny)
+    ny, n = len(layout.outputs), len(layout.stochastic)
+    F = np.tile(np.eye(n), (len(data.u), 1, 1))
+    earlier, drive, deviation = (slice(k * ny, (k + 1) * ny) for k in (0, 1, 2))
+    _, propagation = problem.kernel.responses(data, problem.start(values, index)[0])  # type: ignore[attr-defined]
+    F[:, earlier, earlier], F[:, earlier, deviation] = 0.0, np.eye(ny)
+    F[:, drive, drive] *= math.exp(-data.step / math.exp(noise.memory))
     F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :, :ny], propagation[:, :, ny:]
     F[:, deviation, drive] = data.step * np.eye(ny)
-    return F, C
-
-
-def of_every_row(problem: Problem, at: Fit, index: int) -> MissingInput:
-    """Return a free run's states and deviations in every row."""
-    run = problem.run({**problem.values, **at.values}, at.noise, index, states=True)
-    return _deviations(problem, run, slice(0, len(run.states)), index)
-
-
-class DriveResponses:
-    """Changes of a free run's innovations by additions to its unknown inputs.
-
-    The additions are small enough that the filter, with all its gains, stays the same.
-    """
-
-    def __init__(self, problem: Problem, at: Fit) -> None:
-        self.problem, self.scored = problem, problem.score({**problem.values, **at.values}, at.noise)
-        self.filters = [self._filter(at, k) for k in range(len(problem.logs))]
-
-    def _filter(self, at: Fit, index: int) -> tuple[Array, Array]:
-        """Return the filter's transition between rows, and the readings."""
-        problem, values, noise = self.problem, {**self.problem.values, **at.values}, at.noise
-        data, places = problem.data(values, index), list(problem.layout.noisy)
-        F, C = deviations_of(problem, values, noise, index)
-        Q = np.diag(problem.densities(noise)) * data.step
-        r, P0 = np.broadcast_to(problem.variances(noise, index), data.y.shape), problem.P0.copy()
-        P0[places, places] = np.exp(noise.power)
-        P, moves = P0, np.empty_like(F)
-        for k in range(len(F)):
-            before, measured = P0 if k <= data.settle else P, np.isfinite(data.y[k])
-            gain, after = _gain(before, C[k], measured, r[k])
-            moves[k] = F[k] - F[k] @ gain @ C[k]
-            P = F[k] @ after @ F[k].T + Q
-            H = C[k, measured]  # The filter takes the readings of a row one after the other.
-            root = np.linalg.cholesky(H @ before @ H.T + np.diag(r[k, measured]))
-            C[k, measured] = np.linalg.solve(root / np.diag(root), H)
-        return moves, C
-
-    def __call__(self, equation: int, columns: Sequence[Array]) -> Array:
-        """Return changes of the scored innovations per standard deviation.
-
-        The shape is (innovations, columns).
-
-        Args:
-            columns: Additions to the unknown input of an equation in each row, one array (rows, columns) for each log.
-        """
-        changes, ny = [], len(self.problem.layout.outputs)
-        for k, ((moves, C), added) in enumerate(zip(self.filters, columns, strict=True)):
-            x, change = np.zeros((moves.shape[1], added.shape[1])), np.empty((len(moves), ny, added.shape[1]))
-            added = self.problem.logs[k].step * added
-            for row in range(len(moves)):
-                change[row] = -C[row] @ x
-                x = moves[row] @ x
-                x[2 * ny + equation] += added[row]
-            changes.append(change.reshape(-1, added.shape[1])[self.problem.readings[k].places])
-        return np.asarray(np.concatenate(changes) / np.sqrt(self.scored.variances)[:, None])
+    return F
 
 
 def smoothed_logs(problem: Problem) -> range:
     """Return the indices of the logs to smooth."""
     return range(min(LOGS, len(problem.logs)))
-
-
-def smooth_logs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
-    """Smooth the first logs; return the results of each log, and all values and standard deviations stacked."""
-    return _stacked([(k, smooth_log(problem, base, k, every)) for k in smoothed_logs(problem)])
-
-
-def _stacked(parts: Smoothed) -> tuple[Smoothed, Array, Array]:
-    """Return smoothed logs, and all values and standard deviations stacked."""
-    return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
 def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[str, float]:
@@ -230,8 +177,8 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
             np.diff(run.states[count_unscored(d) :, place], kinds[name][1]) / d.step
             for run, d in zip(runs, problem.logs, strict=True)
         ]
-        low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
-        largest[kinds[name]] = max(largest.get(kinds[name], 1e-300), float(high - low))
+        low, high = np.quantile(np.concatenate(change), (0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)))
+        largest[kinds[name]] = max(largest.get(kinds[name], np.finfo(float).tiny), float(high - low))
     return {n: float(p) / largest[kinds[n]] for n, p in zip(names, powers, strict=True)}
 
 
@@ -240,7 +187,7 @@ def loosen_noise(problem: Problem, noise: Noise) -> Noise:
 
     A fit without unknown inputs counts model errors as sensor noise; the stated sensor noise then replaces it.
     """
-    bare = bool(np.all(noise.power <= problem.noise.smallest + NONE))
+    bare = np.allclose(noise.power, problem.noise.smallest)
     sensors = np.minimum(noise.sensors, np.log(problem.r)) if bare else noise.sensors
     return replace(problem.plain, sensors=sensors, power=np.maximum(noise.power, problem.noise.plain))
 
@@ -255,106 +202,27 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     if layout.is_free_run:
         change = (runs[1].states - runs[0].states)[:, layout.forced_places]
         return np.asarray(change[min(count_unscored(data), len(change) - 1) : MOST_ROWS])
-    without, with_it = (Steps(problem, index, f.values) for f in (base, after))
-    shared, forced = list(layout.stochastic), layout.forced_places
-    rows = min(len(data.u), MOST_ROWS)
-    added = np.full((rows, len(forced)), np.nan)
-    without_states, with_states = (np.empty((rows - 1, len(layout.states))) for _ in runs)
-    for k in range(rows - 1):
-        without_states[k] = problem.drop_unknown_inputs(runs[0].states[k])
-        with_states[k] = problem.drop_unknown_inputs(runs[1].states[k])
-    without_states[:, shared] = with_states[:, shared]
-    plain = without.step(np.arange(rows - 1), without_states, runs[0].memory)[0]
-    fuller = with_it.step(np.arange(rows - 1), with_states, runs[1].memory)[0]
-    added[: rows - 1] = (fuller - plain)[:, forced] / data.step
-    return added[min(count_unscored(data), rows - 1) : rows - 1]
+    rows, shared = min(len(data.u), MOST_ROWS) - 1, list(layout.stochastic)
+    states = [np.array([problem.drop_unknown_inputs(x) for x in run.states[:rows]]) for run in runs]
+    states[0][:, shared] = states[1][:, shared]
+    without, with_it = (
+        Steps(problem, index, f.values).step(np.arange(rows), x, run.memory)[0]
+        for f, x, run in zip((base, after), states, runs, strict=True)
+    )
+    return np.asarray((with_it - without)[min(count_unscored(data), rows) :, layout.forced_places] / data.step)
 
 
-def scale_to_missing(problem: Problem, at: Fit, column: int, term: Array, lacking: Array) -> Array:
-    """Return a term scaled by regression to the missing input.
-
-    The part that parameters without prior can imitate is projected out, because the fit has already used it. A term
-    with the wrong sign scales to zero. What parameters of a free run do to an unknown input is not known.
-    """
-    rows = []
-    for f in at.free:
-        if f.prior is None and not problem.layout.is_free_run:
-            step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
-            nudged = replace(at, values={**at.values, f.name: at.values[f.name] + step})
-            added = [contributions(problem, at, nudged, k)[:, column] for k in smoothed_logs(problem)]
-            rows.append(np.concatenate(added) / step)
-    if rows and np.isfinite(rows).all() and np.isfinite(term).all():
-        basis = np.array(rows).T
-        term = term - basis @ least_squares(basis, term)
-    power = float(term @ term)
-    return np.asarray(max(0.0, float(lacking @ term) / power) * term if power > 0.0 else term)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """Linearization about the filtered states, δ⁺ = F·δ + b and y − g = C·δ; F and b lack the last row."""
-
-    F: Array
-    b: Array
-    C: Array
-    g: Array
-
-
-def _linear(problem: Problem, steps: Steps, states: Array, memory: Array, rows: int, every: int) -> _Linear:
-    """Return the linearization, from finite differences of steps."""
-    reached = list(problem.layout.stochastic)
-    size = NUDGE * np.maximum(np.abs(states[:rows, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
+def _linear(problem: Problem, steps: Steps, run: Filtered, rows: int, every: int) -> tuple[Array, Array]:
+    """Return the prediction of each next row from the filtered states, and its derivative by finite differences."""
+    reached, states, memory = list(problem.layout.stochastic), run.states[: rows - 1], run.memory[: rows - 1]
+    size = NUDGE * np.maximum(np.abs(states[:, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     size = np.where(size > 0.0, size, NUDGE)  # A fixed parameter per log may be 0.
-    n, ny = len(reached), problem.logs[0].y.shape[1]
-    F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
-    b, g = np.zeros((rows, n)), np.zeros((rows, ny))
     every_row, some = np.arange(rows - 1), np.arange(0, rows - 1, every)
-    ahead, g[:-1] = steps.step(every_row, states[: rows - 1], memory[: rows - 1])
-    b[:-1] = ahead[:, reached] - states[1:rows, reached]
+    ahead, F = steps.step(every_row, states, memory)[0][:, reached], np.empty((rows - 1, len(reached), len(reached)))
     for j, state in enumerate(reached):
         nudged = states[some].copy()
         nudged[:, state] += size[j]
-        next_states, outputs = steps.step(some, nudged, memory[some])
-        F[:-1, :, j] = ((next_states - ahead[some])[:, reached] / size[j])[every_row // every]
-        C[:-1, :, j] = ((outputs - g[some]) / size[j])[every_row // every]
-    return _Linear(F, b, C, g)
-
-
-def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index: int, y: Array) -> tuple[Array, Array]:
-    """Filter and smooth δ; return the unknown inputs and their standard deviation."""
-    layout, data = problem.layout, problem.logs[index]
-    places, rows, n = list(layout.noisy), len(y), model.F.shape[1]
-    r = np.broadcast_to(problem.variances(noise, index), data.y.shape)
-    x, P = np.zeros(n), problem.P0.copy()
-    if layout.is_coloured:
-        P[places, places] = np.exp(noise.power)
-    Q = np.diag(problem.densities(noise)) * data.step
-    ahead, spread = np.zeros((rows, n)), np.zeros((rows, n, n))
-    after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)
-    for k in range(rows - 1):
-        ahead[k], spread[k] = x, P
-        e, wide = y[k] - model.g[k], np.zeros((y.shape[1], n))
-        measured = np.isfinite(e)
-        wide[:, : model.C.shape[2]] = model.C[k]
-        K, P = _gain(P, wide, measured, r[k])
-        x = x + K[:, measured] @ (e[measured] - wide[measured] @ x)
-        after[k], spread_after[k] = x, P
-        x, P = model.F[k] @ x + model.b[k], model.F[k] @ P @ model.F[k].T + Q
-    last = rows - 2
-    for k in range(last - 1, -1, -1):
-        gain = least_squares(spread[k + 1], model.F[k] @ spread_after[k]).T
-        after[k] += gain @ (after[k + 1] - ahead[k + 1])
-        spread_after[k] += gain @ (spread_after[k + 1] - spread[k + 1]) @ gain.T
-    deviation = np.sqrt(np.maximum(np.diagonal(spread_after, axis1=1, axis2=2)[:, places], 0.0))
-    return states[:rows][:, layout.noise_places] + after[:, places], deviation
-
-
-def _gain(P: Array, C: Array, measured: Flags, r: Array) -> tuple[Array, Array]:
-    """Return the gain of a row's measurements, 0 for a missing one, and the covariance after them."""
-    K = np.zeros((len(P), len(C)))
-    if not measured.any():
-        return K, P
-    H = C[measured]
-    K[:, measured] = solution(H @ P @ H.T + np.diag(r[measured]), H @ P).T
-    P = P - K[:, measured] @ H @ P
-    return K, 0.5 * (P + P.T)
+        F[:, :, j] = ((steps.step(some, nudged, memory[some])[0][:, reached] - ahead[some]) / size[j])[
+            every_row // every
+        ]
+    return ahead, F
