@@ -53,12 +53,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
     log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
-    return data_of(
-        ModelSubject.of(Hovercraft()),
-        log,
-        Layout((), (), tuple(q.name for q in Hovercraft.inputs), tuple(IMU), (), ()),
-        0.814,
-    )
+    layout = Layout((), (), tuple(q.name for q in Hovercraft.inputs), tuple(IMU), (), ())
+    return replace(data_of(ModelSubject.of(Hovercraft()), log, layout), settle=40)
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:

@@ -10,12 +10,11 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.estimation.data import data_of, first_measured, start_state
+from cosim.estimation.data import data_of, first_measured, readings_of, start_state
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
-from cosim.estimation.readings import readings_of
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
@@ -43,8 +42,7 @@ def build_problem(
     measured = tuple(q.name for q in subject.outputs if q.name in logged)
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
     layout = kernel.layout
-    settle = subject.settling([layout.states[k] for k in layout.driven])
-    data = [data_of(subject, log, layout, settle, settings.interpolated) for log in logs]
+    data = [data_of(subject, log, layout, settings.interpolated) for log in logs]
     readings = list(map(readings_of, data))
     begins = origins(subject, layout, logs, data, settings)
     values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
@@ -68,7 +66,6 @@ def build_problem(
         P0,
         r,
         values,
-        settle,
         settings,
         late,
         lagging,

@@ -32,8 +32,7 @@ class Layout:
         inputs: Names in the order of `u`.
         outputs: Names of the measured outputs in the order of `y`.
         stochastic: Indices of states between process noise and a measured output.
-        noisy: Indices within `stochastic` of states with process noise: unknown inputs if the kernel has them, else the
-            forced states themselves.
+        noisy: Indices within `stochastic` of the unknown inputs.
         memory: Number of stored values.
         delay: Index of the delay parameter, −1 without delay.
         driven: Indices of noise-free states with influence on a measured output.
@@ -185,6 +184,12 @@ class Kernel(Protocol):
 
 Inputs = tuple[Data, Array, Array, Array, Array, Array]  # arguments of `Kernel.run`
 Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
+
+
+def filter_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
+    """Filter several logs, in one call if the kernel offers it."""
+    together: Any = getattr(kernel, "call_all", None)
+    return together("run", inputs) if together else [kernel.run(*each) for each in inputs]
 
 
 def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:

@@ -176,10 +176,6 @@ class FmuSubject(ModelSubject):
             return super().substeps(step)
         return SUBSTEPS if self.structure.pairs and takes_any_step(self._description) else 1
 
-    def settling(self, states: Sequence[str]) -> float:
-        """Return 0: every state that is not exactly the integral of another one has process noise."""
-        return 0.0
-
     def prediction(self, log: Log) -> Predict | None:
         """Return None: outliers are found by their neighbours."""
         return None

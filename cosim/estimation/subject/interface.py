@@ -216,10 +216,6 @@ class Subject(Protocol):
         """Return the number of integration steps in a communication step [s]; fits may use fewer."""
         return 1
 
-    def settling(self, states: Sequence[str]) -> float:
-        """Return the time [s] after which a wrong start of states without process noise is negligible."""
-        return 0.0
-
     def prediction(self, log: Log) -> Predict | None:
         """Return a one-step predictor for the detection of outliers; None to use neighbours."""
         return None

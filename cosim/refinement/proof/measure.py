@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.linear_algebra import square_roots
-from cosim.estimation.data import data_of, start_state
+from cosim.estimation.data import data_of, readings_of, start_state
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, Data, Filtered, simulate_all
@@ -24,7 +24,6 @@ from cosim.estimation.past_readings import past_reading, replayed
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
-from cosim.estimation.readings import readings_of
 from cosim.estimation.subject.interface import Replayer, Start, Subject
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
@@ -50,7 +49,7 @@ def filter_problem(problem: Problem, subject: Subject, logs: Sequence[Log]) -> P
     The kernel of `problem` takes all parameters, including those of the variant.
     """
     layout = problem.layout
-    data = [data_of(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
+    data = [data_of(subject, log, layout, problem.settings.interpolated) for log in logs]
     x0 = [start_state(subject, d, layout.outputs, layout.states) for d in data]
     readings = list(map(readings_of, data))
     begins = origins(subject, layout, logs, data, problem.settings)
@@ -100,7 +99,7 @@ def _starts(
     """Return row → start of replay, and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
     data, noise = problem.data(variant.values, index), variant.noise_of_starts(horizon)
-    filtered = problem.filter_causally(data, variant.values, noise, index, log.grid[rows].tolist())
+    filtered = problem.run(variant.values, noise, index, states=True, data=data)
     starts = {}
     for k in rows:
         row = int(log.grid[k])
@@ -276,7 +275,7 @@ class _KernelReplays:
         gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
         rows = log.grid[first_rows(log, variant.subject.horizon)].tolist()
         noise = variant.noise_of_starts(variant.subject.horizon)
-        filtered = problem.filter_causally(data, variant.values, noise, index, rows)
+        filtered = problem.run(variant.values, noise, index, states=True, data=data)
         starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
         per_log = _parameters_at_starts(problem, filtered, starts, every_row)
         for sensor in _sensors(variant, per_log):

@@ -152,7 +152,7 @@ class Attributor:
             posed = with_likely_starts(search.problem, base.fit.values, base.fit.noise)
             if posed is search.problem:
                 break
-            self.fine, search.problem = (p.with_same_range(x0=posed.x0) for p in (self.fine, search.problem))
+            self.fine, search.problem = (replace(p, x0=posed.x0) for p in (self.fine, search.problem))
             before, base = base, search.hypothesis((), base.fit, loosen=False)
             if base.fit.objective > before.fit.objective - DONE:
                 break
@@ -212,7 +212,7 @@ class Attributor:
         if periods:
             self.periods |= periods
             self.fine, search.problem = (
-                p.with_same_range(values={**p.values, **periods}) for p in (self.fine, search.problem)
+                replace(p, values={**p.values, **periods}) for p in (self.fine, search.problem)
             )
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
