@@ -15,9 +15,8 @@ from cosim.logs.log import Log, slowness
 
 UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
 STARTING = 0.2  # [s] within which a measurement counts as initial
-JITTER = 0.01  # share of a row from which rows are not equally spaced
+UNEVEN = 0.01  # share of a row, or of a quantisation step, from which times or values are not equally spaced
 NEAR = 4  # readings on each side for a slope
-OFF_GRID = 0.02  # share of a quantisation step by which a value may lie beside the grid; share of steps beside it
 REPEATED = 0.2  # share of different values below which readings are quantised
 
 
@@ -39,7 +38,7 @@ def data_of(subject: Subject, log: Log, layout: Layout, interpolated: frozenset[
     y[grid] = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
     late = np.zeros_like(y)
     late[grid] = (grid - (log.time - log.time[0]) / log.step)[:, None]  # rows by which a reading is older than its row
-    is_jittery = bool((np.abs(late) > JITTER).any())
+    is_jittery = bool((np.abs(late) > UNEVEN).any())
     if is_jittery:
         u = _mean_commands(log, u, grid)
     data = Data(
@@ -151,11 +150,11 @@ def _slopes(column: Array) -> Array:
 def _resolution(column: Array) -> float:
     """Return the quantisation step of a column of readings, or 0 if the column is not quantised."""
     values = np.unique(column[np.isfinite(column)])
-    if values.size < 3:
+    if values.size <= 2:
         return 0.0
     steps = np.diff(values)
-    least = float(np.median(steps[steps <= 1.5 * steps.min()]))
-    whole = np.abs(steps / least - np.rint(steps / least)) < OFF_GRID
+    least = float(np.median(steps[steps < 2.0 * steps.min()]))
+    beside = np.abs(steps / least - np.rint(steps / least)) > UNEVEN
     # Printed decimals are a grid too, so a resolution must repeat many values.
     repeated = values.size < REPEATED * np.isfinite(column).sum()
-    return least if repeated and float(np.mean(~whole)) <= OFF_GRID else 0.0
+    return least if repeated and float(np.mean(beside)) <= UNEVEN else 0.0

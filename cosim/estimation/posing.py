@@ -54,8 +54,12 @@ def build_problem(
     stated_noise = {n: s * s for n, s in noise.items()}
     r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
     late, lagging = (
-        {name: [measured.index(n) for n in of if n in measured] for name, of in outputs_of.items()}
-        for outputs_of in (subject.late, subject.lagging)
+        {
+            f"{kind.name}.value": [measured.index(n) for n in kind.affected() if n in measured]
+            for kind in subject.sensors
+            if getattr(kind, way)
+        }
+        for way in ("late", "lagging")
     )
     stated, adjusted = np.isin(measured, [*subject.sensor_variance, *noise]), np.ones(len(measured), bool)
     problem = Problem(
@@ -137,8 +141,7 @@ def _range(problem: Problem) -> Array:
         span = np.where(measured, log.y, -np.inf).max(axis=0) - np.where(measured, log.y, np.inf).min(axis=0)
         if not np.all((error <= span) | ~measured.any(axis=0)):  # also true after overflow
             return np.zeros(len(problem.layout.states))
-    low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
-    return np.asarray(high - low)
+    return np.asarray(np.ptp(np.vstack([run.states for run in runs]), axis=0))
 
 
 def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
@@ -153,7 +156,7 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
     noise, values = problem.plain, {**problem.values, **(values or {})}
     exact = problem.score(values, noise).nll
     most = max(log.substeps for log in problem.logs)
-    for n in (2**k for k in range(10) if 2**k < most):
+    for n in (2**k for k in range((most - 1).bit_length())):
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
         if abs(coarse.score(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
             return coarse

@@ -7,8 +7,6 @@ and from states beside them. Errors count in units of each signal's standard dev
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from cosim.core.arrays import Array
@@ -20,9 +18,7 @@ from cosim.estimation.problem import Problem
 FAR, NEAR = 100.0, 10.0  # growth of a start error from which a horizon is too long; growth within the shorter horizon
 EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
 STARTS = 8  # simulations per log and state
-DISPLACEMENT = 1e-4  # displacement of a state, as a share of its standard deviation
-ADDED = (DISTURBANCE, CONSTANT)  # prefixes of states that the filter adds to those of the model
-LEAST_ROWS = 5  # rows of the shortest horizon
+DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
 
 
 def predictable_horizon(problem: Problem, horizon: float) -> float:
@@ -43,8 +39,7 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
     is_far = (growth > FAR) & (growth > EXPONENTIAL * halves)
     if not is_far.any():
         return horizon
-    near = int(np.argmax(growth > NEAR))
-    return min(horizon, max(near, LEAST_ROWS) * step)
+    return min(horizon, max(2, int(np.argmax(growth > NEAR))) * step)
 
 
 def _growth_curves(problem: Problem, index: int, horizon: float) -> list[Array]:
@@ -52,13 +47,12 @@ def _growth_curves(problem: Problem, index: int, horizon: float) -> list[Array]:
     data, first = problem.data(problem.values, index), count_unscored(problem.logs[index])
     run = problem.run(problem.values, initial_fit(problem).noise, index, states=True)
     rows = len(data.u)
-    length = rows - first - 1 if math.isinf(horizon) else round(horizon / data.step)
-    length = min(length, rows - first - 1)
-    spreads = np.std(run.states[first:], axis=0)
-    moving = [k for k, name in enumerate(problem.layout.states) if spreads[k] > 0.0 and not name.startswith(ADDED)]
-    scale = np.array([np.std(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in data.y.T])
+    length = int(min(round(min(horizon, rows * data.step) / data.step), rows - first - 1))
+    spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT)
+    moving = [k for k, name in enumerate(problem.layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
     if length < 2 or not moving or not np.isfinite(spreads).all():
         return []
+    scale = np.array([np.std(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in data.y.T])
     p, scale = problem.numbers(problem.of_log(problem.values, index)), np.where(scale > 0.0, scale, np.inf)
     curves = []
     for row in np.unique(np.linspace(first, rows - 1 - length, STARTS).astype(int)).tolist():

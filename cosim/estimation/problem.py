@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
-from cosim.estimation.data import UNSCORED, Readings, readings_of, shifted
+from cosim.estimation.data import UNEVEN, UNSCORED, Readings, readings_of, shifted
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
@@ -194,7 +194,7 @@ class Problem:
     def longest_memory(self) -> float:
         """Return the longest correlation time of unknown inputs [s]."""
         longest = max(len(d.u) * d.step for d in self.logs)
-        return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
+        return max(LONGEST_MEMORY * longest, 2.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
         """Return the noise with a given unknown input power."""
@@ -221,7 +221,7 @@ class Problem:
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
         timed = np.isfinite(now.timing)
         shortest, longest = (
-            np.where(timed, 2.0 * np.log(t), now.timing) for t in (1e-3 * min(steps), 0.5 * max(steps))
+            np.where(timed, 2.0 * np.log(t), now.timing) for t in (UNEVEN * min(steps), 0.5 * max(steps))
         )
         memory = np.log([2.0 * min(steps), self.longest_memory])
         largest = self.noise.largest

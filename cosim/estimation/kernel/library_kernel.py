@@ -131,7 +131,6 @@ class LibraryKernel(CompiledKernel):
 
     def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
         super().__init__(generated)
-        self._library.use_library.argtypes = [ctypes.POINTER(_Library)]
         self._fmu = fmu
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
         self._own, self._stepped = threading.local(), self.layout.is_free_run

@@ -185,16 +185,6 @@ class Subject(Protocol):
         return {f"{kind.name}.{p.name}": p for kind in self.sensors for p in parameters_of(kind)}
 
     @property
-    def late(self) -> Mapping[str, tuple[str, ...]]:
-        """Return latency parameter → delayed outputs."""
-        return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.late}
-
-    @property
-    def lagging(self) -> Mapping[str, tuple[str, ...]]:
-        """Return time constant of a sensor → outputs with this lag."""
-        return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.lagging}
-
-    @property
     def traits(self) -> Traits:
         """Return further signal properties for the checks of logs."""
         return Traits()

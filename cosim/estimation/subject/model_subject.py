@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cache, partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal
@@ -25,7 +25,7 @@ from cosim.logs.log import Log
 from cosim.model.delay import Gain
 from cosim.model.integrate import substeps
 from cosim.model.model import Effect, Model, overrides
-from cosim.model.quantities import Parameter, parameters_of
+from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
 from cosim.residuals.drive import Drive
@@ -65,11 +65,6 @@ class ModelSubject(Subject):
     def of(cls, model: Model) -> ModelSubject:
         """Return the subject of a model without model.yaml."""
         return cls(LoadedModel(model, ""))
-
-    @cached_property
-    def declared(self) -> Mapping[str, Parameter]:
-        """Return the declarations of all parameters of the model and its sensor errors, by name."""
-        return self.model.declared | self.model.sensor_parameters
 
     @property
     def traits(self) -> Traits:
