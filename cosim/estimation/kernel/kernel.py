@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -209,19 +209,12 @@ def single_steps(
         points: Rows of the log but the last, with the states and memories there.
         back: Rows of commands before a step that a delay may reach back to.
     """
-    together: Any = getattr(kernel, "step", partial(steps_one_by_one, kernel))
-    stepped: tuple[Array, Array] = together(data, p, points, back)
-    return stepped
-
-
-def steps_one_by_one(
-    kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
-) -> tuple[Array, Array]:
-    """Return single steps, as `single_steps`, with a simulation for each."""
-    rows, states, memories = points
-    following, outputs = np.empty((len(rows), states.shape[1])), np.empty((len(rows), len(kernel.layout.outputs)))
-    for k, row in enumerate(rows.tolist()):
-        before = min(row, back)
-        run = kernel.simulate(data.rows(row - before, row + 2), p, states[k], memories[k], first=before)
-        following[k], outputs[k] = run.states[before + 1], run.outputs[before]
-    return following, outputs
+    if hasattr(kernel, "step"):
+        stepped: tuple[Array, Array] = kernel.step(data, p, points, back)
+        return stepped
+    begins: list[Begin] = []
+    for row, state, memory in zip(*points, strict=True):
+        before = int(min(row, back))
+        begins.append((data.rows(row - before, row + 2), p, state, memory, None, before))
+    runs = [(simulated, begin[-1]) for simulated, begin in zip(simulate_all(kernel, begins), begins, strict=True)]
+    return np.array([run.states[row + 1] for run, row in runs]), np.array([run.outputs[row] for run, row in runs])

@@ -19,7 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Rows
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated, steps_one_by_one
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated
 from cosim.estimation.kernel.nameless import LOCAL, PREFIX
 from cosim.estimation.kernel.propagation import propagations
 from cosim.fmi.description import reals, takes_any_step
@@ -29,8 +29,7 @@ from cosim.terms.language import Direction
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
-PULSE = 1e-2  # of an input, as a share of its range
-START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
+TRIED = 1e-2  # pulse of an input, as a share of its range; step of a start state, as a share of its usual size
 
 _loading = threading.Lock()  # the working folder changes while a library is loaded
 
@@ -169,7 +168,8 @@ class LibraryKernel(CompiledKernel):
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
-        return steps_one_by_one(self, data, p, points, back)
+        self._use(p, data, points[1][0])
+        return super().step(data, p, points, back)
 
     def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
@@ -215,7 +215,7 @@ class LibraryKernel(CompiledKernel):
             slopes = np.zeros((rows, plain.shape[1], count))
             for k, (_, size) in enumerate(self._fmu.starts):
                 moved = x0.copy()
-                moved[first + k] += START_STEP * size
+                moved[first + k] += TRIED * size
                 slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
                 slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
             known = slopes, propagations(slopes if count else self._pulse_responses(data, p, x0, plain), plain)
@@ -231,7 +231,7 @@ class LibraryKernel(CompiledKernel):
         responses = []
         for k in np.flatnonzero(np.ptp(data.u, axis=0)):
             moved = data.u.copy()
-            moved[0, k] += PULSE * np.ptp(data.u[:, k])
+            moved[0, k] += TRIED * np.ptp(data.u[:, k])
             run = self.simulate(replace(data, u=moved), p, x0, np.zeros(self.layout.memory))
             responses.append(np.nan_to_num(run.outputs - plain, posinf=0.0, neginf=0.0)[1:])
         return np.stack(responses, axis=2) if responses else np.zeros((*plain.shape, 0))
