@@ -88,11 +88,6 @@ class Layout:
         """Return parameter → index of its constant state."""
         return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
 
-    @property
-    def is_coloured(self) -> bool:
-        """Return True if noise enters through unknown inputs with memory."""
-        return MEMORY in self.parameters
-
 
 @dataclass(frozen=True)
 class Data:

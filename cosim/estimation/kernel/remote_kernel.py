@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import atexit
 import queue
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated
 from cosim.estimation.kernel.kernel import Data, Filtered, Simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
-from cosim.estimation.kernel.propagation import lasting
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
 from cosim.isolation.watch import Watch
 
-MODULES = ("cosim.estimation.kernel.remote_kernel", "fmpy.fmi2")
+MODULES = ("cosim.estimation.kernel.library_kernel", "fmpy.fmi2")
 LONGEST = 60.0  # default limit of a pass over a log [s]
 PATIENCE = 20.0  # after a hang, limit relative to the longest pass that succeeded
 
@@ -36,19 +33,6 @@ def end_workers() -> None:
     with suppress(queue.Empty):
         while True:
             _idle.get_nowait()[0].end()
-
-
-class HostedKernel(LibraryKernel):
-    """A kernel within a worker."""
-
-    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
-        claim(fmu.path)
-        super().__init__(generated, fmu, parameters)
-
-    def call(self, method: str, passes: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], float]:
-        """Call a method with the arguments of each pass; return results and processor time [s]."""
-        begin = time.process_time()
-        return [getattr(self, method)(*each, **options) for each in passes], time.process_time() - begin
 
 
 class RemoteLibraryKernel:
@@ -83,7 +67,7 @@ class RemoteLibraryKernel:
             worker, kernels = Worker(*MODULES), {}
         try:
             watch = Watch((NAME,), limits=self._limits_of(len(passes)))
-            remote = kernels.setdefault(self, Remote(worker, HostedKernel, *self._recipe))
+            remote = kernels.setdefault(self, Remote(worker, LibraryKernel, *self._recipe))
             results, spent = remote.call("call", method, passes, options, watch=watch)
             self._longest = max(self._longest, spent)
             return list(results)
@@ -139,7 +123,3 @@ class RemoteLibraryKernel:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""
         ((slopes, propagation),) = self._call("responses", [(data, x0)])
         return slopes, propagation
-
-    def propagation(self, data: Data, x0: Array) -> Array:
-        """Return the matrices by which deviations of a free run go on that no reading corrects, as `propagations`."""
-        return lasting(self.responses(data, x0)[1])

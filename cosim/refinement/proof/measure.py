@@ -300,20 +300,19 @@ class _KernelReplays:
                 random = rng.standard_normal((len(rows), len(layout.stochastic), 1))
                 starts[np.ix_(rows, list(layout.stochastic))] += (roots @ random)[..., 0]
             noisy = len(layout.noise_places)
-            if layout.is_coloured:  # Replays know nothing of the unknown inputs.
-                deviation = np.exp(0.5 * noise.power)
-                starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
+            deviation = np.exp(0.5 * noise.power)  # Replays know nothing of the unknown inputs.
+            starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
             density = problem.densities(noise)[list(layout.noisy)]
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
-            memory = {LASTS: math.exp(noise.memory)} if layout.is_coloured else {}
+            memory = {LASTS: math.exp(noise.memory)}
             errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self._predict()
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
     def _random_deviations(self, rng: np.random.Generator) -> Array:
         """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
         noise, data, kernel = self.variant.noise, self.data, self.problem.kernel
-        propagation = kernel.propagation(data, self.problem.x0[self.index])  # type: ignore[attr-defined]
+        propagation = kernel.responses(data, self.problem.x0[self.index])[1]  # type: ignore[attr-defined]
         fades = math.exp(-data.step / math.exp(noise.memory))
         inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
         deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # after the row before the first

@@ -221,7 +221,7 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
     largest: dict[tuple[str, int], float] = {}  # unit and order → range of the derivatives
     orders = [1] * len(problem.layout.noisy)
     if problem.layout.is_free_run:  # 2 for an output whose velocity is hidden
-        matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
+        matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
         orders = [1 + bool(matrix[:, :, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
@@ -326,8 +326,7 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
     places, rows, n = list(layout.noisy), len(y), model.F.shape[1]
     r = np.broadcast_to(problem.variances(noise, index), data.y.shape)
     x, P = np.zeros(n), problem.P0.copy()
-    if layout.is_coloured:
-        P[places, places] = np.exp(noise.power)
+    P[places, places] = np.exp(noise.power)
     Q = np.diag(problem.densities(noise)) * data.step
     ahead, spread = np.zeros((rows, n)), np.zeros((rows, n, n))
     after, spread_after = np.zeros_like(ahead), np.zeros_like(spread)
