@@ -99,7 +99,7 @@ def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseR
         found = np.empty((len(marks), count))
         for k in range(count):
             powers = np.where(np.arange(count) == k, GRID[:, None], nothing)
-            rises = [float(np.mean(np.log(np.abs(variances(power, longest))) - least)) for power in powers]
+            rises = np.array([np.mean(np.log(np.abs(variances(power, longest))) - least) for power in powers])
             rises = np.nan_to_num(rises, nan=finite.max).clip(finite.tiny, finite.max)
             found[:, k] = np.interp(np.log(marks), np.log(np.maximum.accumulate(rises)), GRID)
         return found

@@ -14,7 +14,7 @@ from cosim.estimation.data import data_of, first_measured, readings_of, start_st
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
-from cosim.estimation.problem import Problem, Settings
+from cosim.estimation.problem import WITHIN, Problem, Settings
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
@@ -103,7 +103,7 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
     """
     layout = problem.layout
     measured = _measured_at_start(subject, problem)
-    variances = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
+    variances = {n: WITHIN * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     variances = {**subject.start_variance, **variances}
     derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
     known = DISTURBANCE, DEVIATION, EARLIER, CONSTANT

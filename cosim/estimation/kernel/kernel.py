@@ -190,9 +190,7 @@ def filter_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
 def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:
     """Simulate several times, in one call if the kernel offers it."""
     together: Any = getattr(kernel, "call_all", None)
-    return (
-        together("simulate", begins) if together else [kernel.simulate(*most, first=first) for *most, first in begins]
-    )
+    return together("simulate", begins) if together else [kernel.simulate(*b[:-1], first=b[-1]) for b in begins]
 
 
 def single_steps(

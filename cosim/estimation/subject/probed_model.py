@@ -21,8 +21,7 @@ HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and
 LATEST = 20  # longest delay of the inputs, in rows
 SLOPE_ROWS = 5  # rows over which the rate of readings is taken
 WIDEST = 100.0  # factor on a parameter without bounds, up and down
-RESOLVED = 0.25  # transition of friction of half the usual force, in steps: Runge-Kutta is stable from 0.18 on
-FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
+RESOLVED = 0.25  # substep times largest eigenvalue; transition of friction of half the usual force, in steps
 
 
 def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuModel:
@@ -78,7 +77,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
         stepped=is_stepped,
         starts=tuple(with_place(v.name) for v in s.starts),
         rate=step,
-        substep=min(step, FINEST / s.largest_rate if s.largest_rate > 0.0 else math.inf),
+        substep=min(step, RESOLVED / s.largest_rate if s.largest_rate > 0.0 else math.inf),
         integrator="rk4",
     )
 
