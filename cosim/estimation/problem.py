@@ -330,6 +330,23 @@ class Problem:
         P0[places, places] = np.exp(noise.power)
         return data, p, x0, P0, self.densities(noise), self.variances(noise, index)
 
+    def filter_causally(
+        self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
+    ) -> Filtered:
+        """Filter given measurements with the inputs of a log; states in `rows` use only readings that have arrived.
+
+        A late reading arrives after the row of its measurement.
+        """
+        filtered = self.run(values, noise, index, states=True, data=data)
+        late = {k: n for k, by in self.in_rows(self.late, values, index).items() if (n := round(by)) > 0}
+        states = filtered.states.copy()
+        for row in rows if late else ():
+            y = data.y.copy()
+            for k, n in late.items():
+                y[max(0, row - n + 1) : row + 1, k] = np.nan
+            states[row] = self.run(values, noise, index, states=True, data=replace(data, y=y)).states[row]
+        return replace(filtered, states=states)
+
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
         """Return innovations and variances of a log (rows, outputs)."""
         return self._aligned(self.run(values, noise, index), values, index)

@@ -99,7 +99,7 @@ def _starts(
     """Return row → start of replay, and parameters per log."""
     rows, layout = first_rows(log, horizon), problem.layout
     data, noise = problem.data(variant.values, index), variant.noise_of_starts(horizon)
-    filtered = problem.run(variant.values, noise, index, states=True, data=data)
+    filtered = problem.filter_causally(data, variant.values, noise, index, log.grid[rows].tolist())
     starts = {}
     for k in rows:
         row = int(log.grid[k])
@@ -275,7 +275,7 @@ class _KernelReplays:
         gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
         rows = log.grid[first_rows(log, variant.subject.horizon)].tolist()
         noise = variant.noise_of_starts(variant.subject.horizon)
-        filtered = problem.run(variant.values, noise, index, states=True, data=data)
+        filtered = problem.filter_causally(data, variant.values, noise, index, rows)
         starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
         per_log = _parameters_at_starts(problem, filtered, starts, every_row)
         for sensor in _sensors(variant, per_log):
