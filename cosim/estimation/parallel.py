@@ -26,7 +26,7 @@ class _Abandoned(BaseException):
     """End of work that was stopped in another thread."""
 
 
-def check_wanted() -> None:
+def raise_if_cancelled() -> None:
     """End the work of this thread if it was stopped from outside, as from the keyboard.
 
     Long work without parallel parts calls this function now and then.
@@ -44,7 +44,7 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
     def process() -> None:
         try:
             for k in numbers:
-                check_wanted()
+                raise_if_cancelled()
                 results[k] = work(items[k])
         except BaseException:
             deque(numbers, maxlen=0)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.core.arrays import Array
 from cosim.core.units import unit_of_rate, unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
@@ -53,7 +54,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
     moving = tuple(with_place(name) for name, width in places.ranges.items() if width)
     sensors: list[type[Any]] = []
     for q, name in zip(named_outputs, outputs, strict=True):
-        signed = any(float(np.nanmin(log.outputs[name])) < 0.0 for log in logs if name in log.outputs)
+        signed = any(float(np.nanmin(y)) < 0.0 for y in places.columns(name))
         sensors += sensor_errors(q, places.size(name), step, duration, signed=signed)
     delay = [delay_of(inputs, LATEST * step)] if inputs else []
     return fmu_model(
@@ -98,7 +99,12 @@ class _Places:
         self.names, self.inputs = [q.name for q in self.states], [q.name for q in s.inputs]
         self.units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
         self.parameters = {p.name: p.quantity for p in s.parameters}
-        self.ranges = {n: max(float(np.ptp(log.inputs[n])) for log in logs if n in log.inputs) for n in self.inputs}
+        self.ranges = {n: max(float(np.ptp(u)) for u in self.columns(n)) for n in self.inputs}
+
+    def columns(self, name: str) -> list[Array]:
+        """Return an input or output in the logs that have it."""
+        signals = [{**log.inputs, **log.outputs} for log in self.logs]
+        return [columns[name] for columns in signals if name in columns]
 
     def size(self, name: str) -> float:
         """Return the usual size of a signal: its spread, of an input half of its range; 1 for a constant."""
@@ -108,8 +114,8 @@ class _Places:
 
     def rate(self, name: str) -> float:
         """Return the usual rate of change of a signal."""
-        columns = [log.outputs[name] for log in self.logs if name in log.outputs]
-        read = max((float(np.nanstd(y[SLOPE_ROWS:] - y[:-SLOPE_ROWS])) for y in columns), default=0.0)
+        changes = [y[SLOPE_ROWS:] - y[:-SLOPE_ROWS] for y in self.columns(name)]
+        read = max((float(np.nanstd(change)) for change in changes), default=0.0)
         return self.structure.scales.get(f"der({name})") or read / (SLOPE_ROWS * self.step) or 1.0
 
     def every(self) -> Iterator[Place]:
@@ -117,15 +123,13 @@ class _Places:
         s, units = self.structure, self.units
         for k, q in enumerate(s.inputs):
             size = self.size(q.name)
-            columns = [log.inputs[q.name] for log in self.logs if q.name in log.inputs]
-            largest = max((float(np.abs(u).max()) for u in columns), default=0.0) or size
+            largest = max(float(np.abs(u).max()) for u in self.columns(q.name)) or size
             sizes = {"u": size, "M": largest, "T": self.step}
             yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
         yield from filter(None, map(self._place_of_pair, s.pairs))
         yield from map(self._place_of_connection, s.connections)
         for name in s.storages:
-            index, shown = self.names.index(name), s.shown_as(name)
-            columns = [log.outputs[shown] for log in self.logs if shown in log.outputs]
+            index, columns = self.names.index(name), self.columns(s.shown_as(name))
             middle = float(np.nanmean(np.concatenate(columns))) if columns else self.states[index].start
             sizes = {"q": self.size(name), "r": self.rate(name)}
             own = {"q": units[name], "r": unit_of_rate(units[name])}

@@ -22,7 +22,7 @@ from cosim.core.arrays import Array, Rows
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit, fit, inverse, slopes, with_flat_directions
 from cosim.estimation.kernel.kernel import Begin, simulate_all
-from cosim.estimation.parallel import check_wanted, in_parallel
+from cosim.estimation.parallel import in_parallel, raise_if_cancelled
 from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.per_log import fit_for_held_out
 from cosim.estimation.posing import halve_log
@@ -164,7 +164,7 @@ class Replays:
 
     def residuals(self, values: Mapping[str, float]) -> Array:
         """Return measurement − prediction with these parameters, NaN beyond 1e30, shape (replays, rows, outputs)."""
-        check_wanted()
+        raise_if_cancelled()
         problem, data = self.problem, self.data
         p = problem.numbers(problem.of_log(values, self.index))
         residuals = np.full((len(self.rows), self.length, data.y.shape[1]), np.nan)
