@@ -211,7 +211,7 @@ class LibraryKernel(CompiledKernel):
         return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
 
     def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
-        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagations.
+        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagation.
 
         They are those at given parameter values, and change little with the parameters. Without start states, pulses of
         the inputs in the first row tell the propagation.
@@ -222,18 +222,18 @@ class LibraryKernel(CompiledKernel):
         return found
 
     def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
-        count, rows = len(self._fmu.starts), len(data.u)
+        count = len(self._fmu.starts)
         p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
         memory, first = np.zeros(self.layout.memory), len(x0) - count
         plain = self.simulate(data, p, x0, memory).outputs
-        slopes = np.zeros((rows, plain.shape[1], count))
+        slopes = np.zeros((*plain.shape, count))
         for k, (_, size) in enumerate(self._fmu.starts):
             moved = x0.copy()
             moved[first + k] += TRIED * size
             slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
             slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
         told = slopes if count else self._pulse_responses(data, p, x0, plain)
-        return slopes, np.tile(propagation(told), (rows, 1, 1))
+        return slopes, propagation(told)
 
     def _pulse_responses(self, data: Data, p: Array, x0: Array, plain: Array) -> Array:
         """Return the changes of the outputs after a pulse of each input that moves, shape (rows, outputs, inputs).

@@ -318,7 +318,7 @@ class _KernelReplays:
         deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # after the row before the first
         for k in range(1, len(inputs)):
             both = np.concatenate([deviations[k], deviations[k - 1]])
-            deviations[k + 1] = propagation[k - 1] @ both + data.step * inputs[k - 1]
+            deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
             inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
         return deviations[1:]
 

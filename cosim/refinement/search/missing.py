@@ -136,7 +136,7 @@ def deviations_of(problem: Problem, values: Mapping[str, float], noise: Noise, i
     F[:, earlier, deviation] = C[:, :, deviation] = np.eye(ny)
     F[:, 3 * ny :, 3 * ny :], C[:, :, 3 * ny :] = np.eye(n - 3 * ny), slopes
     F[:, drive, drive] = math.exp(-data.step / math.exp(noise.memory)) * np.eye(ny)
-    F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :, :ny], propagation[:, :, ny:]
+    F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :ny], propagation[:, ny:]
     F[:, deviation, drive] = data.step * np.eye(ny)
     return F, C
 
@@ -222,7 +222,7 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
     orders = [1] * len(problem.layout.noisy)
     if problem.layout.is_free_run:  # 2 for an output whose velocity is hidden
         matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
-        orders = [1 + bool(matrix[:, :, j].any()) for j in range(len(orders), 2 * len(orders))]
+        orders = [1 + bool(matrix[:, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
