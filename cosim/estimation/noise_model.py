@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 
-SMALLEST, QUIET, PLAIN, LARGEST = 1e-3, 0.02, 0.04, 3.0
+SMALLEST, PLAIN, LARGEST = 1e-3, 0.04, 3.0
 GRID = np.arange(-60.0, 40.0, 4.0)
 
 
@@ -106,6 +106,6 @@ def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseR
 
     (smallest,), (quiet, plain, largest) = (
         levels([SMALLEST], longest=True),
-        levels([QUIET, PLAIN, LARGEST], longest=False),
+        levels([0.5 * PLAIN, PLAIN, LARGEST], longest=False),
     )
     return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cosim.estimation.fit import Fit
     from cosim.estimation.problem import Problem
 
-STEP = 1e-4  # step of differences relative to max(1, value); readings are nearly linear
+STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)

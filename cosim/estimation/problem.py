@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
-from cosim.estimation.data import UNEVEN, UNSCORED, Readings, readings_of, shifted
+from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.subject.candidates import Free
-from cosim.logs.log import slowness
 
-RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log, and least rows, for the range of the process noise
+RANGE_ROWS = 500  # scored rows of a log for the range of the process noise
 UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
 LONGEST_MEMORY = 0.1  # share of a log
 WITHIN = 10.0  # factor between stated and actual noise: on the variance one standard deviation of the prior of its log
@@ -158,8 +157,7 @@ class Problem:
 
         If the filter diverges from a log, the model's own simulated outputs replace the measurements of all.
         """
-        step = self.logs[0].step
-        rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
+        rows = count_unscored(self.logs[0]) + RANGE_ROWS
         measured = [np.isfinite(log.y[:rows]).any(axis=0) for log in self.logs]
         # the first log, and logs with further outputs
         chosen = [k for k in range(len(self.logs)) if k == 0 or np.any(measured[k] & ~measured[0])]

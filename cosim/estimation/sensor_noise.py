@@ -15,9 +15,8 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
 
-OFF = 1.5  # ratio from which the noise differs from the model's; accuracy is about 10 %
+OFF = 1.5  # ratio from which a level differs from the noise; accuracy is about 10 %
 STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
-REST = 1.2  # factor on the noise up to which a channel is at rest
 SMOOTH = 0.3  # share of a channel's level that may come from motion between rows
 
 
@@ -124,7 +123,7 @@ def at_rest(problem: Problem) -> bool:
     return all(
         not np.ptp(log.u, axis=0).any()
         and all(
-            not known.size or float(np.std(known)) <= REST * noise_level(known)
+            not known.size or float(np.std(known)) <= OFF * noise_level(known)
             for known in (column[np.isfinite(column)] for column in log.y.T)
         )
         for log in problem.logs

@@ -46,7 +46,7 @@ def _with_hidden_states(now: Array, before: Array, after: Array) -> tuple[list[i
 
     def regression(chosen: list[int]) -> tuple[Array, Array]:
         known = np.hstack([now, before[:, chosen]])
-        matrix = least_squares(known, after, rcond=1e-8)
+        matrix = least_squares(known, after, rcond=float(np.sqrt(np.finfo(float).eps)))
         left = np.sum((after - known @ matrix) ** 2, axis=0) / change
         return matrix.T, np.log(np.maximum(left, EXACT))
 

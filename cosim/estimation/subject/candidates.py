@@ -163,7 +163,7 @@ def spread_of_base(p: Parameter, value: float, tolerance: float) -> float:
 
 
 def _scale(p: Parameter, value: float) -> float:
-    return abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
+    return abs(value) or p.typical or abs(float(p.default)) or 1.0
 
 
 def kind_within(c: Candidate, subject: Subject) -> Kind:
