@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextvars import ContextVar, copy_context
 from threading import Event
 from typing import Any, TypeVar
@@ -50,8 +50,10 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
             deque(numbers, maxlen=0)
             raise
 
-    helpers = [_threads.submit(copy_context().run, process) for _ in items[1:CORES]]
+    helpers: list[Future[None]] = []
     try:
+        for _ in items[1:CORES]:
+            helpers.append(_threads.submit(copy_context().run, process))
         process()
         for helper in helpers:
             if not helper.cancel():  # one that has not begun would find nothing to do

@@ -22,7 +22,6 @@ from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.fmi.fmu_build import build
 from cosim.fmi.state import MEMORY, Memory
 from cosim.logs.log import Log
-from cosim.model.delay import Gain
 from cosim.model.integrate import substeps
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.quantities import parameters_of
@@ -87,8 +86,6 @@ class ModelSubject(Subject):
                 kind="sensor" if kind in self.model.sensors else "effect",
                 starts=kind.starts,
                 above=kind.at_least,
-                resolved=kind.resolved,
-                gain=issubclass(kind, Gain),
             )
             if c.name in self.present:  # an effect of the model is recalibrated from its values
                 c = replace(c, starts=({name: self.values[name] for name in c.parameters},))
