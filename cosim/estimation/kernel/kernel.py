@@ -206,7 +206,7 @@ def single_steps(
         stepped: tuple[Array, Array] = kernel.step(data, p, points, back)
         return stepped
     begins: list[Begin] = []
-    for row, state, memory in zip(*points, strict=True):
+    for row, state, memory in zip(*points, strict=False):
         before = int(min(row, back))
         begins.append((data.rows(row - before, row + 2), p, state, memory, None, before))
     runs = [(simulated, begin[-1]) for simulated, begin in zip(simulate_all(kernel, begins), begins, strict=True)]
