@@ -12,7 +12,7 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import initial_fit
-from cosim.estimation.kernel.kernel import CONSTANT, DISTURBANCE, Data
+from cosim.estimation.kernel.kernel import CONSTANT, DISTURBANCE, Begin, simulate_all
 from cosim.estimation.problem import Problem
 
 FAR, NEAR = 100.0, 10.0  # growth of a start error from which a horizon is too long; growth within the shorter horizon
@@ -52,21 +52,14 @@ def _growth_curves(problem: Problem, index: int, horizon: float) -> list[Array]:
     moving = [k for k, name in enumerate(problem.layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
     if length < 2 or not moving or not np.isfinite(spreads).all():
         return []
-    scale = np.array([np.std(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in data.y.T])
-    p, scale = problem.numbers(problem.of_log(problem.values, index)), np.where(scale > 0.0, scale, np.inf)
-    curves = []
+    spread, curves = problem.readings[index].spread, []
+    p, scale = problem.numbers(problem.of_log(problem.values, index)), np.where(spread > 0.0, spread, np.inf)
+    steps = np.vstack([np.zeros(len(spreads)), np.diag(DISPLACEMENT * spreads)[moving]])
     for row in np.unique(np.linspace(first, rows - 1 - length, STARTS).astype(int)).tolist():
         start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
-
-        def simulate(begin: Array, part: Data = part, memory: Array = run.memory[row]) -> Array:
-            return np.asarray(problem.kernel.simulate(part, p, begin, memory).outputs / scale)
-
-        plain, largest = simulate(start), np.zeros(length + 1)
-        for k in moving:
-            beside = start.copy()
-            beside[k] += DISPLACEMENT * spreads[k]
-            with np.errstate(over="ignore", invalid="ignore"):
-                apart = np.linalg.norm(simulate(beside) - plain, axis=1) / DISPLACEMENT
-            largest = np.maximum(largest, np.nan_to_num(apart, nan=np.inf))
-        curves.append(largest)
+        begins: list[Begin] = [(part, p, start + step, run.memory[row], None, 0) for step in steps]
+        with np.errstate(over="ignore", invalid="ignore"):
+            outputs = np.array([each.outputs for each in simulate_all(problem.kernel, begins)]) / scale
+            apart = np.linalg.norm(outputs[1:] - outputs[0], axis=2) / DISPLACEMENT
+        curves.append(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(axis=0))
     return curves

@@ -106,7 +106,7 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     finest = np.max([r.resolution for r in problem.readings], axis=0)
     units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
-    cells = [f"{name} reads in cells of {plain(cell, 2)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
+    cells = [f"{name} reads in cells of {plain(cell)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
     text = (
         f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its "
         "cell over √12; this is read off the logs, and no candidate"
