@@ -17,7 +17,7 @@ from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, n
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
 from cosim.estimation.subject.candidates import Free
 
-RANGE_ROWS = 500  # scored rows of a log for the range of the process noise
+RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
 UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
 LONGEST_MEMORY = 0.1  # share of a log
 WITHIN = 10.0  # factor between stated and actual noise: on the variance one standard deviation of the prior of its log
@@ -153,15 +153,12 @@ class Problem:
         return np.asarray(np.max([getattr(readings, property) for readings in self.readings], axis=0))
 
     def _short(self) -> Problem:
-        """Return the problem on the first rows of few logs, to find the range of the noise.
+        """Return the problem on the first rows of the logs, to find the range of the noise.
 
         If the filter diverges from a log, the model's own simulated outputs replace the measurements of all.
         """
-        rows = count_unscored(self.logs[0]) + RANGE_ROWS
-        measured = [np.isfinite(log.y[:rows]).any(axis=0) for log in self.logs]
-        # the first log, and logs with further outputs
-        chosen = [k for k in range(len(self.logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
-        short = replace(self, sensing=None, **self._first_rows(rows, chosen))  # limits must not depend on fitted noise
+        rows = count_unscored(self.logs[0]) + RANGE_ROWS // len(self.logs)
+        short = replace(self.first_rows(rows), sensing=None)  # limits must not depend on fitted noise
         nothing = short.at(np.full(len(self.layout.noisy), GRID[0]))
 
         def follows(index: int) -> bool:
@@ -179,14 +176,8 @@ class Problem:
 
     def first_rows(self, rows: int) -> Problem:
         """Return the problem with logs cut short."""
-        return replace(self, **self._first_rows(rows, range(len(self.logs))))
-
-    def _first_rows(self, rows: int, chosen: Sequence[int]) -> dict[str, Any]:
-        """Return the attributes that belong to the first rows of some logs."""
-        logs = [self.logs[k].rows(0, rows) for k in chosen]
-        origins = [self.origins[k] for k in chosen if self.origins]
-        x0, readings = [self.x0[k] for k in chosen], [*map(readings_of, logs)]
-        return {"logs": logs, "readings": readings, "x0": x0, "origins": origins}
+        logs = [log.rows(0, rows) for log in self.logs]
+        return replace(self, logs=logs, readings=[*map(readings_of, logs)])
 
     @property
     def longest_memory(self) -> float:
