@@ -33,7 +33,7 @@ def with_likely_starts(
         noise: Levels of noise; None for likely ones.
     """
     given = {**problem.values, **(values or {})}
-    while problem.layout.start_places:
+    for _ in problem.layout.states if problem.layout.start_places else ():  # more often than it needs
         level = noise or initial_fit(problem).noise
         x0 = [_next(problem, given, level, k) for k in range(len(problem.logs))]
         if all(after is before for after, before in zip(x0, problem.x0, strict=True)):
