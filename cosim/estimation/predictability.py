@@ -15,7 +15,7 @@ from cosim.estimation.fit import initial_fit
 from cosim.estimation.kernel.kernel import CONSTANT, DISTURBANCE, Begin, simulate_all
 from cosim.estimation.problem import Problem
 
-FAR, NEAR = 100.0, 10.0  # growth of a start error from which a horizon is too long; growth within the shorter horizon
+NEAR = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if this happens twice in it
 EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
 STARTS = 8  # simulations per log and state
 DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
@@ -36,7 +36,7 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
         return horizon
     growth = np.maximum.accumulate(np.median([curve[:rows] for curve in curves], axis=0))
     halves = growth[np.arange(rows) // 2]
-    is_far = (growth > FAR) & (growth > EXPONENTIAL * halves)
+    is_far = (growth > NEAR**2) & (growth > EXPONENTIAL * halves)
     if not is_far.any():
         return horizon
     return min(horizon, max(2, int(np.argmax(growth > NEAR))) * step)
