@@ -22,6 +22,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 
 SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
+TINY = 1e-3  # share at which a switched effect changes more than at SHARE
 EPSILON = float(np.finfo(float).eps)
 RANK = EPSILON**0.5  # share of the largest singular value below which a direction counts as none
 
@@ -127,8 +128,8 @@ class ScoreTest:
             whole = {n: SHARE * d for n, d in distances.items()}
             steps = [whole, *({n: d} for n, d in whole.items())] if len(whole) > 1 else [whole]
             rows = [self.row(step) for step in steps]
-            jump = self.row({n: DIFFERENCE * d for n, d in distances.items()})
-            # detectable, and more than half of what thirty times the step does
+            jump = self.row({n: TINY * d for n, d in distances.items()})
+            # detectable, and more than half of what the large step does
             switched = float(jump @ jump) > max(1.0, 0.5 * float(rows[0] @ rows[0]))
         else:  # linear, each from a finite step of one parameter
             scale = 1.0 if at_neutral else SHARE / DIFFERENCE
