@@ -7,6 +7,8 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from cosim.estimation.kernel import backend
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated, generate
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Layout, single_steps, steps_one_by_one
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Layout, single_steps
 from cosim.estimation.posing import start_state
 from cosim.estimation.subject.model_subject import ModelSubject, neutral_values
 from cosim.files.cache import cache_path
@@ -53,12 +55,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Data:
     columns["psi"][40:60] = np.nan
     columns["ax"][1::2] = np.nan
     log = log_of(tmp_path_factory.mktemp("log") / "a.csv", columns)
-    return data_of(
-        ModelSubject.of(Hovercraft()),
-        log,
-        Layout((), (), tuple(q.name for q in Hovercraft.inputs), tuple(IMU), (), ()),
-        0.814,
-    )
+    layout = Layout((), (), tuple(q.name for q in Hovercraft.inputs), tuple(IMU), (), ())
+    return replace(data_of(ModelSubject.of(Hovercraft()), log, layout), settle=40)
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
@@ -92,7 +90,8 @@ def test_single_steps_in_one_call_equal_simulations_one_by_one(craft: Generated,
     points = rows, states, run.memory[rows]
     data = replace(seen, start=0.3, interpolated=frozenset({"tilt_left"}))
     steps = single_steps(made, data, p, points, 5)
-    for one, other in zip(steps, steps_one_by_one(made, data, p, points, 5), strict=True):
+    without: Any = SimpleNamespace(layout=made.layout, simulate=made.simulate)
+    for one, other in zip(steps, single_steps(without, data, p, points, 5), strict=True):
         np.testing.assert_array_equal(one, other)
     assert np.isfinite(steps[0]).all(axis=1).tolist() == [True, True, True, False, True]
 

@@ -190,7 +190,7 @@ class Rail(Subject):
         self.present = frozenset(n for n in TERMS if any(self.values[k] for k in self.values if k.startswith(f"{n}.")))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
-        terms = [effect(name, [p], self.values, gain=name == "gain") for name, p in TERMS.items()]
+        terms = [effect(name, [p], self.values) for name, p in TERMS.items()]
         wrong = [
             Candidate(
                 p.name, "parameter", (base_parameter(self, p.name, self.values, None),), ({p.name: float(p.default)},)

@@ -15,39 +15,11 @@ import numpy as np
 
 from cosim.core.arrays import Array
 
-MOST_STEPS, CLOSE = 200, 1e-3  # iterations of an evidence, and relative change that ends them
-
 
 def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Array:
     """Return the least-squares solution of minimum norm."""
     result = _result(lambda a, b: np.linalg.lstsq(a, b, rcond=rcond)[0], matrix, side)
     return np.zeros((matrix.shape[1], *side.shape[1:])) if result is None else result
-
-
-def likely_least_squares(matrix: Array, sides: Array) -> Array:
-    """Return the most likely solution for each column of `sides`, with a normal prior about zero (ridge regression).
-
-    The variances of prior and errors have the largest evidence (MacKay 1992, Neural Computation 4:415).
-    """
-    result = _result(_most_likely, matrix, sides)
-    return np.zeros((matrix.shape[1], sides.shape[1])) if result is None else result
-
-
-def _most_likely(matrix: Array, sides: Array) -> Array:
-    left, values, right = np.linalg.svd(matrix, full_matrices=False)
-    along, squares, tiny = left.T @ sides, values[:, None] ** 2, np.finfo(float).tiny
-    across = np.sum(sides**2, axis=0) - np.sum(along**2, axis=0)
-    ratio = np.full(sides.shape[1], squares.max(initial=0.0) * np.finfo(float).eps)  # of the variances, errors by prior
-    for _ in range(MOST_STEPS):
-        kept = squares / (squares + ratio + tiny)
-        solution = kept * along / np.maximum(values[:, None], tiny)
-        errors = np.maximum(across + np.sum(((1.0 - kept) * along) ** 2, axis=0), tiny)
-        determined = np.sum(kept, axis=0)  # number of coefficients
-        free = np.maximum(len(matrix) - determined, 1.0)
-        before, ratio = ratio, determined * errors / free / np.maximum(np.sum(solution**2, axis=0), tiny)
-        if np.all(np.abs(ratio - before) <= CLOSE * ratio):
-            break
-    return np.asarray(right.T @ solution)
 
 
 def pseudo_inverse(matrix: Array) -> Array:

@@ -1,31 +1,32 @@
-"""Logs as input of the filter: equal steps, measurements, and the age of each reading."""
+"""Logs as input of the filter: equal steps, measurements, the age of each reading, and properties of the readings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, Flags, Rows
 from cosim.estimation.kernel.kernel import Data, Layout
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
 UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
 STARTING = 0.2  # [s] within which a measurement counts as initial
-JITTER = 0.01  # share of a row from which rows are not equally spaced
+UNEVEN = 0.01  # share of a row, or of a quantisation step, from which times or values are not equally spaced
+NEAR = 4  # readings on each side for a slope
+REPEATED = 0.2  # share of different values below which readings are quantised
 
 
-def data_of(
-    subject: Subject, log: Log, layout: Layout, settle: float, interpolated: frozenset[str] = frozenset()
-) -> Data:
+def data_of(subject: Subject, log: Log, layout: Layout, interpolated: frozenset[str] = frozenset()) -> Data:
     """Return a log in equal steps.
 
-    In a missing row, the previous command continues and measurements are missing.
+    In a missing row, the previous command continues and measurements are missing. States without process noise settle
+    in the rows that are not scored.
 
     Args:
-        settle: Time [s] after which an unknown start state is negligible.
         interpolated: Inputs interpolated between rows; others are held.
     """
     grid = log.grid
@@ -37,13 +38,13 @@ def data_of(
     y[grid] = np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
     late = np.zeros_like(y)
     late[grid] = (grid - (log.time - log.time[0]) / log.step)[:, None]  # rows by which a reading is older than its row
-    is_jittery = bool((np.abs(late) > JITTER).any())
+    is_jittery = bool((np.abs(late) > UNEVEN).any())
     if is_jittery:
         u = _mean_commands(log, u, grid)
     data = Data(
         log.step, float(log.time[0]), u, y, subject.substeps(log.step), 0, interpolated, late if is_jittery else None
     )
-    return replace(data, settle=int(min(settle / log.step, count_unscored(data))))
+    return replace(data, settle=count_unscored(data) if layout.driven else 0)
 
 
 def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
@@ -82,3 +83,78 @@ def first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dic
         if name in states and len(column):
             first[name] = float(column[0])
     return first
+
+
+def shifted(table: Array, late: Mapping[int, int]) -> Array:
+    """Return an array of readings with columns shifted to earlier rows; the last rows become NaN.
+
+    Args:
+        late: Index of a column → number of rows.
+    """
+    moved = table.copy()
+    for j, rows in late.items():
+        if rows:
+            moved[:, j] = np.nan
+            moved[: max(0, len(moved) - rows), j] = table[rows:, j]
+    return moved
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of one log, shape (rows, outputs).
+
+    Attributes:
+        scored: True for readings in the likelihood.
+        slopes: Rate of change per row from neighbouring readings; 0 if unknown.
+        resolution: Quantisation step of each output; 0 without quantisation.
+        spread: Standard deviation of each output.
+    """
+
+    scored: Flags
+    slopes: Array
+    resolution: Array
+    spread: Array
+
+    @cached_property
+    def places(self) -> Rows:
+        """Return the flat indices of scored readings."""
+        return np.flatnonzero(self.scored)
+
+
+def readings_of(data: Data) -> Readings:
+    """Return the readings of a log; its first rows do not count in the likelihood."""
+    y, scored = data.y, np.isfinite(data.y)
+    scored[: count_unscored(data)] = False
+    return Readings(
+        scored,
+        np.column_stack([_slopes(column) for column in y.T]),
+        np.array([_resolution(column) for column in y.T]),
+        np.array([float(np.nanstd(c)) if np.isfinite(c).any() else 0.0 for c in y.T]),
+    )
+
+
+def _slopes(column: Array) -> Array:
+    """Return the slope per row of a line through the nearest readings."""
+    slopes = np.zeros(column.size)
+    rows = np.flatnonzero(np.isfinite(column))
+    if rows.size < 2 * NEAR + 1:
+        return slopes
+    windows = np.lib.stride_tricks.sliding_window_view
+    t, v = windows(rows.astype(np.float64), 2 * NEAR + 1), windows(column[rows], 2 * NEAR + 1)
+    t = t - t.mean(axis=1, keepdims=True)
+    inner = np.sum(t * v, axis=1) / np.sum(t * t, axis=1)
+    slopes[rows] = np.concatenate([np.full(NEAR, inner[0]), inner, np.full(NEAR, inner[-1])])
+    return slopes
+
+
+def _resolution(column: Array) -> float:
+    """Return the quantisation step of a column of readings, or 0 if the column is not quantised."""
+    values = np.unique(column[np.isfinite(column)])
+    if values.size <= 2:
+        return 0.0
+    steps = np.diff(values)
+    least = float(np.median(steps[steps < 2.0 * steps.min()]))
+    beside = np.abs(steps / least - np.rint(steps / least)) > UNEVEN
+    # Printed decimals are a grid too, so a resolution must repeat many values.
+    repeated = values.size < REPEATED * np.isfinite(column).sum()
+    return least if repeated and float(np.mean(beside)) <= UNEVEN else 0.0

@@ -18,9 +18,6 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Free
 
-FIRST, GROWTH = 2.0, 1.5  # rows of the first fit, in multiples of those that are not scored; their growth
-ROUNDS = 6  # estimates, each from slopes at the one before
-SHARES = (1.0, 0.3, 0.1)  # of a step that makes the readings less likely
 ENOUGH = 0.5  # decrease of the negative log-likelihood of a log by the last estimate
 
 
@@ -35,10 +32,8 @@ def with_likely_starts(
         values: Parameter values; None for those of the problem.
         noise: Levels of noise; None for likely ones.
     """
-    if not problem.layout.start_places:
-        return problem
     given = {**problem.values, **(values or {})}
-    for _ in range(ROUNDS):
+    for _ in problem.layout.states if problem.layout.start_places else ():  # more often than it needs
         level = noise or initial_fit(problem).noise
         x0 = [_next(problem, given, level, k) for k in range(len(problem.logs))]
         if all(after is before for after, before in zip(x0, problem.x0, strict=True)):
@@ -58,15 +53,11 @@ def _next(problem: Problem, values: Mapping[str, float], noise: Noise, index: in
             nll = 0.5 * float(np.nansum(np.log(s) + e**2 / s))
         return nll if np.isfinite(nll) else np.inf
 
-    estimated = problem.run(values, noise, index, states=True).states[-1][places]
-    if not np.isfinite(estimated).all():
-        return x0
-    before = objective(x0)
-    for share in SHARES:
-        moved = x0.copy()
-        moved[places] += share * (estimated - x0[places])
-        if objective(moved) < before - ENOUGH:
-            return moved
+    moved, before = x0.copy(), objective(x0)
+    moved[places] = problem.run(values, noise, index, states=True).states[-1][places]
+    for each in (moved, 0.5 * (x0 + moved)):
+        if np.isfinite(each).all() and objective(each) < before - ENOUGH:
+            return np.asarray(each)
     return x0
 
 
@@ -86,9 +77,9 @@ def fit_growing(problem: Problem, free: Sequence[Free], start: Mapping[str, floa
     Args:
         start: Start values of the parameters.
     """
-    values, rows = start, FIRST * max(1, *(count_unscored(data) for data in problem.logs))
+    values, rows = start, 2 * max(1, *(count_unscored(data) for data in problem.logs))
     while rows < max(len(data.u) for data in problem.logs):
-        first = problem.first_rows(round(rows))
+        first = problem.first_rows(rows)
         values = fit(first, free, values, first.plain).values
-        rows *= GROWTH
+        rows *= 2
     return fit(problem, free, values, problem.plain)

@@ -7,7 +7,7 @@ PLAIN the input is plainly detected, and sensors still contribute.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 
-SMALLEST, QUIET, PLAIN, LARGEST = 1e-3, 0.02, 0.04, 3.0
+SMALLEST, PLAIN, LARGEST = 1e-3, 0.04, 3.0
 GRID = np.arange(-60.0, 40.0, 4.0)
 
 
@@ -92,18 +92,20 @@ def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseR
         variances: Function from (ln power, whether to use the longest memory) to the innovation variances.
         count: Number of unknown inputs.
     """
-    nothing = np.full(count, GRID[0])
-    levels = np.empty((4, count))
-    for rows, marks, longest in (([0], [SMALLEST], True), ([1, 2, 3], [QUIET, PLAIN, LARGEST], False)):
+    nothing, finite = np.full(count, GRID[0]), np.finfo(float)
+
+    def levels(marks: Sequence[float], *, longest: bool) -> Array:
         least = np.log(np.abs(variances(nothing, longest)))  # rounding may give a negative variance
+        found = np.empty((len(marks), count))
         for k in range(count):
-            rises = []
-            for level in GRID:
-                power = nothing.copy()
-                power[k] = level
-                rise = float(np.mean(np.log(np.abs(variances(power, longest))) - least))
-                rises.append(max(1e-12, rise) if np.isfinite(rise) else 1e3)
-            rising = np.log(np.maximum.accumulate(rises)) + 1e-9 * np.arange(len(GRID))
-            levels[rows, k] = np.interp(np.log(marks), rising, GRID)
-    levels[0] = np.minimum(levels[0], levels[1])
-    return NoiseRange(*levels)
+            powers = np.where(np.arange(count) == k, GRID[:, None], nothing)
+            rises = np.array([np.mean(np.log(np.abs(variances(power, longest))) - least) for power in powers])
+            rises = np.nan_to_num(rises, nan=finite.max).clip(finite.tiny, finite.max)
+            found[:, k] = np.interp(np.log(marks), np.log(np.maximum.accumulate(rises)), GRID)
+        return found
+
+    (smallest,), (quiet, plain, largest) = (
+        levels([SMALLEST], longest=True),
+        levels([0.5 * PLAIN, PLAIN, LARGEST], longest=False),
+    )
+    return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)

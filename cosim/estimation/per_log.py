@@ -1,4 +1,4 @@
-"""Parameters with a separate value for each group of logs: names, priors, and filter starts.
+"""Parameters with a separate value for each group of logs: names, priors, filter starts, and values of other groups.
 
 In the filter, such a parameter is a constant state θ. A known group value starts with variance 0, an unknown one at the
 expected value with the expected spread. A state initialized from its first reading satisfies the sensor equation
@@ -9,8 +9,10 @@ y = g(x, θ) at the start, so that x and θ are correlated,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,8 +21,13 @@ from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate, Free, spread_of_base, usual_size
 from cosim.estimation.subject.interface import Subject
+from cosim.logs.channel_noise import NORMAL_95
 
-STEP = 1e-4  # step of differences relative to max(1, value); readings are nearly linear
+if TYPE_CHECKING:
+    from cosim.estimation.fit import Fit
+    from cosim.estimation.problem import Problem
+
+STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)
@@ -93,19 +100,68 @@ def start_of_log(
         def read(state: Array) -> Array:
             return np.asarray(kernel.simulate(first, p, state, memory).outputs[0, outputs])
 
+        def slope(place: int) -> Array:
+            step = STEP * max(1.0, abs(float(x[place])))
+            return np.asarray((read(x + step * (np.arange(len(x)) == place)) - y) / step)
+
         y, states = read(x), list(initial)
-        gain = pseudo_inverse(_slopes(read, x, states, y))
-        factor[states] = -gain @ _slopes(read, x, places, y) * spreads
+        gain = pseudo_inverse(np.column_stack([*map(slope, states)]))
+        factor[states] = -gain @ np.column_stack([*map(slope, places)]) * spreads
         x[states] += gain @ (x0[states] - y)
     return x, factor[list(layout.stochastic)]
 
 
-def _slopes(read: Callable[[Array], Array], x: Array, places: Sequence[int], y: Array) -> Array:
-    """Return the derivatives of readings by some states, shape (readings, states)."""
-    columns = []
-    for place in places:
-        step = STEP * max(1.0, abs(float(x[place])))
-        moved = x.copy()
-        moved[place] += step
-        columns.append((read(moved) - y) / step)
-    return np.column_stack(columns)
+# Expected values, for groups without an estimate, such as those of held-out and sealed logs
+
+
+def means(f: Fit) -> dict[str, float]:
+    """Return parameter → mean over the groups, for the parameters with a value per group."""
+    return {name: expected_value(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
+
+
+def expected_value(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
+    """Return a parameter's mean over groups and its spread for a new group.
+
+    For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
+    both distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the
+    prior.
+
+    Args:
+        besides: Group to ignore.
+    """
+    every = [x for x in f.free if x.parameter == name]
+    others = [x for x in every if x.group != besides]
+    mean, prior = every[0].prior or (f.values[name], every[0].size)
+    values = [f.values[x.name] for x in others]
+    n = len(values)
+    if n < 2:
+        return (values[0] if values else mean), prior
+    from scipy.special import ndtr, stdtrit
+
+    s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in others]))))
+    return float(np.mean(values)), float(stdtrit(n - 1, ndtr(NORMAL_95))) / NORMAL_95 * s * math.sqrt(1.0 + 1.0 / n)
+
+
+def expected_values(f: Fit, group: str) -> dict[str, float]:
+    """Return the expected values of a group with their spread, from all further groups."""
+    values = {name: expected_value(f, name, group) for name in means(f)}
+    return {key(n, group): v for n, pair in values.items() for key, v in zip((own, spread), pair, strict=True)}
+
+
+def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
+    """Return a fit without a held-out log, completed by expected parameters if the log's group is unknown."""
+    if not problem.own:
+        return f
+    groups = [origin.group for origin in problem.origins]
+    if groups.count(groups[index]) > 1:
+        return f
+    return replace(f, values={**f.values, **expected_values(f, groups[index])})
+
+
+def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
+    """Return fitted or expected parameters of each group."""
+    values: dict[str, float] = {}
+    for group in dict.fromkeys(groups):
+        if all(x.group != group for x in f.free):
+            values |= expected_values(f, group)
+    return values | {x.name: f.values[x.name] for x in f.free if x.group}

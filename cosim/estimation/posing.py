@@ -10,12 +10,11 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.estimation.data import data_of, first_measured, start_state
+from cosim.estimation.data import data_of, first_measured, readings_of, start_state
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
-from cosim.estimation.problem import Problem, Settings
-from cosim.estimation.readings import readings_of
+from cosim.estimation.problem import WITHIN, Problem, Settings
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
@@ -43,8 +42,7 @@ def build_problem(
     measured = tuple(q.name for q in subject.outputs if q.name in logged)
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
     layout = kernel.layout
-    settle = subject.settling([layout.states[k] for k in layout.driven])
-    data = [data_of(subject, log, layout, settle, settings.interpolated) for log in logs]
+    data = [data_of(subject, log, layout, settings.interpolated) for log in logs]
     readings = list(map(readings_of, data))
     begins = origins(subject, layout, logs, data, settings)
     values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
@@ -56,8 +54,12 @@ def build_problem(
     stated_noise = {n: s * s for n, s in noise.items()}
     r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
     late, lagging = (
-        {name: [measured.index(n) for n in of if n in measured] for name, of in outputs_of.items()}
-        for outputs_of in (subject.late, subject.lagging)
+        {
+            f"{kind.name}.value": [measured.index(n) for n in kind.affected() if n in measured]
+            for kind in subject.sensors
+            if getattr(kind, way)
+        }
+        for way in ("late", "lagging")
     )
     stated, adjusted = np.isin(measured, [*subject.sensor_variance, *noise]), np.ones(len(measured), bool)
     problem = Problem(
@@ -68,7 +70,6 @@ def build_problem(
         P0,
         r,
         values,
-        settle,
         settings,
         late,
         lagging,
@@ -102,7 +103,7 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
     """
     layout = problem.layout
     measured = _measured_at_start(subject, problem)
-    variances = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
+    variances = {n: WITHIN * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     variances = {**subject.start_variance, **variances}
     derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
     known = DISTURBANCE, DEVIATION, EARLIER, CONSTANT
@@ -140,8 +141,7 @@ def _range(problem: Problem) -> Array:
         span = np.where(measured, log.y, -np.inf).max(axis=0) - np.where(measured, log.y, np.inf).min(axis=0)
         if not np.all((error <= span) | ~measured.any(axis=0)):  # also true after overflow
             return np.zeros(len(problem.layout.states))
-    low, high = np.percentile(np.vstack([run.states for run in runs]), (1, 99), axis=0)
-    return np.asarray(high - low)
+    return np.asarray(np.ptp(np.vstack([run.states for run in runs]), axis=0))
 
 
 def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
@@ -156,7 +156,7 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
     noise, values = problem.plain, {**problem.values, **(values or {})}
     exact = problem.score(values, noise).nll
     most = max(log.substeps for log in problem.logs)
-    for n in (2**k for k in range(10) if 2**k < most):
+    for n in (2**k for k in range((most - 1).bit_length())):
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
         if abs(coarse.score(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
             return coarse

@@ -7,22 +7,18 @@ and from states beside them. Errors count in units of each signal's standard dev
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import initial_fit
-from cosim.estimation.kernel.kernel import CONSTANT, DISTURBANCE, Data
+from cosim.estimation.kernel.kernel import CONSTANT, DISTURBANCE, Begin, simulate_all
 from cosim.estimation.problem import Problem
 
-FAR, NEAR = 100.0, 10.0  # growth of a start error from which a horizon is too long; growth within the shorter horizon
+NEAR = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if this happens twice in it
 EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
 STARTS = 8  # simulations per log and state
-DISPLACEMENT = 1e-4  # displacement of a state, as a share of its standard deviation
-ADDED = (DISTURBANCE, CONSTANT)  # prefixes of states that the filter adds to those of the model
-LEAST_ROWS = 5  # rows of the shortest horizon
+DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
 
 
 def predictable_horizon(problem: Problem, horizon: float) -> float:
@@ -40,11 +36,10 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
         return horizon
     growth = np.maximum.accumulate(np.median([curve[:rows] for curve in curves], axis=0))
     halves = growth[np.arange(rows) // 2]
-    is_far = (growth > FAR) & (growth > EXPONENTIAL * halves)
+    is_far = (growth > NEAR**2) & (growth > EXPONENTIAL * halves)
     if not is_far.any():
         return horizon
-    near = int(np.argmax(growth > NEAR))
-    return min(horizon, max(near, LEAST_ROWS) * step)
+    return min(horizon, max(2, int(np.argmax(growth > NEAR))) * step)
 
 
 def _growth_curves(problem: Problem, index: int, horizon: float) -> list[Array]:
@@ -52,27 +47,19 @@ def _growth_curves(problem: Problem, index: int, horizon: float) -> list[Array]:
     data, first = problem.data(problem.values, index), count_unscored(problem.logs[index])
     run = problem.run(problem.values, initial_fit(problem).noise, index, states=True)
     rows = len(data.u)
-    length = rows - first - 1 if math.isinf(horizon) else round(horizon / data.step)
-    length = min(length, rows - first - 1)
-    spreads = np.std(run.states[first:], axis=0)
-    moving = [k for k, name in enumerate(problem.layout.states) if spreads[k] > 0.0 and not name.startswith(ADDED)]
-    scale = np.array([np.std(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in data.y.T])
+    length = int(min(round(min(horizon, rows * data.step) / data.step), rows - first - 1))
+    spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT)
+    moving = [k for k, name in enumerate(problem.layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
     if length < 2 or not moving or not np.isfinite(spreads).all():
         return []
-    p, scale = problem.numbers(problem.of_log(problem.values, index)), np.where(scale > 0.0, scale, np.inf)
-    curves = []
+    spread, curves = problem.readings[index].spread, []
+    p, scale = problem.numbers(problem.of_log(problem.values, index)), np.where(spread > 0.0, spread, np.inf)
+    steps = np.vstack([np.zeros(len(spreads)), np.diag(DISPLACEMENT * spreads)[moving]])
     for row in np.unique(np.linspace(first, rows - 1 - length, STARTS).astype(int)).tolist():
         start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
-
-        def simulate(begin: Array, part: Data = part, memory: Array = run.memory[row]) -> Array:
-            return np.asarray(problem.kernel.simulate(part, p, begin, memory).outputs / scale)
-
-        plain, largest = simulate(start), np.zeros(length + 1)
-        for k in moving:
-            beside = start.copy()
-            beside[k] += DISPLACEMENT * spreads[k]
-            with np.errstate(over="ignore", invalid="ignore"):
-                apart = np.linalg.norm(simulate(beside) - plain, axis=1) / DISPLACEMENT
-            largest = np.maximum(largest, np.nan_to_num(apart, nan=np.inf))
-        curves.append(largest)
+        begins: list[Begin] = [(part, p, start + step, run.memory[row], None, 0) for step in steps]
+        with np.errstate(over="ignore", invalid="ignore"):
+            outputs = np.array([each.outputs for each in simulate_all(problem.kernel, begins)]) / scale
+            apart = np.linalg.norm(outputs[1:] - outputs[0], axis=2) / DISPLACEMENT
+        curves.append(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(axis=0))
     return curves

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,19 +11,17 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
-from cosim.estimation.data import UNSCORED
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated
+from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
 from cosim.estimation.per_log import Origin, own, spread, start_of_log
-from cosim.estimation.readings import Readings, readings_of
 from cosim.estimation.subject.candidates import Free
-from cosim.logs.log import slowness
 
-RANGE_FROM, RANGE_ROWS = 10.0, 500  # [s] of the first log, and least rows, for the range of the process noise
-TOO_QUIET, UNKNOWN = 0.1, 1e-4  # share of a stated standard deviation below which no sensor lies; without statement
+RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
+UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
 LONGEST_MEMORY = 0.1  # share of a log
-APART = 10  # spacing of state requests in one filter run, in multiples of the latency
-WITHIN = 10.0  # factor on a stated sensor variance, as one standard deviation of its logarithm
+WITHIN = 10.0  # factor between stated and actual noise: on the variance one standard deviation of the prior of its log
+TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,6 @@ class Problem:
         shown: Variance of each output's noise that its readings show; 0 if unknown, None for all.
         stated: True for each output with a stated variance.
         adjusted: True for each output whose variance is free in a fit.
-        settle: Time [s] after which an unknown start state of the given model is negligible.
         late, lagging: Latency parameter, and time constant of a sensor → indices of its outputs.
         own: Free parameters of each group.
         origins: Group and start of each log.
@@ -102,7 +98,6 @@ class Problem:
     P0: Array
     r: Array
     values: Mapping[str, float]
-    settle: float
     settings: Settings
     late: Mapping[str, Sequence[int]]
     lagging: Mapping[str, Sequence[int]]
@@ -114,12 +109,12 @@ class Problem:
     scatter: float = 1.0  # scatter of estimates relative to a white residual; scales the priors
     own: tuple[Free, ...] = ()
     origins: Sequence[Origin] = ()
-    ranges: list[tuple[Any, NoiseRange]] = field(default_factory=list)  # shared by problems made from this one
+    ranges: list[NoiseRange] = field(default_factory=list)  # of process noise; shared by problems made from this one
 
     def with_noise(self, levels: Mapping[str, float]) -> Problem:
         """Return the problem with initial noise levels (standard deviations) of some outputs."""
         guess = [levels.get(name, 0.0) ** 2 for name in self.layout.outputs]
-        return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r))
+        return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r), ranges=[])
 
     @property
     def layout(self) -> Layout:
@@ -131,81 +126,64 @@ class Problem:
         """Return the number of scored measurements."""
         return int(sum(readings.scored.sum() for readings in self.readings))
 
-    @cached_property
+    @property
     def noise(self) -> NoiseRange:
-        """Return the search range of process noise; it does not depend on fitted noise."""
-        matter = self._matter
-        for known, noise in self.ranges:
-            if len(known) == len(matter) and all(a is b for a, b in zip(known, matter, strict=True)):
-                return noise
+        """Return the search range of process noise, that of the first problem which asks."""
+        if not self.ranges:
+            self.ranges.append(self._noise_range())
+        return self.ranges[0]
+
+    def _noise_range(self) -> NoiseRange:
         short = self._short()
-        lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None
 
         def variances(power: Array, longest: bool) -> Array:
             noise = short.at(power)
-            noise = replace(noise, memory=lasting) if longest and lasting is not None else noise
+            noise = replace(noise, memory=float(np.log(self.longest_memory))) if longest else noise
             return short.score(self.values, noise).variances
 
         found = noise_range(variances, len(self.layout.noisy))
-        if self.layout.is_free_run:
-            # the error of a free run is as large as the motion, from row to row far more than the noise
-            spread = np.max([r.spread for r in self.readings], axis=0)
-            fastest = np.maximum(spread / self.values[MEMORY], 1e-150)
-            found = replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
-        self.ranges.append((matter, found))
-        return found
+        if not self.layout.is_free_run:
+            return found
+        # the error of a free run is as large as the motion, from row to row far more than the noise
+        fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
+        return replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
 
-    @property
-    def _matter(self) -> tuple[Any, ...]:
-        """Return what the range of process noise depends on."""
-        return self.kernel, self.values, self.P0, self.r, *self.logs, *self.x0
-
-    def with_same_range(self, **changes: Any) -> Problem:
-        """Return the problem with changes that leave the range of process noise as it is.
-
-        These are other start states, and other values of parameters whose effects are dormant.
-        """
-        other = replace(self, **changes)
-        other.ranges.append((other._matter, self.noise))
-        return other
+    def _largest(self, property: str) -> Array:
+        """Return a property of the readings of each output, the largest of all logs."""
+        return np.asarray(np.max([getattr(readings, property) for readings in self.readings], axis=0))
 
     def _short(self) -> Problem:
-        """Return the problem on the first rows of few logs, to find the range of the noise.
+        """Return the problem on the first rows of the logs, to find the range of the noise.
 
         If the filter diverges from a log, the model's own simulated outputs replace the measurements of all.
         """
-        step = self.logs[0].step
-        rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
-        measured = [np.isfinite(log.y[:rows]).any(axis=0) for log in self.logs]
-        # the first log, and logs with further outputs
-        chosen = [k for k in range(len(self.logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
-        short = replace(self, sensing=None, **self._first_rows(rows, chosen))  # limits must not depend on fitted noise
+        rows = count_unscored(self.logs[0]) + RANGE_ROWS // len(self.logs)
+        short = replace(self.first_rows(rows), sensing=None)  # limits must not depend on fitted noise
         nothing = short.at(np.full(len(self.layout.noisy), GRID[0]))
-        if all(short._follows(nothing, k) for k in range(len(short.logs))):
+
+        def follows(index: int) -> bool:
+            """Return True if the innovations of each output are smaller than its standard deviation."""
+            errors, read = short.innovations(self.values, nothing, index)[0], short.logs[index].y
+            with np.errstate(over="ignore", invalid="ignore"):
+                pairs = [(e[np.isfinite(y)], y[np.isfinite(y)]) for e, y in zip(errors.T, read.T, strict=True)]
+                return all(bool(np.sqrt(np.mean(e**2)) <= np.std(y)) for e, y in pairs if y.size and np.ptp(y) > 0.0)
+
+        if all(map(follows, range(len(short.logs)))):
             return short
         # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
         runs = [np.where(np.isfinite(log.y), short.own_run(k).outputs, np.nan) for k, log in enumerate(short.logs)]
         return replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
 
     def first_rows(self, rows: int) -> Problem:
-        """Return the problem with logs cut short.
-
-        The range of process noise stays that of the whole logs.
-        """
-        return self.with_same_range(**self._first_rows(rows, range(len(self.logs))))
-
-    def _first_rows(self, rows: int, chosen: Sequence[int]) -> dict[str, Any]:
-        """Return the attributes that belong to the first rows of some logs."""
-        logs = [self.logs[k].rows(0, rows) for k in chosen]
-        readings = list(map(readings_of, logs))
-        origins = [self.origins[k] for k in chosen if self.origins]
-        return {"logs": logs, "readings": readings, "x0": [self.x0[k] for k in chosen], "origins": origins}
+        """Return the problem with logs cut short."""
+        logs = [log.rows(0, rows) for log in self.logs]
+        return replace(self, logs=logs, readings=[*map(readings_of, logs)])
 
     @property
     def longest_memory(self) -> float:
         """Return the longest correlation time of unknown inputs [s]."""
         longest = max(len(d.u) * d.step for d in self.logs)
-        return max(LONGEST_MEMORY * longest, 4.0 * min(d.step for d in self.logs))
+        return max(LONGEST_MEMORY * longest, 2.0 * min(d.step for d in self.logs))
 
     def at(self, power: Array) -> Noise:
         """Return the noise with a given unknown input power."""
@@ -221,35 +199,30 @@ class Problem:
     @cached_property
     def limits(self) -> NoiseLimits:
         """Return limits of the noise, with stated sensor noise as weak prior."""
-        ny, now = len(self.r), self.at(self.noise.plain)
-        steps = [d.step for d in self.logs]
-        finest = np.max([r.resolution for r in self.readings], axis=0)
-        spread = np.max([r.spread for r in self.readings], axis=0)
-        stated = np.log(self.r)
-        least = np.where(self.stated, TOO_QUIET, UNKNOWN) ** 2 * np.exp(stated)
-        low = np.log(np.maximum(least, finest**2 / 12.0))
-        high = np.maximum(np.log(np.maximum(spread**2, 1e-300)), stated + np.log(100.0))
+        now, steps, power = self.at(self.noise.plain), [d.step for d in self.logs], len(self.layout.noisy)
+        stated, decade, nothing = np.log(self.r), np.log(WITHIN), np.zeros(len(self.r))
+        least = np.where(self.stated, 1.0 / WITHIN, UNKNOWN) ** 2 * np.exp(stated)
+        low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))
+        high = np.maximum(np.log(np.maximum(self._largest("spread") ** 2, TINY)), stated + 2.0 * decade)
         if self.layout.is_free_run:  # errors of the model are for unknown inputs to explain
             most = np.log(np.maximum(self.r, 0.0 if self.shown is None else self.shown))
-            low, high = np.maximum(low, stated - np.log(WITHIN)), np.minimum(high, most + np.log(WITHIN))
+            low, high = np.maximum(low, stated - decade), np.minimum(high, most + decade)
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
         timed = np.isfinite(now.timing)
         shortest, longest = (
-            np.where(timed, 2.0 * np.log(t), now.timing) for t in (1e-3 * min(steps), 0.5 * max(steps))
+            np.where(timed, 2.0 * np.log(t), now.timing) for t in (UNEVEN * min(steps), 0.5 * max(steps))
         )
         memory = np.log([2.0 * min(steps), self.longest_memory])
-        if not self.layout.is_coloured or self.trusted:
-            memory = np.full(2, now.memory)
-        largest = self.noise.smallest if self.trusted else self.noise.largest
-        power, nothing = len(self.layout.noisy), np.zeros(ny)
-        within = np.where(self.stated & self.adjusted, np.log(WITHIN), np.inf)
-        parts = (  # low, high, mean and standard deviation of each
-            (self.noise.smallest, largest, np.zeros(power), np.full(power, np.inf)),
-            (memory[:1], memory[1:], np.zeros(1), np.full(1, np.inf)),
-            (low, high, stated, within),
-            (shortest, longest, nothing, nothing + np.inf),
+        largest = self.noise.largest
+        if self.trusted or not power:
+            largest, memory = self.noise.smallest, np.full(2, now.memory)
+        within = np.where(self.stated & self.adjusted, decade, np.inf)
+        return NoiseLimits(
+            low=np.concatenate([self.noise.smallest, memory[:1], low, shortest]),
+            high=np.concatenate([largest, memory[1:], high, longest]),
+            mean=np.concatenate([np.zeros(power + 1), stated, nothing]),
+            sigma=np.concatenate([np.full(power + 1, np.inf), within, nothing + np.inf]),
         )
-        return NoiseLimits(*map(np.concatenate, zip(*parts, strict=True)))
 
     def drop_unknown_inputs(self, state: Array) -> Array:
         """Return a state within bounds, with unknown inputs zero."""
@@ -257,8 +230,7 @@ class Problem:
         for f in self.own:
             place = self.layout.constants[f.parameter]
             plain[place] = min(max(plain[place], f.low), f.high)
-        if self.layout.is_coloured:
-            plain[self.layout.noise_places] = 0.0
+        plain[self.layout.noise_places] = 0.0
         return plain
 
     def numbers(self, values: Mapping[str, float]) -> Array:
@@ -292,8 +264,7 @@ class Problem:
         An unknown input with variance σ² and correlation time T is driven by 2·σ²/T.
         """
         q = np.zeros(len(self.layout.stochastic))
-        power = np.exp(noise.power)
-        q[list(self.layout.noisy)] = 2.0 * power / np.exp(noise.memory) if self.layout.is_coloured else power
+        q[list(self.layout.noisy)] = 2.0 * np.exp(noise.power) / np.exp(noise.memory)
         return q
 
     def in_rows(self, of: Mapping[str, Sequence[int]], values: Mapping[str, float], index: int) -> dict[int, float]:
@@ -313,8 +284,8 @@ class Problem:
         if not late:
             return data
         whole = {k: round(rows) for k, rows in late.items()}
-        y = Readings.earlier(data.y, whole)
-        older = np.zeros_like(y) if data.late is None else np.nan_to_num(Readings.earlier(data.late, whole))
+        y = shifted(data.y, whole)
+        older = np.zeros_like(y) if data.late is None else np.nan_to_num(shifted(data.late, whole))
         for k, rows in late.items():
             older[:, k] += rows - whole[k]
         return replace(data, y=y, late=older)
@@ -342,35 +313,27 @@ class Problem:
     def _inputs(self, values: Mapping[str, float], noise: Noise, index: int, data: Data | None = None) -> Inputs:
         """Return the arguments of the kernel's filter for a log."""
         data = self.data(values, index) if data is None else data
-        lasting = {MEMORY: float(np.exp(noise.memory))} if self.layout.is_coloured else {}
         x0, more = self.start(values, index)
-        p, P0 = self.numbers({**self.of_log(values, index), **lasting}), self.P0 + more @ more.T
-        if self.layout.is_coloured:
-            places = list(self.layout.noisy)
-            P0[places, places] = np.exp(noise.power)
+        p = self.numbers({**self.of_log(values, index), MEMORY: float(np.exp(noise.memory))})
+        P0, places = self.P0 + more @ more.T, list(self.layout.noisy)
+        P0[places, places] = np.exp(noise.power)
         return data, p, x0, P0, self.densities(noise), self.variances(noise, index)
 
     def filter_causally(
         self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
     ) -> Filtered:
-        """Filter given measurements with the inputs of a log; states in `rows` are causal.
+        """Filter given measurements with the inputs of a log; states in `rows` use only readings that have arrived.
 
-        A late reading arrives after the row of its measurement. States in `rows` use only readings that have arrived by
-        then. Several rows share a filter run. Readings that arrive between them are ignored; these are few and old.
+        A late reading arrives after the row of its measurement.
         """
         filtered = self.run(values, noise, index, states=True, data=data)
         late = {k: n for k, by in self.in_rows(self.late, values, index).items() if (n := round(by)) > 0}
-        if not late or not rows:
-            return filtered
-        spacing, states = min(np.diff(rows), default=len(data.u)), filtered.states.copy()
-        runs = min(len(rows), math.ceil(APART * max(late.values()) / spacing))
-        for first in range(runs):
-            requested, y = list(rows[first::runs]), data.y.copy()
-            for row in requested:
-                for k, n in late.items():
-                    y[max(0, row - n + 1) : row + 1, k] = np.nan
-            run = self.run(values, noise, index, states=True, data=replace(data, y=y))
-            states[requested] = run.states[requested]
+        states = filtered.states.copy()
+        for row in rows if late else ():
+            y = data.y.copy()
+            for k, n in late.items():
+                y[max(0, row - n + 1) : row + 1, k] = np.nan
+            states[row] = self.run(values, noise, index, states=True, data=replace(data, y=y)).states[row]
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
@@ -398,25 +361,15 @@ class Problem:
         p, memory = self.numbers(self.of_log(self.values, index)), np.zeros(self.layout.memory)
         return self.kernel.simulate(self.logs[index], p, self.start(self.values, index)[0], memory)
 
-    def _follows(self, noise: Noise, index: int) -> bool:
-        """Return True if the innovations of each output are smaller than its standard deviation."""
-        errors, _ = self.innovations(self.values, noise, index)
-        with np.errstate(over="ignore", invalid="ignore"):
-            pairs = [
-                (e[np.isfinite(y)], y[np.isfinite(y)]) for e, y in zip(errors.T, self.logs[index].y.T, strict=True)
-            ]
-            return all(bool(np.sqrt(np.mean(e**2)) <= np.std(y)) for e, y in pairs if y.size and np.ptp(y) > 0.0)
-
     def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""
         errors, variances, rows = [], [], []
         chosen = range(len(self.logs)) if only is None else only
         inputs = [self._inputs(values, noise, k) for k in chosen]
-        together: Any = getattr(self.kernel, "call_all", None)  # a kernel may filter several logs in one call
-        runs = together("run", inputs) if together else [self.kernel.run(*each) for each in inputs]
+        runs = filter_all(self.kernel, inputs)
         for index, filtered in zip(chosen, runs, strict=True):
             (e, s), readings = self._aligned(filtered, values, index), self.readings[index]
             errors.append(e.take(readings.places))
             variances.append(s.take(readings.places))
-            rows.append(readings.rows)
+            rows.append(readings.places // max(1, len(self.r)))
         return Scored(np.concatenate(errors), np.concatenate(variances), tuple(map(len, errors)), np.concatenate(rows))

@@ -23,9 +23,8 @@ from cosim.estimation.subject.candidates import Candidate
 
 SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
 TINY = 1e-3  # share at which a switched effect changes more than at SHARE
-JUMP, DETECTED = 0.5, 1.0  # share of the squared difference; squared difference that is detectable
 NOTHING = 1e-12  # share of the squared residual below which a term is not detectable
-BEYOND = 1.0  # standard deviations by which an estimate may exceed a limit
+RANK = float(np.sqrt(np.finfo(float).eps))  # share of the largest singular value below which a direction counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +79,13 @@ class ScoreTest:
         offsets = np.array([self.values[name] - mean for name, (mean, _) in priors.items()])
         residual = np.concatenate([e / np.sqrt(s), (1.0 - e * e / s) / np.sqrt(2), offsets / self.sigma])
         on_trial = {name for c in parts for name in c.parameters}
-        moves: list[tuple[dict[str, float], Noise | None, float]] = [
-            ({f.name: DIFFERENCE * f.size}, None, DIFFERENCE) for f in at.free if f.name not in on_trial
-        ]
+        moves = [({f.name: DIFFERENCE * f.size}, self.noise) for f in at.free if f.name not in on_trial]
         for k in problem.limits.free:
             vector = self.noise.vector
             vector[k] += NOISE_DIFFERENCE
-            moves.append(({}, self.noise.like(vector), NOISE_DIFFERENCE))
-        rows = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
-        self.basis = orthonormal(np.array(rows).reshape(len(moves), residual.size).T)
+            moves.append(({}, self.noise.like(vector)))
+        rows = in_parallel(lambda move: self._row(*move), moves)
+        self.basis = orthonormal(np.array(rows).reshape(len(moves), residual.size).T)  # whatever the sizes of the steps
         self.residual = self._project(residual)
 
     def _project(self, row: Array) -> Array:
@@ -98,7 +95,7 @@ class ScoreTest:
     def row(self, steps: Mapping[str, float]) -> Array:
         """Return the change of the innovations by finite parameter steps, projected; zero if the model diverges."""
         with np.errstate(over="ignore", invalid="ignore"):
-            row = self._project(self._row(steps))
+            row = self._project(self._row(steps, self.noise))
             return row if np.isfinite(row @ row) else np.zeros_like(row)
 
     def gain_without(self, rows: Sequence[Array], part: int) -> float:
@@ -108,12 +105,12 @@ class ScoreTest:
         of_part = np.repeat(np.arange(len(counts)), counts) == part
         others = ~np.concatenate([of_part, of_part, np.zeros(len(self.residual) - 2 * of_part.size, bool)])
         kept, matrix = self.residual[others], np.array(rows).T[others]
-        return 0.5 * float(np.sum((matrix @ least_squares(matrix, kept, rcond=1e-8)) ** 2))
+        return 0.5 * float(np.sum((matrix @ least_squares(matrix, kept, rcond=RANK)) ** 2))
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
         """Return the predicted joint gain of terms, and the optimal multiples of their steps."""
         detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
-        multiples = -least_squares(detected.T, self.residual, rcond=1e-8)
+        multiples = -least_squares(detected.T, self.residual, rcond=RANK)
         fitted = detected.T @ multiples
         return 0.5 * float(fitted @ fitted), multiples
 
@@ -126,29 +123,27 @@ class ScoreTest:
             return Terms(c, self._project(row)[None, :], ({name: 0.0},), np.inf)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
         distances = {n: d for n in c.parameters if (d := c.starts[0][n] - self.values[n])}
-        switched, rows = False, list[Array]()
-        steps: list[dict[str, float]] = []
+        switched = False
         if distances and at_neutral and c.kind != "parameter":  # joint and single
-            steps = [{n: SHARE * d for n, d in distances.items()}]
-            if len(distances) > 1:
-                steps += [{n: SHARE * d} for n, d in distances.items()]
-            rows = [self.row(s) for s in steps]
+            whole = {n: SHARE * d for n, d in distances.items()}
+            steps = [whole, *({n: d} for n, d in whole.items())] if len(whole) > 1 else [whole]
+            rows = [self.row(step) for step in steps]
             jump = self.row({n: TINY * d for n, d in distances.items()})
-            switched = float(jump @ jump) > max(DETECTED, JUMP * float(rows[0] @ rows[0]))
+            # detectable, and more than half of what the large step does
+            switched = float(jump @ jump) > max(1.0, 0.5 * float(rows[0] @ rows[0]))
         else:  # linear, each from a finite step of one parameter
-            share = SHARE if at_neutral else DIFFERENCE
-            for f in c.free:
-                step = share * f.size
-                step = step if self.values[f.name] + step <= f.high else -step
-                rows.append(SHARE / share * self.row({f.name: step}))
-                steps.append({f.name: SHARE / share * step})
+            scale = 1.0 if at_neutral else SHARE / DIFFERENCE
+            sizes = {f.name: SHARE / scale * f.size for f in c.free}
+            sizes |= {f.name: -sizes[f.name] for f in c.free if self.values[f.name] + sizes[f.name] > f.high}
+            rows = [scale * self.row({n: size}) for n, size in sizes.items()]
+            steps = [{n: scale * size} for n, size in sizes.items()]
         innovations = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
 
-    def _row(self, steps: Mapping[str, float], noise: Noise | None = None) -> Array:
+    def _row(self, steps: Mapping[str, float], noise: Noise) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}
-        other = self.problem.score(moved, noise or self.noise)
+        other = self.problem.score(moved, noise)
         e, s = self.scored.errors, self.scored.variances
         offsets = np.array([steps.get(name, 0.0) for name in self.priors]) / self.sigma
         with np.errstate(invalid="ignore", over="ignore"):
@@ -192,24 +187,21 @@ class Choice:
         against = self.against + self.products @ back
         square = self.square + 2.0 * float(self.against @ back) + float(back @ self.products @ back)
         G, b = self.products[np.ix_(places, places)], against[places]
-        scale = np.sqrt(np.diag(G).clip(min=1e-300))
-        scaled = least_squares(G / np.outer(scale, scale), -b / scale, rcond=1e-8) / scale
+        scale = np.sqrt(np.diag(G).clip(min=np.finfo(float).tiny))
+        scaled = least_squares(G / np.outer(scale, scale), -b / scale, rcond=RANK) / scale
         remaining = square + 2.0 * float(b @ scaled) + float(scaled @ G @ scaled)
-        multiples = dict(zip(places, scaled.tolist(), strict=True))
         sigma = np.sqrt(np.diag(pseudo_inverse(G / np.outer(scale, scale))).clip(min=0.0)) / scale
-        spread = dict(zip(places, sigma.tolist(), strict=True))
+        multiples, spread = np.zeros((2, len(against)))
+        multiples[places], spread[places] = scaled, sigma
         values: dict[str, float] = {}
         within = True
         for name in names:
-            terms = self.terms[name]
-            estimates = {f.name: self.test.values[f.name] for f in terms.candidate.free}
-            deviations = dict.fromkeys(estimates, 0.0)
-            for k, step in zip(self.places[name], terms.steps, strict=True):
-                for parameter, size in step.items():
-                    estimates[parameter] += multiples[k] * size
-                    deviations[parameter] += spread[k] * abs(size)
-            for f in terms.candidate.free:
-                slack = BEYOND * deviations[f.name]
+            terms, rows = self.terms[name], self.places[name]
+            free, own = terms.candidate.free, np.array([self.test.values[n] for n in terms.candidate.parameters])
+            sizes = np.array([[step.get(f.name, 0.0) for f in free] for step in terms.steps])
+            estimates = dict(zip(terms.candidate.parameters, own + multiples[rows] @ sizes, strict=True))
+            slacks = spread[rows] @ np.abs(sizes)  # estimates may exceed a limit by a standard deviation
+            for f, slack in zip(free, slacks.tolist(), strict=True):
                 low = max(f.low, estimates.get(f.above, f.low))
                 is_valid = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
                 # An effect of the model may be removed completely; a larger removal stops at zero.

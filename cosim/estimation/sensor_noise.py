@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.core.arrays import Flags
+from cosim.core.arrays import Array, Flags
 from cosim.core.text import join_names, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
@@ -15,29 +15,18 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
 
-OFF = 1.5  # ratio from which the noise differs from the model's; accuracy is about 10 %
+OFF = 1.5  # ratio from which a level differs from the noise; accuracy is about 10 %
 STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
-REST = 1.2  # factor on the noise up to which a channel is at rest
 SMOOTH = 0.3  # share of a channel's level that may come from motion between rows
 
 
-def sensor_noise(problem: Problem) -> dict[str, float]:
-    """Return output → noise standard deviation, where it can be estimated.
+def noise_levels(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
+    """Return output → noise standard deviation, where it can be estimated, and output → first guess of it.
 
     The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
-    estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
+    estimates the share of motion. For outputs with a large share, such as sensors slower than the motion, the guess is
+    the level of both together.
     """
-    return _noise_and_motion(problem)[0]
-
-
-def first_noise(problem: Problem) -> dict[str, float]:
-    """Return output → first guess of its noise; where motion hides the noise, the level of both together."""
-    noise, both = _noise_and_motion(problem)
-    return both | noise
-
-
-def _noise_and_motion(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
-    """Return output → noise, where it can be estimated, and output → deviation of its readings from four neighbours."""
     noise, both = {}, {}
     runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
     for j, name in enumerate(problem.layout.outputs):
@@ -47,7 +36,7 @@ def _noise_and_motion(problem: Problem) -> tuple[dict[str, float], dict[str, flo
         both[name] = read
         if motion < SMOOTH * read:
             noise[name] = math.sqrt(read**2 - motion**2)
-    return noise, both
+    return noise, both | noise
 
 
 def erring_stamps(problem: Problem, at: Fit) -> Flags:
@@ -57,22 +46,23 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
     Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²). Such errors are independent from row to row; those of a wrong model are
     not, so that ẏe/s must not be correlated with that of the next row.
     """
-    scores, information, products, squares = np.zeros((4, len(problem.r)))
-    for index, readings in enumerate(problem.readings):
+
+    def statistics(index: int) -> Array:
+        """Return score, information, sum of products of neighbours and of their squares, for each output of a log."""
+        readings = problem.readings[index]
         e, s = problem.innovations(at.values, at.noise, index)
         speed = readings.slopes / problem.logs[index].step
         with np.errstate(invalid="ignore"):
             share = np.where(readings.scored, speed**2 / s, 0.0)
             share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored
-            # Large squares are clipped, because a few outliers are no clock error.
-            spread = np.where(readings.scored, np.minimum(e**2 / s, WILD) - 1.0, 0.0)
-        scores += 0.5 * np.sum(share * spread, axis=0)
-        information += 0.5 * np.sum(share**2, axis=0)
-        with np.errstate(invalid="ignore"):
-            size = np.sqrt(np.minimum(e**2 / s, WILD) * speed**2 / s)
-            moved = np.where(readings.scored, np.copysign(size, speed * e), 0.0)
+            squares = np.minimum(e**2 / s, WILD)  # a few outliers are no clock error
+            spread = np.where(readings.scored, squares - 1.0, 0.0)
+            moved = np.where(readings.scored, np.copysign(np.sqrt(squares * speed**2 / s), speed * e), 0.0)
         neighbours = moved[1:] * moved[:-1]
-        products, squares = products + neighbours.sum(axis=0), squares + (neighbours**2).sum(axis=0)
+        sums = 0.5 * share * spread, 0.5 * share**2, neighbours, neighbours**2
+        return np.array([each.sum(axis=0) for each in sums])
+
+    scores, information, products, squares = np.sum([*map(statistics, range(len(problem.logs)))], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         is_significant = scores / np.sqrt(information) > STAMPS_ERR
         is_white = ~(products / np.sqrt(squares) > STAMPS_ERR)
@@ -116,7 +106,7 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     finest = np.max([r.resolution for r in problem.readings], axis=0)
     units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
-    cells = [f"{name} reads in cells of {plain(cell, 3)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
+    cells = [f"{name} reads in cells of {plain(cell)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
     text = (
         f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its "
         "cell over √12; this is read off the logs, and no candidate"
@@ -133,7 +123,7 @@ def at_rest(problem: Problem) -> bool:
     return all(
         not np.ptp(log.u, axis=0).any()
         and all(
-            not known.size or float(np.std(known)) <= REST * noise_level(known)
+            not known.size or float(np.std(known)) <= OFF * noise_level(known)
             for known in (column[np.isfinite(column)] for column in log.y.T)
         )
         for log in problem.logs

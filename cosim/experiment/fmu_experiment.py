@@ -67,7 +67,7 @@ class FmuOpenLoop(OpenLoop):
         readings = {n: np.where(np.arange(time.size) == 0, self.first.get(n, np.nan), np.nan) for n in names}
         log = Log(Path("trial.csv"), time, inputs, readings, {}, model.rate, {}, {})
         layout = self.kernel.layout
-        data = data_of(self.subject, log, layout, 0.0)
+        data = data_of(self.subject, log, layout)
         values = neutral_values(model)
         p = np.array([values.get(name, 1.0) for name in layout.parameters])
         x0 = start_state(self.subject, data, layout.outputs, layout.states)

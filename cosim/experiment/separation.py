@@ -18,11 +18,10 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares
-from cosim.estimation.data import data_of, start_state
+from cosim.estimation.data import data_of, readings_of, start_state
 from cosim.estimation.fit import DIFFERENCE
 from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
-from cosim.estimation.readings import readings_of
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log
@@ -76,7 +75,7 @@ class Separation:
     def of(self, log: Log) -> dict[Pair, float]:
         """Return the distance of each pair of rivals on a noise-free log [standard deviations]."""
         layout = self.problem.layout
-        data = replace(data_of(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
+        data = replace(data_of(self.subject, log, layout), substeps=self.substeps)
         start = start_state(self.subject, data, layout.outputs, layout.states)
         readings = [readings_of(data)]
         problem = replace(self.problem, logs=[data], readings=readings, x0=[start])

@@ -13,10 +13,9 @@ from pydantic.json_schema import GenerateJsonSchema
 from cosim.core.arrays import Array
 from cosim.core.text import percent
 from cosim.core.version import __version__
-from cosim.estimation.expected import expected_value
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.per_log import own
+from cosim.estimation.per_log import expected_value, own
 from cosim.estimation.subject.candidates import Kind, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of

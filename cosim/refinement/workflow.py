@@ -25,7 +25,7 @@ from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem
 from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
-from cosim.estimation.sensor_noise import cell_warnings, first_noise, noise_warnings, sensor_noise
+from cosim.estimation.sensor_noise import cell_warnings, noise_levels, noise_warnings
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Workplace
 from cosim.files.files import (
@@ -219,8 +219,8 @@ def _build_problem(study: Study) -> Problem:
     noise = study.content.noise
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
-    problem = problem.with_noise({n: s for n, s in first_noise(problem).items() if n not in stated and s > 0.0})
-    shown = sensor_noise(problem)  # a stated level may be too small
+    shown, guesses = noise_levels(problem)  # a stated level may be too small
+    problem = problem.with_noise({n: s for n, s in guesses.items() if n not in stated and s > 0.0})
     problem = replace(problem, shown=np.array([shown.get(name, 0.0) ** 2 for name in problem.layout.outputs]))
     return with_likely_starts(problem)
 

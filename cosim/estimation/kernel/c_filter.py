@@ -38,12 +38,6 @@ class CompiledKernel:
     def __init__(self, generated: Generated) -> None:
         self.layout = generated.layout
         self._library = load_library(_source(generated), NATIVE / "rk4.h", NATIVE / "stiff.h")
-        self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 10]
-        self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
-        self._library.single_steps.argtypes = [
-            *(ctypes.POINTER(_Log), ctypes.c_int, ctypes.c_void_p, ctypes.c_int),
-            *[ctypes.c_void_p] * 7,
-        ]
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -79,7 +73,7 @@ class CompiledKernel:
         arrays = [_contiguous(a) for a in (p, *points[1:])]
         arrays += [np.empty((back + 2, ny)), np.empty((back + 2, nx)), outputs, following]
         log, addresses = self._log(data), [*map(_address, arrays)]
-        self._library.single_steps(ctypes.byref(log), len(rows), rows.ctypes.data, back, *addresses)
+        self._library.single_steps(ctypes.byref(log), len(rows), _address(rows), back, *addresses)
         return following, outputs
 
     def _log(self, data: Data, y: Array | None = None, late: Array | None = None, lags: Array | None = None) -> _Log:
@@ -98,8 +92,8 @@ def _contiguous(a: Array) -> Array:
     return np.require(a, np.float64, ["C"])
 
 
-def _address(a: Array) -> int | None:
-    return a.ctypes.data if a.size else None
+def _address(a: Any) -> ctypes.c_void_p:
+    return ctypes.c_void_p(a.ctypes.data if a.size else None)
 
 
 def _source(generated: Generated) -> str:

@@ -2,7 +2,7 @@
  *
  * The deviations d of the outputs go on from row to row as those by start states do, and an unknown input w of each drives them:
  *   d+ = Phi d + Psi d- + h (w + c),  w a Gauss-Markov process, w' = -w/T + noise
- * Phi and Psi are those of a row, since they depend on where the run is. The deviations d- of the row before stand for hidden states, such as velocities. Without these, Psi is 0 and d- is left out. A
+ * The deviations d- of the row before stand for hidden states, such as velocities. Without these, Psi is 0 and d- is left out. A
  * change z of a start state changes the outputs by its slopes times z. A Kalman filter estimates all from the readings. The last
  * NS states are d-, w, d, all in the order of the outputs, and the start states. Unnamed terms c, if any, depend on the outputs as
  * estimated up to the row, and on their rates, of which the covariance knows nothing. */
@@ -15,7 +15,7 @@ static __thread const double *run_bends, *run_slopes, *run_propagation;
 static __thread int run_follows;
 
 /* Called before each filter, with the free run at the same parameters: rows x NY twice, rows x NX, rows x NM, rows x NY x NK, and
- * Phi beside Psi, rows x NY x 2 NY. A bend is the distance of an output, halfway over the step that ends in a row, from the straight line.
+ * Phi beside Psi, NY x 2 NY. A bend is the distance of an output, halfway over the step that ends in a row, from the straight line.
  * A run that follows is made again by the filter, row by row, with forces along positions where the filter sees the machine: unknown
  * inputs move a free run away for good, and forces would act at wrong places. */
 void use_run(double *outputs, const double *bends, double *states, double *memories, const double *slopes,
@@ -30,20 +30,20 @@ void use_run(double *outputs, const double *bends, double *states, double *memor
     run_propagation = propagation;
 }
 
-static int has_hidden(int rows)
+static int has_hidden(void)
 {
-    for (int j = 0; j < rows * NY; j++)
+    for (int j = 0; j < NY; j++)
         for (int l = NY; l < 2 * NY; l++)
             if (run_propagation[2 * NY * j + l] != 0.0) return 1;
     return 0;
 }
 
-/* Rows d-, w and d of the transition from row k times a matrix, whose columns before `first` are left out. */
-static void go_on(int k, double *a, int first, int count, int hidden, double fades, double h)
+/* Rows d-, w and d of the transition times a matrix, whose columns before `first` are left out. */
+static void go_on(double *a, int first, int count, int hidden, double fades, double h)
 {
     double moved[NY][NS + 1];
     for (int j = 0; j < NY; j++) {
-        const double *now = run_propagation + 2 * NY * (NY * k + j), *before = now + NY;
+        const double *now = run_propagation + 2 * NY * j, *before = now + NY;
         for (int i = first; i < count; i++) moved[j][i] = h * a[count * (NW + j) + i];
         for (int l = 0; l < NY; l++)
             for (int i = first; i < count; i++) moved[j][i] += now[l] * a[count * (ND + l) + i];
@@ -143,7 +143,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
 {
     double z[NS + 1] = {0.0}, P[NS * NS + 1], before[NY], kept[NY][NK + 1], bent[NY] = {0.0};
     const double fades = exp(-log->step / p[LASTING]);
-    const int hidden = has_hidden(log->rows), first = hidden ? 0 : NW;
+    const int hidden = has_hidden(), first = hidden ? 0 : NW;
     double x[NX + 1], memory[NM + 1] = {0.0};
 #if UNNAMED
     double known[2 * NY] = {0.0}, unnamed[NY];
@@ -177,14 +177,14 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
 #if UNNAMED
         if (k > 0) unnamed_terms(log, k - 1, p, z, known, unnamed);
 #endif
-        if (k > 0) go_on(k - 1, z, 0, 1, hidden, fades, log->step);
+        if (k > 0) go_on(z, 0, 1, hidden, fades, log->step);
 #if UNNAMED
         for (int j = 0; k > 0 && j < NY; j++) z[ND + j] += log->step * unnamed[j];
 #endif
         if (k > 0 && k > log->settle) {
-            go_on(k - 1, P, first, NS, hidden, fades, log->step);
+            go_on(P, first, NS, hidden, fades, log->step);
             transposed(P);
-            go_on(k - 1, P, first, NS, hidden, fades, log->step);
+            go_on(P, first, NS, hidden, fades, log->step);
             for (int j = NW; j < ND; j++) P[(NS + 1) * j] += q[j] * log->step;
         }
         for (int j = 0; j < NY; j++) {

@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
+import numpy as np
+
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, START, Layout
 from cosim.estimation.kernel.nameless import PREFIX, RATE, SLOTS, Known, LocalShape, bases, local_shape, local_signals
 from cosim.files.cache import fingerprint, load_or_make
@@ -302,18 +304,11 @@ def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str],
     )
 
 
-def _reachable(first: set[int], following: Sequence[set[int]]) -> set[int]:
-    """Return the indices that are reached from `first`, inclusive, over the indices that follow each."""
-    reached = first
-    while not (grown := reached.union(*(following[k] for k in reached))) <= reached:
-        reached = grown
-    return reached
-
-
 def _influence(body: Body, first: Sequence[int], expressions: Sequence[Any]) -> tuple[set[int], set[int]]:
     """Return the indices of states influenced by those of `first`, and of those with influence on some expressions."""
-    place = {symbol: k for k, symbol in enumerate(body.symbols.state)}
-    feeds = [{place[v] for v in e.free_symbols if v in place} for e in body.derivative.values()]
-    fed = [{k for k, parts in enumerate(feeds) if j in parts} for j in range(len(place))]
-    reaching = {place[v] for e in expressions for v in e.free_symbols if v in place}
-    return _reachable(set(first), fed), _reachable(reaching, feeds)
+    symbols = [e.free_symbols for e in body.derivative.values()]
+    depends = np.array([[x in of for x in body.symbols.state] for of in symbols], bool).reshape(len(symbols), -1)
+    along = np.linalg.matrix_power(depends | np.eye(len(symbols), dtype=bool), len(symbols))  # of any length
+    read = [any(x in e.free_symbols for e in expressions) for x in body.symbols.state]
+    reached, reaching = along[:, list(first)].any(axis=1), along[read].any(axis=0)
+    return {*np.flatnonzero(reached).tolist()}, {*np.flatnonzero(reaching).tolist()}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,8 +32,7 @@ class Layout:
         inputs: Names in the order of `u`.
         outputs: Names of the measured outputs in the order of `y`.
         stochastic: Indices of states between process noise and a measured output.
-        noisy: Indices within `stochastic` of states with process noise: unknown inputs if the kernel has them, else the
-            forced states themselves.
+        noisy: Indices within `stochastic` of the unknown inputs.
         memory: Number of stored values.
         delay: Index of the delay parameter, −1 without delay.
         driven: Indices of noise-free states with influence on a measured output.
@@ -88,11 +87,6 @@ class Layout:
     def constants(self) -> Mapping[str, int]:
         """Return parameter → index of its constant state."""
         return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
-
-    @property
-    def is_coloured(self) -> bool:
-        """Return True if noise enters through unknown inputs with memory."""
-        return MEMORY in self.parameters
 
 
 @dataclass(frozen=True)
@@ -187,10 +181,16 @@ Inputs = tuple[Data, Array, Array, Array, Array, Array]  # arguments of `Kernel.
 Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
 
 
+def filter_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
+    """Filter several logs, in one call if the kernel offers it."""
+    together: Any = getattr(kernel, "call_all", None)
+    return together("run", inputs) if together else [kernel.run(*each) for each in inputs]
+
+
 def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:
     """Simulate several times, in one call if the kernel offers it."""
     together: Any = getattr(kernel, "call_all", None)
-    return together("simulate", begins) if together else [kernel.simulate(*b[:5], first=b[5]) for b in begins]
+    return together("simulate", begins) if together else [kernel.simulate(*b[:-1], first=b[-1]) for b in begins]
 
 
 def single_steps(
@@ -202,19 +202,12 @@ def single_steps(
         points: Rows of the log but the last, with the states and memories there.
         back: Rows of commands before a step that a delay may reach back to.
     """
-    together: Any = getattr(kernel, "step", partial(steps_one_by_one, kernel))
-    stepped: tuple[Array, Array] = together(data, p, points, back)
-    return stepped
-
-
-def steps_one_by_one(
-    kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
-) -> tuple[Array, Array]:
-    """Return single steps, as `single_steps`, with a simulation for each."""
-    rows, states, memories = points
-    following, outputs = np.empty((len(rows), states.shape[1])), np.empty((len(rows), len(kernel.layout.outputs)))
-    for k, row in enumerate(rows.tolist()):
-        before = min(row, back)
-        run = kernel.simulate(data.rows(row - before, row + 2), p, states[k], memories[k], first=before)
-        following[k], outputs[k] = run.states[before + 1], run.outputs[before]
-    return following, outputs
+    if hasattr(kernel, "step"):
+        stepped: tuple[Array, Array] = kernel.step(data, p, points, back)
+        return stepped
+    begins: list[Begin] = []
+    for row, state, memory in zip(*points, strict=False):
+        before = int(min(row, back))
+        begins.append((data.rows(row - before, row + 2), p, state, memory, None, before))
+    runs = [(simulated, begin[-1]) for simulated, begin in zip(simulate_all(kernel, begins), begins, strict=True)]
+    return np.array([run.states[row + 1] for run, row in runs]), np.array([run.outputs[row] for run, row in runs])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections import deque
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,21 +16,21 @@ import numpy as np
 
 from cosim.blocks.derivatives import DifferentiableFmu
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array, Rows
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated, steps_one_by_one
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated
 from cosim.estimation.kernel.nameless import LOCAL, PREFIX
-from cosim.estimation.kernel.propagation import propagations
+from cosim.estimation.kernel.propagation import propagation
 from cosim.fmi.description import reals, takes_any_step
 from cosim.isolation.limits import Limits
 from cosim.terms.language import Direction
 
 NAME = "model"  # component name in messages
-RUNS = 16  # kept free runs
+KEPT = 32  # free runs and responses
 STEP = 1e-6  # step of differences, as a share of a state's usual size
-PULSE = 1e-2  # of an input, as a share of its range
-START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
+TRIED = 1e-2  # pulse of an input, as a share of its range; step of a start state, as a share of its usual size
 
 _loading = threading.Lock()  # the working folder changes while a library is loaded
 
@@ -130,8 +130,8 @@ class LibraryKernel(CompiledKernel):
     """
 
     def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
+        claim(fmu.path)
         super().__init__(generated)
-        self._library.use_library.argtypes = [ctypes.POINTER(_Library)]
         self._fmu = fmu
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
         self._own, self._stepped = threading.local(), self.layout.is_free_run
@@ -140,8 +140,7 @@ class LibraryKernel(CompiledKernel):
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
         shapes = f"{PREFIX}.", f"{LOCAL}."
         self._not_of_run = [k for k, n in enumerate(order) if n == MEMORY or n.startswith(shapes)]
-        self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
-        self._slopes: deque[tuple[Any, tuple[Array, Array]]] = deque(maxlen=RUNS)
+        self._last: dict[tuple[Any, ...], Any] = {}  # free runs and responses
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -170,19 +169,30 @@ class LibraryKernel(CompiledKernel):
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
-        return steps_one_by_one(self, data, p, points, back)
+        self._use(p, data, points[1][0])
+        return super().step(data, p, points, back)
+
+    def call(self, method: str, passes: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], float]:
+        """Call a method with the arguments of each pass; return results and processor time [s]."""
+        begin = time.process_time()
+        return [getattr(self, method)(*each, **options) for each in passes], time.process_time() - begin
 
     def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
         acting = p.copy()
         acting[self._not_of_run] = 0.0
-        key = *_driven(data), acting.tobytes(), x0.tobytes()
-        for known, run in self._runs:
-            if known == key:
-                return run
-        run = self.simulate(data, p, x0, np.zeros(self.layout.memory))
-        self._runs.append((key, run))
+        run: Simulated = self._kept(
+            ("run", *_driven(data), acting.tobytes(), x0.tobytes()),
+            lambda: self.simulate(data, p, x0, np.zeros(self.layout.memory)),
+        )
         return run
+
+    def _kept(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        """Return what was made under a key, if it is one of the last used, or make it."""
+        made = self._last[key] = self._last.pop(key) if key in self._last else make()
+        for oldest in [*self._last][:-KEPT]:
+            del self._last[oldest]
+        return made
 
     def _bends(self, data: Data, p: Array, x0: Array, outputs: Array) -> Array:
         """Return the distance of the outputs, halfway to each row, from a line; 0 if no reading is of the past.
@@ -201,27 +211,29 @@ class LibraryKernel(CompiledKernel):
         return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
 
     def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
-        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagations.
+        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagation.
 
         They are those at given parameter values, and change little with the parameters. Without start states, pulses of
         the inputs in the first row tell the propagation.
         """
-        count, rows = len(self._fmu.starts), len(data.u)
-        key = *_driven(data), x0.tobytes()
-        known = next((responses for other, responses in self._slopes if other == key), None)
-        if known is None:
-            p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
-            memory, first = np.zeros(self.layout.memory), len(x0) - count
-            plain = self.simulate(data, p, x0, memory).outputs
-            slopes = np.zeros((rows, plain.shape[1], count))
-            for k, (_, size) in enumerate(self._fmu.starts):
-                moved = x0.copy()
-                moved[first + k] += START_STEP * size
-                slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
-                slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
-            known = slopes, propagations(slopes if count else self._pulse_responses(data, p, x0, plain), plain)
-            self._slopes.append((key, known))
-        return known
+        found: tuple[Array, Array] = self._kept(
+            ("responses", *_driven(data), x0.tobytes()), lambda: self._responses(data, x0)
+        )
+        return found
+
+    def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
+        count = len(self._fmu.starts)
+        p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
+        memory, first = np.zeros(self.layout.memory), len(x0) - count
+        plain = self.simulate(data, p, x0, memory).outputs
+        slopes = np.zeros((*plain.shape, count))
+        for k, (_, size) in enumerate(self._fmu.starts):
+            moved = x0.copy()
+            moved[first + k] += TRIED * size
+            slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
+            slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
+        told = slopes if count else self._pulse_responses(data, p, x0, plain)
+        return slopes, propagation(told)
 
     def _pulse_responses(self, data: Data, p: Array, x0: Array, plain: Array) -> Array:
         """Return the changes of the outputs after a pulse of each input that moves, shape (rows, outputs, inputs).
@@ -232,7 +244,7 @@ class LibraryKernel(CompiledKernel):
         responses = []
         for k in np.flatnonzero(np.ptp(data.u, axis=0)):
             moved = data.u.copy()
-            moved[0, k] += PULSE * np.ptp(data.u[:, k])
+            moved[0, k] += TRIED * np.ptp(data.u[:, k])
             run = self.simulate(replace(data, u=moved), p, x0, np.zeros(self.layout.memory))
             responses.append(np.nan_to_num(run.outputs - plain, posinf=0.0, neginf=0.0)[1:])
         return np.stack(responses, axis=2) if responses else np.zeros((*plain.shape, 0))

@@ -23,7 +23,6 @@ class Candidate:
     """A hypothesis: free parameters and start values of its fit.
 
     Attributes:
-        gain: True for a factor on an input, possibly a single wrong number.
         complete: Values of the complete error, if a fit that begins without it stays away from them.
         repeats: Parameter with a period, and the state along which it counts; () for none.
         among: Number of shapes that were tried before a fit, each as good as a candidate of its own.
@@ -33,7 +32,6 @@ class Candidate:
     kind: Kind
     free: tuple[Free, ...]
     starts: tuple[Mapping[str, float], ...]
-    gain: bool = False
     complete: Mapping[str, float] = field(default_factory=dict)
     repeats: tuple[str, ...] = ()
     among: int = 1
@@ -52,8 +50,6 @@ def effect(
     kind: Kind = "effect",
     starts: Sequence[Mapping[str, float]] = (),
     above: Mapping[str, str] | None = None,
-    resolved: Sequence[str] = (),
-    gain: bool = False,
 ) -> Candidate:
     """Return an effect or sensor error as a candidate with parameters `name.parameter`.
 
@@ -62,7 +58,6 @@ def effect(
         values: Values of the subject by full names.
         starts: Additional start values by short names; the first start is zero or the usual size.
         above: Parameter → lower-bound parameter of the same effect.
-        resolved: Parameters whose lower limit is the resolution of the integration.
     """
 
     lower = {own: f"{name}.{bound}" for own, bound in (above or {}).items()}
@@ -76,14 +71,13 @@ def effect(
                 usual_size(p),
                 neutral=p.neutral,
                 above=lower.get(p.name, ""),
-                resolved=p.name in resolved,
             )
         )
         first[full] = values[full]
         if p.typical and p.neutral is not None and p.neutral == p.bounds[0]:
             first[full] = p.neutral + p.typical  # detectable if one-sided
     others = ({f"{name}.{own}": value for own, value in start.items()} for start in starts)
-    return Candidate(name, kind, tuple(free), (first, *others), gain)
+    return Candidate(name, kind, tuple(free), (first, *others))
 
 
 def usual_size(p: Parameter) -> float:
@@ -104,7 +98,6 @@ class Free:
         parameter: Name of the parameter if the value is for a group of logs; "" if common to all logs.
         group: Name of the group of logs.
         above: Name of a parameter as lower bound.
-        resolved: True if the lower limit is the resolution of the integration, so that a fit may end there.
     """
 
     name: str
@@ -116,7 +109,6 @@ class Free:
     parameter: str = ""
     group: str = ""
     above: str = ""
-    resolved: bool = False
 
 
 def values_of_special_case(rich: Candidate, simple: Candidate, values: Mapping[str, float]) -> dict[str, float]:
@@ -163,7 +155,7 @@ def spread_of_base(p: Parameter, value: float, tolerance: float) -> float:
 
 
 def _scale(p: Parameter, value: float) -> float:
-    return abs(value) or p.typical or abs(float(p.default)) or 0.01 * (p.bounds[1] - p.bounds[0])
+    return abs(value) or p.typical or abs(float(p.default)) or 1.0
 
 
 def kind_within(c: Candidate, subject: Subject) -> Kind:

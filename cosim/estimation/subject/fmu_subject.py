@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.core.errors import InputError
-from cosim.estimation.data import start_state
+from cosim.estimation.data import data_of, start_state
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
@@ -176,10 +176,6 @@ class FmuSubject(ModelSubject):
             return super().substeps(step)
         return SUBSTEPS if self.structure.pairs and takes_any_step(self._description) else 1
 
-    def settling(self, states: Sequence[str]) -> float:
-        """Return 0: every state that is not exactly the integral of another one has process noise."""
-        return 0.0
-
     def prediction(self, log: Log) -> Predict | None:
         """Return None: outliers are found by their neighbours."""
         return None
@@ -276,10 +272,7 @@ class LibraryReplayer(Replayer):
                 for k, last, run in zip(rows, ends, simulate_all(kernel, runs), strict=False):
                     table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
             elif math.isinf(horizon):  # a library begins at the start of a log only
-                readings = np.full((int(grid[-1]) + 1, len(units)), np.nan)
-                for j, name in enumerate(units):
-                    readings[grid, j] = log.outputs.get(name, np.nan)
-                x0 = start_state(self.subject, replace(data, y=readings), [*units], layout.states)
+                x0 = start_state(self.subject, data_of(self.subject, log, layout), layout.outputs, layout.states)
                 estimated = begins[min(begins)].states
                 x0[layout.start_places] = [estimated[layout.states[k]] for k in layout.start_places]
                 first = min(begins) + 1

@@ -185,16 +185,6 @@ class Subject(Protocol):
         return {f"{kind.name}.{p.name}": p for kind in self.sensors for p in parameters_of(kind)}
 
     @property
-    def late(self) -> Mapping[str, tuple[str, ...]]:
-        """Return latency parameter → delayed outputs."""
-        return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.late}
-
-    @property
-    def lagging(self) -> Mapping[str, tuple[str, ...]]:
-        """Return time constant of a sensor → outputs with this lag."""
-        return {f"{kind.name}.value": kind.affected() for kind in self.sensors if kind.lagging}
-
-    @property
     def traits(self) -> Traits:
         """Return further signal properties for the checks of logs."""
         return Traits()
@@ -215,10 +205,6 @@ class Subject(Protocol):
     def substeps(self, step: float) -> int:
         """Return the number of integration steps in a communication step [s]; fits may use fewer."""
         return 1
-
-    def settling(self, states: Sequence[str]) -> float:
-        """Return the time [s] after which a wrong start of states without process noise is negligible."""
-        return 0.0
 
     def prediction(self, log: Log) -> Predict | None:
         """Return a one-step predictor for the detection of outliers; None to use neighbours."""

@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cache, partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal
 
-import numpy as np
-
-from cosim.core.arrays import Array
-from cosim.core.linear_algebra import eigenvalues
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import CONSTANT, Data, Kernel
 from cosim.estimation.kernel.nameless import Known, bases
@@ -26,19 +22,15 @@ from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.fmi.fmu_build import build
 from cosim.fmi.state import MEMORY, Memory
 from cosim.logs.log import Log
-from cosim.model.delay import Gain
 from cosim.model.integrate import substeps
 from cosim.model.model import Effect, Model, overrides
-from cosim.model.namespaces import SCALAR
-from cosim.model.quantities import Parameter, parameters_of
+from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
 from cosim.residuals.drive import Drive
 from cosim.residuals.remote_drive import DriveApart
 from cosim.residuals.windows import Replay, windows
 
-NEGLIGIBLE_SHARE = 1e-4  # of a wrong start
-MIN_DECAY_RATE = 1e-9  # [1/s]
 FILES = {"refined": REFINED, "nearest": NEAREST}
 
 
@@ -73,11 +65,6 @@ class ModelSubject(Subject):
         """Return the subject of a model without model.yaml."""
         return cls(LoadedModel(model, ""))
 
-    @cached_property
-    def declared(self) -> Mapping[str, Parameter]:
-        """Return the declarations of all parameters of the model and its sensor errors, by name."""
-        return self.model.declared | self.model.sensor_parameters
-
     @property
     def traits(self) -> Traits:
         """Return the signal properties, with rates from the equations."""
@@ -99,8 +86,6 @@ class ModelSubject(Subject):
                 kind="sensor" if kind in self.model.sensors else "effect",
                 starts=kind.starts,
                 above=kind.at_least,
-                resolved=kind.resolved,
-                gain=issubclass(kind, Gain),
             )
             if c.name in self.present:  # an effect of the model is recalibrated from its values
                 c = replace(c, starts=({name: self.values[name] for name in c.parameters},))
@@ -125,10 +110,6 @@ class ModelSubject(Subject):
     def substeps(self, step: float) -> int:
         """Return the number of substeps within the model's limit."""
         return substeps(step, self.model.substep)
-
-    def settling(self, states: Sequence[str]) -> float:
-        """Return the slowest stable settling time [s]."""
-        return settling(self.model, states)
 
     def prediction(self, log: Log) -> Predict | None:
         """Return a one-step predictor of a log's rows."""
@@ -191,26 +172,6 @@ def neutral_values(model: Model) -> dict[str, float]:
     declared = model.declared | model.sensor_parameters
     switches = {p.name for p in model.parameters if isinstance(p.default, bool)}
     return {name: float(own.get(name, p.default)) for name, p in declared.items() if name not in switches}
-
-
-def settling(model: Model, names: Sequence[str]) -> float:
-    """Return the settling time [s] of the states `names`, driven by commands alone.
-
-    The time is ln(1/NEGLIGIBLE_SHARE) times the slowest stable time constant of the base model at its start, else 0.
-    """
-    base = replace(model, effects=())
-    derivative, start, command = base.acting(SCALAR).derivative, base.start(), base.start_command()
-    places = [[s.name for s in base.states].index(name) for name in names]
-
-    def rates(place: int, change: float) -> Array:
-        state = tuple(x + change * (k == place) for k, x in enumerate(start))
-        return np.array(derivative(0.0, state, command), dtype=np.float64)[places]
-
-    steps = {place: 1e-6 * max(1.0, abs(start[place])) for place in places}
-    columns = [(rates(place, h) - rates(place, -h)) / (2.0 * h) for place, h in steps.items()]
-    poles = eigenvalues(np.column_stack(columns)).real if columns else np.zeros(0)
-    decay = [-float(pole) for pole in poles if pole < -MIN_DECAY_RATE]
-    return math.log(1.0 / NEGLIGIBLE_SHARE) / min(decay) if decay else 0.0
 
 
 @dataclass

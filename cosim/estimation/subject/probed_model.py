@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.core.arrays import Array
 from cosim.core.units import unit_of_rate, unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
@@ -21,8 +22,7 @@ HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and
 LATEST = 20  # longest delay of the inputs, in rows
 SLOPE_ROWS = 5  # rows over which the rate of readings is taken
 WIDEST = 100.0  # factor on a parameter without bounds, up and down
-RESOLVED = 0.25  # transition of friction of half the usual force, in steps: Runge-Kutta is stable from 0.18 on
-FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
+RESOLVED = 0.25  # substep times largest eigenvalue; transition of friction of half the usual force, in steps
 
 
 def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuModel:
@@ -51,12 +51,10 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
             low, high = max(low, ends[0]), min(high, ends[1])
         typical = abs(p.tried) if q.start == 0.0 else None
         parameters.append(Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high), typical=typical))
-    moving = tuple(
-        with_place(n) for n in places.inputs if any(np.ptp(log.inputs[n]) for log in logs if n in log.inputs)
-    )
+    moving = tuple(with_place(name) for name in places.inputs if any(map(np.ptp, places.columns(name))))
     sensors: list[type[Any]] = []
     for q, name in zip(named_outputs, outputs, strict=True):
-        signed = any(float(np.nanmin(log.outputs[name])) < 0.0 for log in logs if name in log.outputs)
+        signed = any(float(np.nanmin(y)) < 0.0 for y in places.columns(name))
         sensors += sensor_errors(q, places.size(name), step, duration, signed=signed)
     delay = [delay_of(inputs, LATEST * step)] if inputs else []
     return fmu_model(
@@ -80,7 +78,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
         stepped=is_stepped,
         starts=tuple(with_place(v.name) for v in s.starts),
         rate=step,
-        substep=min(step, FINEST / s.largest_rate if s.largest_rate > 0.0 else math.inf),
+        substep=min(step, RESOLVED / s.largest_rate if s.largest_rate > 0.0 else math.inf),
         integrator="rk4",
     )
 
@@ -101,12 +99,17 @@ class _Places:
         self.units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
         self.parameters = {p.name: p.quantity for p in s.parameters}
 
+    def columns(self, name: str) -> list[Array]:
+        """Return an input or output in the logs that have it."""
+        signals = [{**log.inputs, **log.outputs} for log in self.logs]
+        return [columns[name] for columns in signals if name in columns]
+
     def size(self, name: str) -> float:
         """Return the usual size of a signal, its spread.
 
         Of an input it is half of its range within the logs, else over all logs, else its value; 1 for a constant of 0.
         """
-        columns = [log.inputs[name] for log in self.logs if name in log.inputs]
+        columns = self.columns(name)
         if name not in self.inputs or not columns:
             return self.structure.scales.get(name) or 1.0
         every = np.concatenate(columns)
@@ -114,8 +117,8 @@ class _Places:
 
     def rate(self, name: str) -> float:
         """Return the usual rate of change of a signal."""
-        columns = [log.outputs[name] for log in self.logs if name in log.outputs]
-        read = max((float(np.nanstd(y[SLOPE_ROWS:] - y[:-SLOPE_ROWS])) for y in columns), default=0.0)
+        changes = [y[SLOPE_ROWS:] - y[:-SLOPE_ROWS] for y in self.columns(name)]
+        read = max((float(np.nanstd(change)) for change in changes), default=0.0)
         return self.structure.scales.get(f"der({name})") or read / (SLOPE_ROWS * self.step) or 1.0
 
     def every(self) -> Iterator[Place]:
@@ -123,15 +126,13 @@ class _Places:
         s, units = self.structure, self.units
         for k, q in enumerate(s.inputs):
             size = self.size(q.name)
-            columns = [log.inputs[q.name] for log in self.logs if q.name in log.inputs]
-            largest = max((float(np.abs(u).max()) for u in columns), default=0.0) or size
+            largest = max(float(np.abs(u).max()) for u in self.columns(q.name)) or size
             sizes = {"u": size, "M": largest, "T": self.step}
             yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
         yield from filter(None, map(self._place_of_pair, s.pairs))
         yield from map(self._place_of_connection, s.connections)
         for name in s.storages:
-            index, shown = self.names.index(name), s.shown_as(name)
-            columns = [log.outputs[shown] for log in self.logs if shown in log.outputs]
+            index, columns = self.names.index(name), self.columns(s.shown_as(name))
             middle = float(np.nanmean(np.concatenate(columns))) if columns else self.states[index].start
             sizes = {"q": self.size(name), "r": self.rate(name)}
             own = {"q": units[name], "r": unit_of_rate(units[name])}

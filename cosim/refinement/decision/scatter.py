@@ -20,11 +20,11 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.estimation.data import count_unscored
-from cosim.estimation.expected import fit_for_held_out
 from cosim.estimation.fit import Fit, fit, inverse, slopes, with_flat_directions
 from cosim.estimation.kernel.kernel import Begin, simulate_all
-from cosim.estimation.parallel import check_wanted, in_parallel
+from cosim.estimation.parallel import in_parallel, raise_if_cancelled
 from cosim.estimation.past_readings import lagged_table
+from cosim.estimation.per_log import fit_for_held_out
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.estimation.subject.candidates import Free
@@ -113,7 +113,7 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
     Consecutive replays last one horizon of the model, at most half of the log, from the states that the filter
     estimates. A library begins at the start of a log only; its one free run is cut into as many.
     """
-    check_wanted()
+    raise_if_cancelled()
     data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
     every = len(data.u)
     length = max(2, round(min(horizon / data.step, (every - first) // 2)))

@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.linear_algebra import square_roots
-from cosim.estimation.data import data_of, start_state
+from cosim.estimation.data import data_of, readings_of, start_state
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, Filtered, simulate_all
@@ -25,7 +25,6 @@ from cosim.estimation.past_readings import past_reading, replayed
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
-from cosim.estimation.readings import readings_of
 from cosim.estimation.subject.interface import Replayer, Start, Subject
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
@@ -49,7 +48,7 @@ def _posed(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
     The kernel of `problem` takes all parameters, including those of the variant.
     """
     layout = problem.layout
-    data = [data_of(subject, log, layout, problem.settle, problem.settings.interpolated) for log in logs]
+    data = [data_of(subject, log, layout, problem.settings.interpolated) for log in logs]
     x0 = [start_state(subject, d, layout.outputs, layout.states) for d in data]
     readings = list(map(readings_of, data))
     begins = origins(subject, layout, logs, data, problem.settings)
@@ -269,26 +268,25 @@ class _KernelReplays:
                 random = rng.standard_normal((len(rows), len(layout.stochastic), 1))
                 starts[np.ix_(rows, list(layout.stochastic))] += (roots @ random)[..., 0]
             noisy = len(layout.noise_places)
-            if layout.is_coloured:  # Replays know nothing of the unknown inputs.
-                deviation = np.exp(0.5 * noise.power)
-                starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
+            deviation = np.exp(0.5 * noise.power)  # Replays know nothing of the unknown inputs.
+            starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
             density = problem.densities(noise)[list(layout.noisy)]
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
-            memory = {LASTS: math.exp(noise.memory)} if layout.is_coloured else {}
+            memory = {LASTS: math.exp(noise.memory)}
             errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
     def _random_deviations(self, rng: np.random.Generator) -> Array:
         """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
         noise, data, kernel = self.variant.noise, self.data, self.problem.kernel
-        propagation = kernel.propagation(data, self.problem.x0[self.index])  # type: ignore[attr-defined]
+        propagation = kernel.responses(data, self.problem.x0[self.index])[1]  # type: ignore[attr-defined]
         fades = math.exp(-data.step / math.exp(noise.memory))
         inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
         deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # after the row before the first
         for k in range(1, len(inputs)):
             both = np.concatenate([deviations[k], deviations[k - 1]])
-            deviations[k + 1] = propagation[k - 1] @ both + data.step * inputs[k - 1]
+            deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
             inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
         return deviations[1:]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from cosim.estimation.expected import group_values, means
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
+from cosim.estimation.per_log import group_values, means
 from cosim.estimation.problem import Settings
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.search.hypotheses import Hypothesis

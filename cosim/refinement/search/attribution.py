@@ -99,7 +99,7 @@ class Attributor:
         """
         search = self.search
         while (posed := with_likely_starts(search.problem, base.fit.values, base.fit.noise)) is not search.problem:
-            self.fine, search.problem = (p.with_same_range(x0=posed.x0) for p in (self.fine, search.problem))
+            self.fine, search.problem = (replace(p, x0=posed.x0) for p in (self.fine, search.problem))
             before, base = base, search.hypothesis((), base.fit, loosen=False)
             if base.fit.objective > before.fit.objective - DONE:
                 break
@@ -158,7 +158,7 @@ class Attributor:
         self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
             self.fine, search.problem = (
-                p.with_same_range(values={**p.values, **periods}) for p in (self.fine, search.problem)
+                replace(p, values={**p.values, **periods}) for p in (self.fine, search.problem)
             )
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))

@@ -148,7 +148,7 @@ def _transitions_of_deviations(problem: Problem, values: Mapping[str, float], no
     _, propagation = problem.kernel.responses(data, problem.start(values, index)[0])  # type: ignore[attr-defined]
     F[:, earlier, earlier], F[:, earlier, deviation] = 0.0, np.eye(ny)
     F[:, drive, drive] *= math.exp(-data.step / math.exp(noise.memory))
-    F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :, :ny], propagation[:, :, ny:]
+    F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :ny], propagation[:, ny:]
     F[:, deviation, drive] = data.step * np.eye(ny)
     return F
 
@@ -168,8 +168,8 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
     largest: dict[tuple[str, int], float] = {}  # unit and order → range of the derivatives
     orders = [1] * len(problem.layout.noisy)
     if problem.layout.is_free_run:  # 2 for an output whose velocity is hidden
-        matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
-        orders = [1 + bool(matrix[:, :, j].any()) for j in range(len(orders), 2 * len(orders))]
+        matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
+        orders = [1 + bool(matrix[:, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
