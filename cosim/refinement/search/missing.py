@@ -108,7 +108,10 @@ def _smooth_log(problem: Problem, base: Fit, index: int, every: int) -> MissingI
     run = problem.run(values, noise, index, states=True)
     rows, reached = min(len(data.u), MOST_ROWS), list(layout.stochastic)
     x, P, Q = run.states[:rows, reached], run.covariances, np.diag(problem.densities(noise)) * data.step
-    assert P is not None
+    scored, places = slice(min(count_unscored(data), rows - 1), rows - 1), list(layout.noisy)
+    if P is None:  # a kernel without covariances: the filtered inputs, as uncertain as before any reading
+        sigma = np.tile(np.exp(0.5 * noise.power), (rows, 1))
+        return MissingInput(data.times[scored], layout.forced, x[scored, places], sigma[scored], run.states[scored])
     if layout.is_free_run:
         F = _transitions_of_deviations(problem, values, noise, index)[:rows]
         ahead = np.einsum("kij,kj->ki", F, x)
@@ -120,7 +123,6 @@ def _smooth_log(problem: Problem, base: Fit, index: int, every: int) -> MissingI
         gain = least_squares(spread, F[k] @ P[k]).T
         smooth[k] += gain @ (smooth[k + 1] - ahead[k])
         P[k] += gain @ (P[k + 1] - spread) @ gain.T
-    scored, places = slice(min(count_unscored(data), rows - 1), rows - 1), list(layout.noisy)
     sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
     return MissingInput(data.times[scored], layout.forced, smooth[scored, places], sigma[scored], run.states[scored])
 
