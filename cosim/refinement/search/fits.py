@@ -21,13 +21,12 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import MIXTURE, PART, Evidence, log_prior
+from cosim.refinement.decision.posterior import MIXTURE, Evidence, log_prior
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
 HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
-ENTRY = -math.log(PART)  # score cost of a part in addition to its parameters
 STARTS = 4  # draws of the prior from which a probable hypothesis is fitted again
 HALVINGS = 2  # of promised sizes, until the logs are no less likely
 
@@ -181,23 +180,15 @@ class Search:
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
-    def fit_all(
-        self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float, *, again: bool = False
-    ) -> list[Hypothesis]:
-        """Fit sets of candidates; a fit ends early if it cannot reach a score within `margin` of `start`.
-
-        Args:
-            again: Also fit sets that were fitted before; the better fit counts.
-        """
-        todo = [trial for trial in sets if again or key_of(trial[0]) not in self.tried]
+    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
+        """Fit sets of candidates; a fit ends early if it cannot reach a score within `margin` of `start`."""
 
         def fit_trial(trial: Trial) -> Hypothesis:
             parts, promised = trial
             goal = start.score + margin - self.cost(parts)
-            fitted = self.hypothesis(parts, start.fit, goal, promised=promised, screen=True)
-            return min(fitted, self.tried.get(fitted.names, fitted), key=lambda h: h.score)
+            return self.hypothesis(parts, start.fit, goal, promised=promised, screen=True)
 
-        return self._fit_each(stage, fit_trial, todo)
+        return self._fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
 
     def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
         """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts."""
