@@ -158,10 +158,6 @@ class FmuBlock(Component):
                 followers.setdefault(id(variable), []).append(unknown.variable)
         return followers, [u.variable for u in self.description.outputs if u.dependencies is None]
 
-    def names_any(self, pattern: str) -> bool:
-        """Return whether a pattern such as `plant.*` matches a variable."""
-        return any(matches(pattern, self.name, name) for name in self._variables)
-
     @cached_property
     def is_sampled(self) -> bool:
         """Return whether an FMU of cosim takes its inputs at its sample, the end of a step."""
