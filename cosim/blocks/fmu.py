@@ -26,7 +26,6 @@ from cosim.core.errors import FmuError
 from cosim.fmi.description import (
     Way,
     declares_slopes,
-    matches,
     slips_of,
     ways,
 )
