@@ -134,21 +134,18 @@ class Attributor:
         return h
 
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
-        """Refit with errors of time stamps, if indicated; what reaches their limit is an error of the model."""
-        search, before = self.search, (self.fine, self.search.problem)
+        """Refit with errors of time stamps, if indicated."""
+        search = self.search
         problem, noise = search.problem, h.fit.noise
         late = erring_stamps(problem, h.fit)
         if not late.any():
             return h
         usual = 2.0 * np.log(USUAL_STAMP * max(d.step for d in problem.logs))
         noise = replace(noise, timing=np.where(late, usual, noise.timing))
-        self.fine, search.problem = (replace(p, sensing=noise) for p in before)
-        timed = search.hypothesis(h.candidates, replace(h.fit, noise=noise), loosen=False)
-        most = noise.like(search.problem.limits.high).timing
-        if timed.fit.objective < h.fit.objective and not np.any(late & (timed.fit.noise.timing >= most)):
-            return timed
-        self.fine, search.problem = before
-        return h
+        self.fine, search.problem = (replace(p, sensing=noise) for p in (self.fine, problem))
+        start = replace(h.fit, noise=noise)
+        timed = search.hypothesis(h.candidates, start, loosen=False)
+        return timed if timed.fit.objective < h.fit.objective else h
 
     def _proposals(self, best: Hypothesis) -> list[Trial]:
         """Return promising untried sets of candidates with start values."""
