@@ -92,12 +92,12 @@ def _notes(file: ScenarioFile) -> Iterator[str]:
     """Yield notes on parts missing in the SSP, and on a coupling algorithm that importing tools lack."""
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
-        yield Note("noise is left out: SSP has no word for it")
+        yield Note("noise was not exported: SSP cannot store it")
     tolerances = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
     if any(tolerance is not None for tolerance in (scenario.tolerance, *tolerances)):
         yield Note("tolerance is left out: importers take that of each FMU's default experiment, or none")
     if scenario.goals:
-        yield Note("criteria are left out: SSP has no word for them")
+        yield Note("criteria were not exported: SSP cannot store them")
     if scenario.algorithm != IMPORTERS.name:
         ours = algorithms()[scenario.algorithm].title
         yield Note(

@@ -191,12 +191,39 @@ def check_values(
         try:
             checked[name] = adapters[name].validate_python(of_python(value))
         except ValidationError as error:
-            reasons = [str(e.get("ctx", {}).get("error", e["msg"])) for e in error.errors(include_url=False)]
+            reasons = map(reason_of, error.errors(include_url=False))
             faults.append((name, f"is {_represent(value)}; {', '.join(dict.fromkeys(reasons))}"))
         except (ValueError, RecursionError) as error:
             faults.append((name, f"is {_represent(value)}; {error}"))
     refuse(Fault(Path((labels or {}).get(name, name)), 0, 0, reason) for name, reason in faults)
     return checked
+
+
+def reason_of(error: Any) -> str:
+    """Return pydantic's message without Python terms."""
+    kind, context = error["type"], error.get("ctx") or {}
+    if kind == "value_error":
+        return str(context["error"])
+    if kind == "string_pattern_mismatch":
+        of = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
+        return f"it should be {of} of letters, digits and _ that begins with no digit"
+    if kind in {"too_short", "too_long"} and context.get("field_type") in {"List", "Tuple"}:
+        bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return f"it should have {bound} entries, not {context.get('actual_length')}"
+    reason = str(error["msg"]).replace("Input should", "it should")
+    return _WORDS.get(kind, reason[:1].lower() + reason[1:])
+
+
+_WORDS = {
+    **dict.fromkeys(("bool_type", "bool_parsing"), "it is on or off"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
+    **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
+    "string_type": "it should be text",
+    **dict.fromkeys(("float_type", "float_parsing"), "it should be a valid number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "it should be a whole number"),
+    "is_instance_of": "it should be a list",
+    "int_parsing_size": "it should be a smaller number",
+}
 
 
 def _represent(value: Any) -> str:

@@ -33,6 +33,7 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import ScalarNode
 
 from cosim.core.errors import Fault, InputError
+from cosim.core.settings import reason_of
 from cosim.core.text import closest as closest
 from cosim.core.text import did_you_mean as did_you_mean
 from cosim.core.units import has_unit, number_in, read_quantity
@@ -235,7 +236,7 @@ class YamlFile:
                     message = f'"{short(key)}" is no longer supported. {cure}'
                 faults.append(self.fault(location, message, key=True))
             else:
-                reasons = dict.fromkeys(map(_reason, (each, *each.get("else", ()))))
+                reasons = dict.fromkeys(map(reason_of, (each, *each.get("else", ()))))
                 is_key = "[key]" in each["loc"][len(location) :]
                 faults.append(self.wrong(location, each.get("input"), ", or ".join(reasons), key=is_key))
         if len(errors) > MOST_FAULTS:
@@ -281,21 +282,6 @@ def short(text: object) -> str:
     return whole if len(whole) <= LONGEST else f"{whole[: LONGEST - 1]}…"
 
 
-def _reason(error: Any) -> str:
-    """Return pydantic's message without Python terms."""
-    kind, context = error["type"], error.get("ctx") or {}
-    if kind == "value_error":
-        return str(context["error"])
-    if kind == "string_pattern_mismatch":
-        of = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
-        return f"it should be {of} of letters, digits and _ that begins with no digit"
-    if kind in {"too_short", "too_long"} and context.get("field_type") in {"List", "Tuple"}:
-        bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
-        return f"it should have {bound} entries, not {context.get('actual_length')}"
-    reason = str(error["msg"]).replace("Input should", "it should")
-    return _WORDS.get(kind, reason[:1].lower() + reason[1:])
-
-
 REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
     "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
     "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
@@ -303,17 +289,6 @@ REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use inst
     "delivery": "A refined FMU holds the original and the terms: leave the key out.",
     "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
 }
-_WORDS = {
-    **dict.fromkeys(("bool_type", "bool_parsing"), "it is on or off"),
-    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
-    **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
-    "string_type": "it should be text",
-    "float_type": "it should be a valid number",
-    "int_type": "it should be a whole number",
-    "int_parsing_size": "it should be a smaller number",
-}
-
-
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
 
 

@@ -94,4 +94,7 @@ def _findings_without_model(path: Path, columns: Mapping[str, str]) -> list[str]
     ]
     if text:
         lines.append(f"note: {counted(len(text), 'column')} of text not read: {', '.join(text)}")
-    return [*lines, "note: checked without a model: --model FILE:CLASS holds names, units and signs against one"]
+    return [
+        *lines,
+        "note: checked without a model; --model FILE:CLASS compares names, units and signs with one",
+    ]

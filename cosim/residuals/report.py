@@ -119,7 +119,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
 def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
     """Return measured and model outputs, a panel per channel."""
     log, outputs = comparison.log, comparison.replays[horizon].outputs
-    label = "model, free run" if horizon == FREE_RUN else f"model, started anew every {horizon_name(horizon)}"
+    label = "model, free run" if horizon == FREE_RUN else f"model, restarted every {horizon_name(horizon)}"
     panels = []
     for name, measured in log.outputs.items():
         unit, factor = display(log.units[name])

@@ -208,8 +208,8 @@ class ScenarioFile:
             elif ("duration",) in overrides and ("step",) not in overrides:
                 where = ("duration",)
             divisor = s.duration / max(1, math.ceil(count))
-            cure = f"use a whole divisor of duration {s.duration:g} s, {divisor:.6g} s for one"
-            faults.append((where, f"step is {s.step:g} s; {cure}"))
+            text = f"duration {s.duration:g} s is not a multiple of step {s.step:g} s; use for example step"
+            faults.append((where, f"{text} {divisor:.6g} s"))
         if not self.stands_in and isinstance(s.record, Recording) and (every := s.record.every) is not None:
             steps, where = every / s.step, ("record", "every")
             if every > s.duration * (1.0 + ROUNDING):

@@ -274,7 +274,9 @@ def _measure(scenario: Scenario, resolve: Resolve, signal: str) -> Measure | Non
             outputs = playback(owner, resolve(component.file), (name,)).outputs
             return _measure_in({s.name: s.unit for s in outputs}[name])
         unit = (component.signals.get(name) or component.signals[name.removesuffix("_meas")]).unit
-    except (FmuError, InputError, OSError, ValueError, KeyError):
+    except (FmuError, InputError, OSError):
+        return None
+    except (ValueError, KeyError):
         raise ValueError(f"the unit of {signal} is not known; write a number alone") from None
     return _measure_in(computed_in(unit)[0] if isinstance(component, ReferenceComponent) else unit)
 

@@ -120,6 +120,7 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> tuple[Sequence[Fault], Sequence[str]]:
     """Return the fault of a failed first step, located at `path`, and the messages of the FMUs."""
     load_limit = MAX_CALL_TIME + (LIMIT if permission.get() else 0.0)
+    system = replace(system, events={k: changes for k, changes in system.events.items() if k <= 1})
     limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
     worker.start()
     try:

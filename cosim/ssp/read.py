@@ -403,8 +403,8 @@ class _Reader:
         for target, linear in stages:
             unit = (1.0, 0.0) if linear.exact else signal.conversion(target)
             if unit is None:
-                message = f"unit mismatch: [{signal.unit}] to [{target.unit}]; where they are the same all the same, "
-                self.note(element, f'{message}say so by suppressUnitConversion="true"')
+                message = f"unit mismatch: [{signal.unit}] to [{target.unit}]. To pass the number unchanged, add "
+                self.note(element, f'{message}suppressUnitConversion="true"')
                 return None
             factor *= unit[0] * linear.factor
             offset = offset * (unit[0] * linear.factor) + (unit[1] * linear.factor + linear.offset)

@@ -15,7 +15,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import with_prefix
 from cosim.core.units import split_quantity
-from cosim.files.yaml_file import YamlFile, did_you_mean, short
+from cosim.files.yaml_file import REMOVED_KEYS, YamlFile, did_you_mean, short
 from cosim.fmi.description import unit_of
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
@@ -134,7 +134,10 @@ class Factors:
         keys = [field.alias or key for key, field in Scenario.model_fields.items()]
         if first not in keys:
             hint = did_you_mean(first, [*keys, *self.scenario.scenario.components])
-            self._note(("vary", name), f'no component and no key of the scenario is "{short(first)}"{hint}', key=True)
+            text = f'no component and no key of the scenario is "{short(first)}"{hint}'
+            if cure := REMOVED_KEYS.get(first):
+                text = f'"{short(first)}" is no longer supported. {cure} A sweep over designs varies the FMUs.'
+            self._note(("vary", name), text, key=True)
             return None
         if first in FIXED:
             self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)

@@ -54,7 +54,7 @@ class Database:
             raise InputError.at(path, f"is no database of a sweep: {error}; --force begins anew") from None
         if stored not in {None, (key,)}:
             self.close()
-            cure = "give another folder as --out, or begin anew by --force"
+            cure = "give another folder as --out, or use --force to start again"
             raise InputError.at(path, f"holds the runs of another sweep, or of one with other FMUs; {cure}")
 
     @contextmanager

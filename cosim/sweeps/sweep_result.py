@@ -54,7 +54,8 @@ def headline(record: Mapping[str, Any]) -> str:
     if met == runs:
         return f"All {counted(runs, 'run')} meet {all_of}."
     worst = [c["name"] for c in criteria if c["met"] == fewest < c["of"]]
-    most = f"; fewest, {fewest}, meet {join_names(worst)}" if 0 < len(worst) < len(criteria) else ""
+    failed = f"; {counted(completed - fewest, 'run')} failed {join_names(worst)}"
+    most = failed if 0 < len(worst) < len(criteria) else ""
     return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
 
 

@@ -214,7 +214,7 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     if not (record := content_of(folder / RECORD)):
         return None
     if about.get("key") != key:
-        cure = "give another folder as --out, or begin anew by --force"
+        cure = "give another folder as --out, or use --force to start again"
         raise InputError.at(folder / TABLE, f"holds another sweep, or one of other FMUs; {cure}")
     return record
 

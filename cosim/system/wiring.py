@@ -222,13 +222,10 @@ def _objection(connection: Connection, source: Signal, target: Signal) -> str:
             f"{_numbers(source.items)}, {connection.target} has {_numbers(target.items)}"
         )
     if connection.conversion is None and source.conversion(target) is None:
-        units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
+        reason = f"unit mismatch: {connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
         if source.unit == target.unit:
-            units = (
-                f"{connection.source} and {connection.target} are both in [{source.unit}], which their FMUs define "
-                "with different dimensions"
-            )
-        return f"unit mismatch: {units}; where they are the same all the same, say so by factor: 1"
+            reason += ", which their FMUs define with different dimensions"
+        return f"{reason}. To pass the number unchanged, add factor: 1"
     return ""
 
 

@@ -102,9 +102,10 @@ def say_error(error: CosimError, exit_code: int | None = None) -> int:
     answer: dict[str, Any] = {"error": str(error), "kind": type(error).__name__, "faults": []}
     answer["exit_code"] = error.exit_code if exit_code is None else exit_code
     for fault in faults:
-        kind = "FmuError" if fault.exit_code == FmuError.exit_code else "InputError"
-        place = {"file": str(fault.file), "line": fault.line, "column": fault.column}
-        answer["faults"].append({"kind": kind, **place, "message": fault.message})
+        place = {"file": str(fault.file), "line": fault.line, "column": fault.column, "message": fault.message}
+        answer["faults"].append(
+            {"kind": "FmuError" if fault.exit_code == FmuError.exit_code else "InputError", **place}
+        )
     for line in faults or [f"error: {error}"]:
         echo(str(line), err=True)
     with suppress(OSError):  # stdout may be on the disk that is full
@@ -155,16 +156,14 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float]
 
     columns = TimeElapsedColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=20)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        bar.add_task("starting", total=None)
-        (task,) = bar.tasks
+        task = bar.tasks[bar.add_task("starting", total=None)]
 
         def advance(first: Any, second: float) -> None:
             share = second if isinstance(first, str) else first / max(second, 1)
             text = printable(first if isinstance(first, str) else f"{activity}: {int(10 * share)}0 %", one_line=True)
             if text != task.description and not is_terminal:
                 echo(f"{time.monotonic() - start:6.1f} s  {text}", err=True)
-            # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
-            task.total = 1.0 if 0.0 < share < 1.0 else None
+            task.total = 1.0 if 0.0 < share < 1.0 else None  # a bar only moves where a stage counts nothing or no more
             bar.update(task.id, description=text, completed=share)
 
         yield advance
@@ -277,11 +276,11 @@ def entry() -> None:
     except CosimError as error:
         code = say_error(error)
     except (MemoryError, Terminated) as error:
-        memory = "there is not enough memory; run shorter, in longer steps or with less recorded"
-        code = say_error(CosimError(str(error) if isinstance(error, Terminated) else memory), SimulationError.exit_code)
+        text = str(error) or "there is not enough memory; run shorter, in longer steps or with less recorded"
+        code = say_error(CosimError(text), SimulationError.exit_code)
     except OSError as error:  # a folder that cannot be written, a disk that is full
-        file = f"{error.filename}: " if error.filename else ""
-        text = file + ("the disk is full" if is_full(error) else error.strerror or str(error))
+        text = "the disk is full" if is_full(error) else error.strerror or str(error)
+        text = f"{error.filename}: {text}" if error.filename else text
         code = say_error(CosimError(text), SimulationError.exit_code if is_full(error) else 2)
     except typer.Abort:
         code = say_error(CosimError("the input ended at a prompt; run it on a terminal"))
@@ -290,7 +289,8 @@ def entry() -> None:
             raise
         error.show()  # type: ignore[attr-defined]
         if "--json" in sys.argv:
-            say_json({"error": error.format_message(), "kind": "UsageError", "exit_code": 2, "faults": []})
+            fault = {"kind": "UsageError", "file": None, "line": 0, "column": 0, "message": error.format_message()}
+            say_json({"error": fault["message"], "kind": "UsageError", "exit_code": 2, "faults": [fault]})
         code = 2
     finally:
         with suppress(KeyboardInterrupt, Terminated):

@@ -38,7 +38,7 @@ def command(
         say_json({**{k: v for k, v in swept.record.items() if k != "scenario"}, "made": swept.made})
     say(*swept.sentences)
     if swept.made < swept.record["runs"]:
-        say(f"made now: {swept.made}, there before: {swept.record['runs'] - swept.made}")
+        say(f"new runs: {swept.made}, from before: {swept.record['runs'] - swept.made}")
     if given["part"]:
         say(f"part:   {swept.folder}")
         return

@@ -14,6 +14,7 @@ Annals of Statistics 38:2587).
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
@@ -221,9 +222,8 @@ def _solve(matrix: Array, right: Array) -> Array:
     """Return the solution of linear equations, scaled by the diagonal; least squares where it is singular."""
     scale = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
     scale[scale == 0.0] = 1.0
-    scaled = right / (scale if right.ndim == 1 else scale[:, None])
-    solution = np.linalg.lstsq(matrix / np.outer(scale, scale), scaled, rcond=1e-12)[0]
-    return np.asarray(solution / (scale if right.ndim == 1 else scale[:, None]))
+    solution = np.linalg.lstsq(matrix / np.outer(scale, scale), (right.T / scale).T, rcond=1e-12)[0]
+    return np.asarray((solution.T / scale).T)
 
 
 def log_prior(size: int, count: int) -> float:
@@ -260,15 +260,16 @@ def folded(sets: Mapping[Names, float], equivalent: Iterable[tuple[Names, Names]
     for parts in sorted(weight, key=lambda parts: -len(parts)):
         hosts = [other for other in weight if other < parts and weight[other] > weight[parts]]
         if hosts:
-            host = max(hosts, key=lambda other: weight[other])
-            weight[host] += weight.pop(parts)
+            weight[max(hosts, key=lambda other: weight[other])] += weight.pop(parts)
     return dict(sorted(weight.items(), key=lambda item: -item[1]))
 
 
 def by_family(
     sets: Mapping[Names, float], families: Mapping[str, str], unsure: Names = frozenset()
 ) -> dict[Names, float]:
-    """Return sets with rich parts under the names of their special cases, if fitted, unless certain by themselves.
+    """Return sets with rich parts under the names of their special cases, unless these are certain by themselves.
+
+    A set of which the special case was not fitted joins a more probable part of that, as in `folded`.
 
     Args:
         unsure: Rich parts that intervals do not tell from their special cases.
@@ -276,12 +277,15 @@ def by_family(
     named = dict(sets)
     for rich, simple in families.items():
         if rich in unsure or inclusion(named).get(rich, 0.0) < CERTAIN:
-            merged: dict[Names, float] = {}
-            for parts, probability in named.items():
-                special = parts - {rich} | {simple}
-                key = special if rich in parts and special in named else parts
-                merged[key] = merged.get(key, 0.0) + probability
-            named = merged
+            special = {parts: parts - {rich} | {simple} for parts in named if rich in parts}
+            merged = defaultdict[Names, float](float)
+            for parts, p in named.items():
+                merged[special[parts] if special.get(parts) in named else parts] += p
+            for parts in [parts for parts in special if parts in merged]:
+                hosts = [o for o in merged if simple in o and o < special[parts] and merged[o] > merged[parts]]
+                if hosts:
+                    merged[max(hosts, key=lambda other: merged[other])] += merged.pop(parts)
+            named = dict(merged)
     return named
 
 
@@ -344,16 +348,14 @@ def decide(bundle: Bundle) -> Decision:
     is_seen = bool(certain and misfit.remaining) and misfit.remains <= UNEXPLAINED
     if misfit.unknown_share > UNKNOWN_INPUT and not is_seen:
         reasons.append("unknown inputs")
-    if not certain and max(misfit.over_floor.values(), default=0.0) > COUNTS_FROM:
-        reasons.append("excess error")
-    if certain and is_misfit and misfit.remains > UNEXPLAINED:
+    over = max(misfit.over_floor.values(), default=0.0) > COUNTS_FROM
+    if (is_misfit and misfit.remains > UNEXPLAINED) if certain else over:
         reasons.append("excess error")
     # an uncertain base number beside certain parts is said, and leaves the verdict
     aside = disputed | {n for n in numbers if certain and bundle.kinds[n] == "parameter" and n not in certain}
-    merged: dict[Names, float] = {}
+    merged = defaultdict[Names, float](float)
     for parts, probability in classes.items():
-        key = parts - aside
-        merged[key] = merged.get(key, 0.0) + probability
+        merged[parts - aside] += probability
     rivals: dict[Names, float] = {}
     for parts, probability in sorted(merged.items(), key=lambda item: -item[1]):
         rivals[parts] = probability
@@ -367,27 +369,25 @@ def decide(bundle: Bundle) -> Decision:
         (only,) = rivals
         rivals.setdefault(only.difference(withdrawn), 0.0)
     kinds = {bundle.kinds[name] for name in certain}
-    verdict: Verdict
+    verdict: Verdict = "no_effect"
     if {"misfit", "excess error", "unknown inputs"}.intersection(reasons):
         verdict, certain = "unexplained", {}
     elif len(rivals) > 1:
         verdict = "ambiguous"
-    elif not kinds:
-        verdict = "no_effect"
-    else:
+    elif kinds:
         verdict = "effect_found" if "effect" in kinds else "sensor_error" if "sensor" in kinds else "parameter_error"
     is_part = verdict == "ambiguous" or is_misfit or misfit.remains > LITTLE
     not_excluded = {
         (rich, simple): p
         for rich, simple in bundle.families.items()
-        if simple in certain and rich not in certain and (p := inclusion(sets).get(rich, 0.0)) > 1.0 - CERTAIN
+        if simple in certain and rich not in certain and (p := inclusion(sets).get(rich, 0.0)) > POSSIBLE
     }
     return Decision(
         verdict=verdict,
         grade=("part" if is_part else "claimed") if certain else "nearest",
         claimed=dict(sorted(certain.items(), key=lambda item: -item[1])),
         rivals=rivals if verdict == "ambiguous" else {},
-        uncertain={n: p for n, p in numbers.items() if n not in certain and p > 1.0 - CERTAIN},
+        uncertain={n: p for n, p in numbers.items() if n not in certain and p > POSSIBLE},
         not_excluded=not_excluded,
         classes=classes,
         inclusion=numbers,

@@ -10,12 +10,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
 from cosim.refinement.decision.bundle import evidence, optima
-from cosim.refinement.decision.posterior import POSSIBLE, log_prior, posterior
+from cosim.refinement.decision.posterior import CERTAIN, POSSIBLE, log_prior, posterior
 from cosim.refinement.search.fits import HOPE, Parts, Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
 
@@ -34,7 +36,8 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
         sets, kappa = posterior([evidence(search, h) for h in ended.values()], len(candidates))
         ranked = sorted(sets, key=lambda parts: -sets[parts])
         starts: dict[tuple[str, ...], Start] = {}
-        leading = [parts for parts in ranked if sets[parts] > POSSIBLE][:BREADTH]
+        mass = np.cumsum([sets[parts] for parts in ranked])
+        leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
         probable = [parts for parts in leading if parts not in asked]
         asked.update(probable)
         for h in search.fit_from_the_prior([ended[parts] for parts in probable]):
