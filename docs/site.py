@@ -26,7 +26,7 @@ TANKS = (
 )
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 REPORTS: tuple[tuple[str, str], ...] = (  # name of the page, "" for none; command
-    ("", "build --out build"),
+    ("", "build --model hovercraft --out build"),
     ("run", "run scenarios/manoeuvre.yaml --out results/run"),
     ("", f"init {TANKS[0]}"),
     ("two-fmus", "run tanks.yaml --out results/two-fmus"),

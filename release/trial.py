@@ -182,9 +182,10 @@ def try_documents(folder: Path) -> None:
         for line in typed(ROOT / "docs" / document):
             place.run(line)
     place.run("python -m pip install dist/*.whl")
-    for line in ("cosim build --out build", "cosim run scenarios/regulate.yaml --out results/regulate"):
+    build = "cosim build --model hovercraft"
+    for line in (f"{build} --out build", "cosim run scenarios/regulate.yaml --out results/regulate"):
         place.run(line)
-    place.run("cosim build --native --out native", code=2)  # needs a compiler: that there is none has been tried
+    place.run(f"{build} --native --out native", code=2)  # needs a compiler: that there is none has been tried
 
 
 def try_refine(folder: Path) -> None:
@@ -202,7 +203,7 @@ def try_sdists(folder: Path) -> None:
     """Install the sdists, which have their build tools in the folder of wheels."""
     place = Place(folder)
     place.run("python -m pip install " + shlex.join(sorted(str(path) for path in DIST.glob("fmu_cosim*.tar.gz"))))
-    place.run("cosim --version && cosim build --out build && cosim info build/plant.fmu")
+    place.run("cosim --version && cosim build --model hovercraft --out build && cosim info build/plant.fmu")
 
 
 def try_container(folder: Path) -> None:

@@ -260,7 +260,7 @@ def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names
     assert "identify" not in help_text
     assert "consistency" not in help_text
     # what needs the example says what to name instead
-    for arguments in (("build",), ("replay", "log.csv")):
-        assert 'no model "base" is installed; name a' in cosim(*arguments, code=2)
+    assert 'no model "base" is installed; name a' in cosim("replay", "log.csv", code=2)
+    assert "name one: a model.yaml" in cosim("build", code=2)
     (rooms / "study.yaml").write_text("model: base\nlogs: {estimation: [log.csv]}\n")
     assert "study.yaml:1:8: " in cosim("check", "study.yaml", code=2)

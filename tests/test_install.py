@@ -64,7 +64,7 @@ def test_the_installed_package_builds_runs_and_refines_outside_of_the_checkout(s
     told = subprocess.run(where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
     assert told.split() == [str(site / name / "__init__.py") for name in ("cosim", "fmus")]
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios")
-    cosim(site, tmp_path, "build", "--out", "build")
+    cosim(site, tmp_path, "build", "--model", "hovercraft", "--out", "build")
     cosim(site, tmp_path, "run", "scenarios/regulate.yaml", "--out", "ran")
     assert "data-craft" in (tmp_path / "ran" / "report.html").read_text(encoding="utf-8")
     (tmp_path / "table.py").write_text(TABLE, encoding="utf-8")

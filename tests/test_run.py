@@ -121,7 +121,7 @@ def test_a_file_that_is_no_fmu_exits_3(project: Path) -> None:
 
 @pytest.mark.thorough  # the command builds in test_verbs, the fixtures build the FMUs
 def test_build_makes_every_fmu_the_scenarios_name(tmp_path: Path) -> None:
-    done = cosim("build", "--out", "fmus", cwd=tmp_path)
+    done = cosim("build", "--model", "hovercraft", "--out", "fmus", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     named = {
         name

@@ -35,7 +35,7 @@ class ModelEntry:
         name: Name of the model in files.
         model: Place of its class.
         recipe: Place of the function from parameter values to the recipe of its FMU.
-        built: File name → place of a recipe, for the FMUs of `cosim build` without a model.
+        built: File name → place of a recipe, for the FMUs of `cosim build` with the name of the model.
         beside: File name → place of a recipe, for FMUs built along with each model of this class.
         native: Name → place of the maker of a native FMU, apart from the model's own. It takes the designed start
             values of `NAME.fmu`, if any.

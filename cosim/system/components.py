@@ -112,7 +112,8 @@ def _fmu(
     path, scenario = file.resolve(component.fmu), file.scenario
     if not path.is_file():
         is_built = is_model(BASE) and path.name in model_entry().built
-        cure = f'; "cosim build --out {shell_path(path.parent)}" makes it' if is_built else ""
+        made = model_entry().name if is_built else ""
+        cure = f'; "cosim build --model {made} --out {shell_path(path.parent)}" makes that of {made}' if made else ""
         cure += "" if file.manifest is None else f"; put it there, or {path.name} beside {file.path.name}"
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None

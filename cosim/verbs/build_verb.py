@@ -12,8 +12,6 @@ from cosim.verbs.cli import say, say_json, warn
 def command(*, json: bool = False, **given: Any) -> None:
     """Build the FMUs of a model.
 
-    Without --model: all FMUs of the base model.
-
     Args:
         folder (--out -o PATH): Folder for the FMUs.
         model (MODEL): Build this model: a registered one, a model.yaml, the folder of a refine, or FILE.py:CLASS.

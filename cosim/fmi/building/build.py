@@ -47,8 +47,7 @@ def build(
 
     Args:
         folder: Folder for the FMUs.
-        model: Registered model, model.yaml, file.py:Class, or the folder of a refine; None takes all FMUs of the base
-            model.
+        model: Registered model, with its controllers, model.yaml, file.py:Class, or the folder of a refine.
         nearest: Use nearest.yaml instead of model.yaml of the refine folder.
         native: Build compiled FMUs, which need no Python.
         fmi: FMI version of native FMUs, 2 or 3.
@@ -103,7 +102,7 @@ def build_native(
     """Build the native FMUs of a model in `folder`.
 
     Args:
-        model: `base` (default), a model.yaml, file.py:Class or a refine.
+        model: As in `build`.
         fmi: FMI version, 2 or 3.
         platforms: Platform names; by default this machine's.
         design, tell: As in `build`.
@@ -212,11 +211,11 @@ def designed_model(
     Raises:
         InputError: Every fault of the model or file, or a model without a controller to design.
     """
-    if text is None and nearest:
-        reason = "has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"
-        raise InputError.at(Path("--nearest"), reason)
-    file: str | Path = BASE if text is None else text
-    if text is not None and (nearest or names_refine(Path(text))):
+    if text is None:
+        registered = "".join(f"{name}, " for name in sorted(models()) if name != BASE)
+        raise InputError.at(Path("--model"), f"is missing; name one: {registered}a model.yaml, or FILE.py:CLASS")
+    file: str | Path = text
+    if nearest or names_refine(Path(text)):
         try:
             file = refined_file(Path(text), nearest=nearest)
         except NoNearest as error:
