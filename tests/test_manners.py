@@ -96,7 +96,8 @@ def test_json_of_what_is_done_is_alone_on_stdout(told: Told) -> None:
 def test_json_of_wrong_usage_is_alone_on_stdout(told: Told, words: list[str]) -> None:
     code, out, err = told(*words, "--json")
     found = json.loads(out)
-    assert (code, found["exit_code"], found["faults"]) == (2, 2, [])
+    assert (code, found["exit_code"]) == (2, 2)
+    assert [(f["kind"], f["message"]) for f in found["faults"]] == [("UsageError", found["error"])]
     assert found["error"] in err
     code, out, _ = told(*words)
     assert (code, out) == (2, "")

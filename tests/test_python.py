@@ -69,7 +69,7 @@ def test_faults_of_a_mapping_are_told_without_a_file_that_is_gone(tmp_path: Path
     with pytest.raises(InputError) as refused:
         cosim.run(turning(tmp_path, sed=1, step=0.3))
     assert str(refused.value).splitlines() == [
-        "scenario: step is 0.3 s; use a whole divisor of duration 0.5 s, 0.25 s for one",
+        "scenario: duration 0.5 s is not a multiple of step 0.3 s; use for example step 0.25 s",
         str(refused.value).splitlines()[1],
     ]
     assert 'scenario: unknown key "sed"; did you mean "seed"?' in str(refused.value)

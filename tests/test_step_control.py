@@ -146,7 +146,7 @@ def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> Non
         ("{max: 20 ms, min: 1 ms, tolerance: -1}", "step.tolerance"),
         ("{max: 20 ms, min: 1 ms, estimator: guess}", "step.estimator"),
         ("{max: 20 ms, min: 1 ms, estimator: energy}", "needs bonds"),
-        ("{max: 30 ms, min: 1 ms}", "divisor"),
+        ("{max: 30 ms, min: 1 ms}", "multiple"),
         ("{max: 20 ms, min: 1 ms, most: 1}", "most"),
         ("soon", "step is 'soon'"),
         (

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import socket
+import subprocess
+import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -485,3 +487,29 @@ def test_a_run_that_grows_is_followed_and_one_that_is_removed_is_told(
     assert values_at(ask, 5.0, [1, "x"], [1, "d"]) == [7.0, 14.0]
     points = np.frombuffer(ask("points", {"from": 0, "to": 1, "width": 9, "curves": [[0, "x"], [1, "x"]]}))
     assert (points[0], points[2]) == (-1, 4)
+
+
+def test_a_run_under_way_is_followed_to_its_end(tmp_path: Path) -> None:
+    signals = {"x": {"changes": [{"at": 0.5, "to": 1}]}}
+    scenario = {
+        "name": "s",
+        "duration": 3,
+        "step": 0.02,
+        "components": {"r": {"block": "reference", "signals": signals}},
+    }
+    (tmp_path / "s.yaml").write_text(json.dumps(scenario))
+    command = [sys.executable, "-m", "cosim", "run", "s.yaml", "--pace", "1", "--no-report", "--out", "out"]
+    run, until = None, time.monotonic() + 60
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as running:
+        while run is None or not run.rows.rows:
+            assert time.monotonic() < until
+            with suppress(InputError):  # until it has begun
+                places, _ = find_runs([str(tmp_path / "out")], tmp_path)
+                (run,), _ = open_runs(places, lambda text: nullcontext())
+        assert run.rows.rows < 151
+        assert running.wait(60) == 0
+    while run.rows.rows < 151:
+        assert time.monotonic() < until
+        assert run.check()
+        run.follow()
+    assert (run.rows.read("r.x")[-1], run.rows.read(TIME)[-1], run.lost) == (1.0, 3.0, "")

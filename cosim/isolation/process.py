@@ -70,6 +70,11 @@ class Worker:
 
     progress: Progress  # also valid after the process has ended
 
+    @property
+    def progress_file(self) -> Path:
+        """Return the file of the progress, which begins with the number of rows made."""
+        return self._scratch.path / PROGRESS
+
     def start(self) -> None:
         """Start the process ahead of the first job."""
         if self.running:
@@ -78,7 +83,7 @@ class Worker:
             self.end()
             self._scratch: ScratchFolder = scratch(PREFIX)
             try:
-                self.progress = mapped_progress(self._scratch.path / PROGRESS)
+                self.progress = mapped_progress(self.progress_file)
                 self._start_process()
             except BaseException:
                 self._scratch.remove()

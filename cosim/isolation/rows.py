@@ -65,6 +65,9 @@ def exact_line(row: Sequence[Any]) -> bytes:
     return json.dumps([{"hex": v.hex()} if isinstance(v, bytes) else v for v in row]).encode() + b"\n"
 
 
+FOLLOWED = "rows.json"  # beside the rows of a run under way: units of its columns, start and step, file of its progress
+
+
 @dataclass(frozen=True)
 class Rows:
     """Rows of a run during its recording, and the progress of the run.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
+    FOLLOWED,
     GET,
     ExactFile,
     Progress,
@@ -109,6 +111,10 @@ def simulate_in(
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         control = Control(system, exchange, counters)
         table, rows = _begin_rows(stack, worker, folder, steps + 1, columns, kept)
+        units = {name: system.units.get(name, "") for name in system.columns}
+        about = {"units": units, "start": system.start, "step": h, "progress": str(worker.progress_file)}
+        with suppress(OSError):  # without space the run is only not followed
+            table.with_name(FOLLOWED).write_text(json.dumps(about), encoding="utf-8")
         mapped = np.memmap(table, np.float64, "r", shape=(rows, columns)) if observers and columns else None
         feed = Feed(observers, system, steps, h, control, mapped)
 
@@ -127,10 +133,10 @@ def simulate_in(
         settings["channel"] = exchange if observers else None
         log: Sequence[str] = ()
         failure: SimulationError | None = None
-        last, about = None, dict[str, Any]()
+        last, ended = None, dict[str, Any]()
         try:
             job = partial(simulate_rows, system, steps, h, table, rows, limits, **settings)
-            log, failure, last, about = worker.call(job, watch=watch)
+            log, failure, last, ended = worker.call(job, watch=watch)
             hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             failure = stop_error(stop, _time_of(system, h, counters.made[0]))
@@ -150,7 +156,7 @@ def simulate_in(
         if last is not None:
             time[done - 1] = last
         loop = counters.loop.decode("utf-8", "ignore")
-        results = replace(results_of(system, time, values, beside, loop=loop), **about)
+        results = replace(results_of(system, time, values, beside, loop=loop), **ended)
         results = take_signals(recording, results)
         del values  # Its file is removed.
     component_times = {} if times is None else times.record()

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import json
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
+
+import numpy as np
 
 from cosim.core.drafts import is_full
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
+from cosim.core.scratch import process_folder
 from cosim.files.artefact import LOG
 from cosim.files.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, entries, select_groups
-from cosim.pages.rows import Recording
+from cosim.isolation.rows import FOLLOWED
+from cosim.pages.rows import Recording, Store
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
@@ -68,6 +75,9 @@ class ViewedRun:
         self.rows = self._open(progress) if rows is None else rows
 
     def _open(self, progress: Progress) -> Recording:
+        if self.place.file.name == FOLLOWED:
+            about = json.loads(self.place.file.read_text(encoding="utf-8"))
+            return self._with_new_rows(Store(Path(mkdtemp(dir=process_folder())), about["units"]))
         folder, begin = self.place.file.parent, time.monotonic()
         manifest = manifest_in(folder)
         units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
@@ -86,8 +96,23 @@ class ViewedRun:
         self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
         return rows
 
+    def _with_new_rows(self, rows: Store) -> Store:
+        """Add the rows that a run under way has made since; raise OSError if it has ended."""
+        about = json.loads(self.place.file.read_text(encoding="utf-8"))
+        made = int.from_bytes(Path(about["progress"]).read_bytes()[:8], sys.byteorder)
+        if made > rows.rows:
+            table = np.memmap(self.place.file.with_name("rows"), np.float64, "r", shape=(made, len(about["units"])))
+            time = about["start"] + about["step"] * np.arange(rows.rows, made)
+            rows.append(np.vstack((time, table[rows.rows :].T)))
+        return rows
+
     def check(self) -> bool:
         """Return whether the file is still there."""
+        if self.place.file.name == FOLLOWED and not self.place.file.is_file():  # the run has ended
+            rows = rows_in(self.place.file.parent.parent)
+            if rows is None:
+                return True  # it is being written
+            self.place = replace(self.place, file=rows, entry=None)
         if not self.lost and not self._is_fed and not self.place.file.is_file():
             self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
         return not self.lost
@@ -97,6 +122,11 @@ class ViewedRun:
 
         A file with other signals or fewer rows belongs to another run, which `lost` says.
         """
+        if isinstance(self.rows, Store) and self.place.file.name == FOLLOWED:
+            before = self.rows.rows
+            with suppress(OSError, ValueError):
+                self._with_new_rows(self.rows)
+            return self.rows.rows > before
         state = file_state(self.place.file)
         if self._is_fed or self.lost or state in {self._state, (0, 0)} or time.monotonic() < self._due:
             return False
@@ -147,7 +177,7 @@ def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list
                     found.append(RunPlace(path.stem, path.stem, path))
                 elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
                     found.append(place)
-                elif entry is None and (rows := rows_in(path)) is not None:
+                elif entry is None and (rows := _rows_of(path)) is not None:
                     name = run_name(path)
                     found.append(RunPlace(name, name, rows))
                 elif not selected.by_pattern:
@@ -189,8 +219,13 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
     return runs, notes
 
 
+def _rows_of(folder: Path) -> Path | None:
+    """Return the rows of a run, also of one under way."""
+    return rows_in(folder) or next(folder.glob(f"*/{FOLLOWED}"), None)
+
+
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
-    rows = rows_in(entry.folder)
+    rows = _rows_of(entry.folder)
     name = entry.of if entry.is_newest else entry.name
     return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
 

@@ -75,9 +75,8 @@ def echo(text: str, *, err: bool = False, met: bool | None = None) -> None:
 
 def say(*lines: str, met: bool | None = None) -> None:
     """Print lines; print nothing with -q or --json."""
-    if not MANNER.quiet and not MANNER.as_json:
-        for line in lines:
-            echo(line, met=met)
+    for line in () if MANNER.quiet or MANNER.as_json else lines:
+        echo(line, met=met)
 
 
 def warn(*texts: str) -> None:
@@ -156,7 +155,8 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float]
 
     columns = TimeElapsedColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=20)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.tasks[bar.add_task("starting", total=None)]
+        bar.add_task("starting", total=None)
+        (task,) = bar.tasks
 
         def advance(first: Any, second: float) -> None:
             share = second if isinstance(first, str) else first / max(second, 1)
