@@ -17,7 +17,7 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
 from cosim.refinement.decision.bundle import evidence, optima
-from cosim.refinement.decision.posterior import CERTAIN, POSSIBLE, log_prior, posterior
+from cosim.refinement.decision.posterior import CERTAIN, POSSIBLE, folded, log_prior, posterior
 from cosim.refinement.search.fits import HOPE, Parts, Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
 
@@ -34,9 +34,10 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
     for _ in range(EXPANSIONS):
         ended = {frozenset(h.names): h for h in optima(search)}
         sets, kappa = posterior([evidence(search, h) for h in ended.values()], len(candidates))
-        ranked = sorted(sets, key=lambda parts: -sets[parts])
+        classes = folded(sets, ())
+        ranked = [*classes]
         starts: dict[tuple[str, ...], Start] = {}
-        mass = np.cumsum([sets[parts] for parts in ranked])
+        mass = np.cumsum([*classes.values()])
         leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
         probable = [parts for parts in leading if parts not in asked]
         asked.update(probable)
