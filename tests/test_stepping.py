@@ -51,6 +51,31 @@ def same(path: Path, *overrides: str) -> Results:
     return in_c
 
 
+@pytest.mark.parametrize("in_c", [True, False])
+def test_sources_have_the_values_of_their_laws(in_c: bool, tmp_path: Path) -> None:
+    """A recording on lines and held, a ramp that ends at its target from either side, noise of its variance."""
+    (tmp_path / "p.csv").write_text("time,p\n0,1\n0.5,-2\n1.5,0.5\n2.0,4\n")
+    lag_fmu(tmp_path / "lag.fmu")
+    ramps = [{"at": 0.5, "to": 3, "rate": 2}, {"at": 2, "to": -1, "rate": 4}]
+    components = {
+        "line": {"block": "playback", "file": "p.csv", "interpolation": "linear"},
+        "held": {"block": "playback", "file": "p.csv"},
+        "r": {"block": "reference", "signals": {"w": {"start": 1, "changes": ramps}, "z": {"start": 2}}},
+        "lag": {"fmu": "lag.fmu"},
+    }
+    noisy = {"from": "r.z", "to": "lag.u", "noise": {"variance": 0.25, "bias": 0.5}}
+    content = {"name": "s", "duration": 40, "step": 0.01, "components": components, "connections": [noisy]}
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(content))
+    file = ScenarioFile(tmp_path / "s.yaml")
+    results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
+    times, rows, values = results.time, [0, 0.5, 1.5, 2.0], np.array([1, -2, 0.5, 4])
+    assert results["line.p"] == pytest.approx(np.interp(times, rows, values), abs=1e-9)
+    assert results["held.p"] == pytest.approx(values[np.searchsorted(rows, times + 1e-9, "right") - 1])
+    assert results["r.w"] == pytest.approx(np.interp(times, [0.5, 1.5, 2, 3], [1, 3, 3, -1]), abs=1e-9)
+    noise = results["lag.u"][1:] - 2.0
+    assert (np.mean(noise), np.var(noise)) == pytest.approx((0.5, 0.25), rel=0.1)
+
+
 def two(folder: Path, **more: Any) -> Path:
     """Two FMUs of C in a circle, a reference and a recording that drive them, noise and every fault on the way."""
     deeds_fmu(folder / "one.fmu", signals=3)
