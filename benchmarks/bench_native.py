@@ -76,7 +76,7 @@ def native_figures(place: Path) -> dict[str, float | str]:
 
 def native_scenario(place: Path, duration: float) -> Path:
     """Build the native craft and write the scenario of its loop; return its file."""
-    build_native(place)
+    build_native(place, "hovercraft")
     links = "".join(f"  - {{from: {a}.{name}, to: {b}.{name}}}\n" for a, name, b in LINKS)
     scenario = place / "native.yaml"
     scenario.write_text(SCENARIO.format(duration=duration, links=links))

@@ -169,7 +169,7 @@ def native_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def fill(folder: Path) -> None:
         before, c_compiler.OPTIONS = c_compiler.OPTIONS, QUICK  # whoever is first, as the modules build
-        build_native(folder)
+        build_native(folder, "hovercraft")
         c_compiler.OPTIONS = before
 
     return _built_once(tmp_path_factory, "native", fill)

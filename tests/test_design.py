@@ -81,7 +81,7 @@ def test_each_law_is_designed_for_a_refined_craft(controller: str, tmp_path: Pat
 def test_a_designed_fmu_flies_as_one_that_is_given_its_start_values(project: Path, native_fmus: Path) -> None:
     starts = designed(project, "Q: [2, 0.5, 0.1, 0.01, 0]\nestimator: lagged\n")
     set_ = {name: starts[name] for name in (*GAINS, "estimator")}
-    build_native(project / "built", design=project / "design.yaml")
+    build_native(project / "built", "hovercraft", design=project / "design.yaml")
     for given, own in (
         ("build/controller.fmu", "built/controller.fmu"),
         (native_fmus / "controller-native.fmu", "built/controller-native.fmu"),

@@ -237,7 +237,7 @@ def test_a_native_fmu_is_valid_and_runs_without_a_tool(name: str, native_fmus: P
 
 
 def test_two_builds_are_the_same_bytes(native_plant: Path, tmp_path: Path) -> None:
-    again, _ = build_native(tmp_path)
+    again, _ = build_native(tmp_path, "hovercraft")
     assert again.path.read_bytes() == native_plant.read_bytes()
 
 
@@ -305,7 +305,7 @@ def test_without_a_compiler_the_cure_is_said(tmp_path: Path, monkeypatch: pytest
         pytest.skip("the extra native brings a compiler")
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(InputError, match="no C compiler is found in CC or on PATH; install gcc or clang"):
-        build_native(tmp_path / "out")
+        build_native(tmp_path / "out", "hovercraft")
     assert not (tmp_path / "out").exists()
 
 

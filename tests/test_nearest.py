@@ -66,7 +66,7 @@ def test_where_all_is_claimed_the_refined_model_is_the_nearest(tmp_path: Path) -
         ("alone/model.yaml", "is of no refine, so there is no nearest model; name the folder that `cosim refine` left"),
         ("base", "base is of no refine"),
         ("older", "holds no nearest.yaml; refine its study again, or leave nearest out"),
-        (None, "--nearest: has no effect without a model; give the folder of a `cosim refine` as --model"),
+        (None, "--model: is missing; name one: "),
     ],
 )
 def test_where_there_is_no_nearest_model_build_says_so_in_a_line(

@@ -113,8 +113,10 @@ def simulate_in(
         table, rows = _begin_rows(stack, worker, folder, steps + 1, columns, kept)
         units = {name: system.units.get(name, "") for name in system.columns}
         about = {"units": units, "start": system.start, "step": h, "progress": str(worker.progress_file)}
+        followed = table.with_name(FOLLOWED)
+        stack.callback(followed.unlink, missing_ok=True)
         with suppress(OSError):  # without space the run is only not followed
-            table.with_name(FOLLOWED).write_text(json.dumps(about), encoding="utf-8")
+            followed.write_text(json.dumps(about), encoding="utf-8")
         mapped = np.memmap(table, np.float64, "r", shape=(rows, columns)) if observers and columns else None
         feed = Feed(observers, system, steps, h, control, mapped)
 
