@@ -33,6 +33,7 @@ from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.missing import rows_of_delay
 
 BLOCKS = 20  # blocks of time of a study
+PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 
 def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
@@ -110,13 +111,15 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
 def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
     """Return measurement − open-loop prediction of a log, shape (replays, rows, outputs); NaN if not finite.
 
-    Consecutive replays last one horizon of the model, at most half of the log, from the states that the filter
-    estimates. A library begins at the start of a log only; its one free run is cut into as many.
+    Consecutive replays last one horizon of the model, at most half of the log, or a part of the log for a model judged
+    by a free run, from the states that the filter estimates. A library begins at the start of a log only; its one free
+    run is cut into as many.
     """
     raise_if_cancelled()
     data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
     every = len(data.u)
-    length = max(2, round(min(horizon / data.step, (every - first) // 2)))
+    length = every // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
+    length = max(2, min(length, (every - first) // 2))
     run, p = problem.run(f.values, f.noise, index, states=True), problem.numbers(problem.of_log(f.values, index))
     rows = range(first, every - length, length)
     if problem.layout.is_free_run:
