@@ -204,6 +204,8 @@ def reason_of(error: Any) -> str:
     kind, context = error["type"], error.get("ctx") or {}
     if kind == "value_error":
         return str(context["error"])
+    if kind == "is_instance_of":
+        return "it should be a list" if context["class"] == "Sequence" else f"it should be of type {context['class']}"
     if kind == "string_pattern_mismatch":
         of = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
         return f"it should be {of} of letters, digits and _ that begins with no digit"
@@ -221,7 +223,6 @@ _WORDS = {
     "string_type": "it should be text",
     **dict.fromkeys(("float_type", "float_parsing"), "it should be a valid number"),
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "it should be a whole number"),
-    "is_instance_of": "it should be a list",
     "int_parsing_size": "it should be a smaller number",
 }
 

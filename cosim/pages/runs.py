@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
@@ -23,7 +22,9 @@ from cosim.files.folders import manifest_in, replay_record, run_name, status_in,
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, entries, select_groups
+from cosim.isolation import rows as running
 from cosim.isolation.rows import FOLLOWED
+from cosim.master.checkpoint import ROWS
 from cosim.pages.rows import Recording, Store
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
 
@@ -99,19 +100,20 @@ class ViewedRun:
     def _with_new_rows(self, rows: Store) -> Store:
         """Add the rows that a run under way has made since; raise OSError if it has ended."""
         about = json.loads(self.place.file.read_text(encoding="utf-8"))
-        made = int.from_bytes(Path(about["progress"]).read_bytes()[:8], sys.byteorder)
+        made = int(running.Progress.from_buffer_copy(Path(about["progress"]).read_bytes()).made[0])
         if made > rows.rows:
-            table = np.memmap(self.place.file.with_name("rows"), np.float64, "r", shape=(made, len(about["units"])))
+            table = np.memmap(self.place.file.with_name(ROWS), np.float64, "r", shape=(made, len(about["units"])))
             time = about["start"] + about["step"] * np.arange(rows.rows, made)
             rows.append(np.vstack((time, table[rows.rows :].T)))
         return rows
 
     def check(self) -> bool:
         """Return whether the file is still there."""
-        if self.place.file.name == FOLLOWED and not self.place.file.is_file():  # the run has ended
-            rows = rows_in(self.place.file.parent.parent)
+        folder = self.place.file.parent.parent
+        if self.place.file.name == FOLLOWED and not self.place.file.is_file() and folder.is_dir():
+            rows = rows_in(folder)
             if rows is None:
-                return True  # it is being written
+                return True  # the run has ended, and they are being written
             self.place = replace(self.place, file=rows, entry=None)
         if not self.lost and not self._is_fed and not self.place.file.is_file():
             self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
@@ -220,8 +222,14 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
 
 
 def _rows_of(folder: Path) -> Path | None:
-    """Return the rows of a run, also of one under way."""
-    return rows_in(folder) or next(folder.glob(f"*/{FOLLOWED}"), None)
+    """Return the rows of a run; of one under way, what describes them while its process makes them."""
+    if (rows := rows_in(folder)) is not None:
+        return rows
+    for followed in folder.glob(f"*/{FOLLOWED}"):
+        with suppress(OSError, ValueError):  # it ends meanwhile
+            if Path(json.loads(followed.read_text(encoding="utf-8"))["progress"]).is_file():
+                return followed
+    return None
 
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:

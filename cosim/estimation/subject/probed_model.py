@@ -126,7 +126,7 @@ class _Places:
         s, units = self.structure, self.units
         for k, q in enumerate(s.inputs):
             size = self.size(q.name)
-            largest = max(float(np.abs(u).max()) for u in self.columns(q.name)) or size
+            largest = max((float(np.abs(u).max()) for u in self.columns(q.name)), default=0.0) or size
             sizes = {"u": size, "M": largest, "T": self.step}
             yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
         yield from filter(None, map(self._place_of_pair, s.pairs))
