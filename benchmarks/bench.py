@@ -227,7 +227,7 @@ def dormant_over_base() -> float:
 
 
 def startup_over_import(place: Path) -> float:
-    """Compare a one-step run with its imports."""
+    """Return the time of a run of one step, relative to that of importing its libraries."""
     options = ["--no-report", "--force", "--out", str(place / "out")]
     run = [sys.executable, "-m", "cosim", "run", str(place / "one.yaml"), *options]
     # As installed: with this variable set, each run would compile this package's modules, but no others.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +69,17 @@ def test_a_call_of_model_exchange_that_fails_is_told_and_the_rows_before_are_kep
     assert stopped.value.error.exit_code == 4
     assert len(stopped.value.results.time) == rows
     assert capfd.readouterr().err == ""  # nor does CVODE print what it thinks of it
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no list of open files here")
+def test_many_runs_by_cvode_leave_no_file_open(tmp_path: Path) -> None:
+    count = []
+    for _ in range(2):
+        for _ in range(20):
+            decayed(tmp_path, DEEDS[0])
+        gc.collect()
+        count.append(len(os.listdir("/proc/self/fd")))
+    assert count[1] <= count[0]
 
 
 @pytest.mark.parametrize("version", [2, 3])

@@ -11,9 +11,9 @@ from typing import Any
 
 from cosim.calibration.fit_record import finite
 from cosim.core.errors import Fault, refuse
-from cosim.core.text import split_assignment
+from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.units import split_quantity
-from cosim.files.yaml_file import did_you_mean, short
+from cosim.files.yaml_file import short
 from cosim.fmi.description import unit_of
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.probing.log_runs import limits_of

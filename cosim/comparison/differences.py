@@ -57,7 +57,7 @@ class Comparison:
             KeyError: A signal has no curves.
         """
         from cosim.comparison.page import panels_of
-        from cosim.files.yaml_file import did_you_mean
+        from cosim.core.text import did_you_mean
         from cosim.simulation.report.figures import sheet
 
         for name in names:

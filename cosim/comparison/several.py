@@ -124,7 +124,7 @@ class ComparedRuns(Comparison):
 
     @property
     def equal(self) -> list[str]:
-        """Return the signals that are equal in all runs that have them."""
+        """Return the signals without a difference between runs; a run may lack the signal."""
         differing = self.differing
         return [name for name in self.table if name not in differing]
 

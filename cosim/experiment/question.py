@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.text import did_you_mean
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
@@ -22,7 +23,7 @@ from cosim.experiment.separation import Pair, Rival, typical_rival
 from cosim.files.artefact import ANSWER, CODE, FMU, MODEL
 from cosim.files.folders import newest_run
 from cosim.files.kinds import check_form, check_given, kind_by_form
-from cosim.files.yaml_file import YamlFile, did_you_mean
+from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.refined import names_refine
 from cosim.fmi.building.substep import with_substep

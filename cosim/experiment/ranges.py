@@ -6,10 +6,10 @@ import math
 import re
 from collections.abc import Sequence
 
+from cosim.core.text import did_you_mean
 from cosim.core.units import NUMBER, conversion
 from cosim.estimation.subject.interface import Subject
 from cosim.experiment.rigs import Ranges
-from cosim.files.yaml_file import did_you_mean
 from cosim.model.model import Model
 
 LIMIT = re.compile(rf"(?P<name>[^=]+)=\s*(?P<number>{NUMBER})\s*(?P<unit>.*)")

@@ -22,9 +22,9 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import SOURCES, load, names, resolve
+from cosim.core.text import did_you_mean
 from cosim.core.units import alternatives, factor
 from cosim.files.files import open_bytes
-from cosim.files.yaml_file import did_you_mean
 
 OWN = (
     "cosim.files.csv_source:CSV",

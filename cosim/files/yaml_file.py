@@ -34,8 +34,7 @@ from ruamel.yaml.nodes import ScalarNode
 
 from cosim.core.errors import Fault, InputError
 from cosim.core.settings import reason_of
-from cosim.core.text import closest as closest
-from cosim.core.text import did_you_mean as did_you_mean
+from cosim.core.text import closest, did_you_mean
 from cosim.core.units import has_unit, number_in, read_quantity
 from cosim.files.files import open_bytes
 

@@ -14,11 +14,11 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, SimulationError, refuse
 from cosim.core.scratch import temporary_folder
-from cosim.core.text import as_yaml
+from cosim.core.text import as_yaml, did_you_mean
 from cosim.core.times import rounding, roundings
 from cosim.core.units import read_quantity
 from cosim.files.results import Results
-from cosim.files.yaml_file import did_you_mean, short
+from cosim.files.yaml_file import short
 from cosim.linearization.linear_model import Point
 from cosim.linearization.sources import EquationSource, Source
 from cosim.model.integrate import Stepper

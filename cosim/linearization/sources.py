@@ -16,8 +16,9 @@ from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.derivatives import DifferentiableFmu, slopes_at
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.core.text import did_you_mean
 from cosim.core.units import read_quantity
-from cosim.files.yaml_file import did_you_mean, short
+from cosim.files.yaml_file import short
 from cosim.fmi.building.file import LoadedModel
 from cosim.fmi.description import name_states, reals, scalars, states_of, units_of, ways
 from cosim.isolation import worker as here

@@ -14,11 +14,11 @@ from cosim.blocks.compiling import compiling
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import BASE, is_model
 from cosim.core.settings import Given, Names, Positive, texts
+from cosim.core.text import did_you_mean
 from cosim.files.artefact import CODE, FMU, MODEL
 from cosim.files.files import FilePath, check_writable, named_path, write_text
 from cosim.files.folders import new_run, remove_earlier
 from cosim.files.kinds import check_given, kind_of
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.building.file import LoadedModel, load_model, named_model
 from cosim.fmi.building.refined import names_refine, refined_file
 from cosim.linearization.linear_model import missing_states, select

@@ -16,9 +16,10 @@ import numpy as np
 from cosim.blocks.component import Signal
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import Fault, refuse
+from cosim.core.text import closest, did_you_mean
 from cosim.core.units import Conversion, alternatives, assume_si, conversion
 from cosim.files.table import Column, Faults, Table, Use, read_table
-from cosim.files.yaml_file import closest, did_you_mean, short
+from cosim.files.yaml_file import short
 from cosim.model.quantities import Quantity
 
 FAST, USUAL = 0.001, 0.05  # [s] row spacings from and up to which fixed times apply; see `slowness`

@@ -14,8 +14,8 @@ from cosim.blocks.compiling import permission, with_permission
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import Fault, refuse
 from cosim.core.scratch import temporary_folder
+from cosim.core.text import did_you_mean
 from cosim.files.archive import unpack
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.description import read_description, unit_of
 from cosim.fmi.fmi_types import element_names
 from cosim.isolation.limits import Limits

@@ -18,7 +18,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Fiel
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import with_prefix
 from cosim.core.registry import BASE
-from cosim.core.text import counted, plain
+from cosim.core.text import counted, did_you_mean, plain
 from cosim.core.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
 from cosim.estimation.subject.fmu_subject import FmuSubject
@@ -27,7 +27,7 @@ from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.files.artefact import STUDY, kind_by_keys
 from cosim.files.files import FilePath
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
+from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile
 from cosim.fmi.building.file import load_model, own_terms
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
@@ -37,7 +37,7 @@ from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.probing.places import probe_places
-from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
+from cosim.refinement.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
 

@@ -17,11 +17,11 @@ from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock, RestartableFmu
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.core.text import did_you_mean
 from cosim.core.times import rounding, roundings
 from cosim.core.units import Conversion, conversion
 from cosim.files.artefact import FMU, LOG
 from cosim.files.kinds import check_given
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.description import read_description, takes_any_step
 from cosim.fmi.sampled import traits_of
 from cosim.fmi.state import Memory, Own

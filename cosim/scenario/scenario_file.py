@@ -16,20 +16,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.core.errors import Fault, InputError
+from cosim.core.text import did_you_mean
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import SCHEMA_VERSION, other_version
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import (
-    MOST_FAULTS,
-    Document,
-    Location,
-    NotYaml,
-    Origin,
-    YamlFile,
-    did_you_mean,
-    location_in,
-    short,
-)
+from cosim.files.yaml_file import MOST_FAULTS, Document, Location, NotYaml, Origin, YamlFile, location_in, short
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario
 from cosim.scenario.start_values import STAND_IN, waiting_texts

@@ -16,6 +16,7 @@ from typing import Any
 from cosim.blocks.component import Signal
 from cosim.blocks.sources import playback
 from cosim.core.errors import FmuError, InputError
+from cosim.core.text import did_you_mean
 from cosim.core.units import (
     allowed_quantity,
     computed_in,
@@ -24,7 +25,7 @@ from cosim.core.units import (
     split_quantity,
     unit_product,
 )
-from cosim.files.yaml_file import Location, did_you_mean
+from cosim.files.yaml_file import Location
 from cosim.fmi.description import enumeration_items, is_difference, read_description, unit_definition, unit_of
 from cosim.fmi.fmi_types import FmiType, element_names, kinds_of
 from cosim.scenario.scenario import (

@@ -69,7 +69,7 @@ class Signals:
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.results.columns:
-            from cosim.files.yaml_file import did_you_mean
+            from cosim.core.text import did_you_mean
 
             hint = did_you_mean(name, self.results.columns)
             raise KeyError(f'no signal "{name}"{hint}')

@@ -16,8 +16,9 @@ from typing import Any, TypeVar
 
 from cosim.blocks.component import Signal
 from cosim.core.errors import Fault, FmuError, InputError
+from cosim.core.text import did_you_mean
 from cosim.core.units import SI
-from cosim.files.yaml_file import MOST_FAULTS, did_you_mean, format_value
+from cosim.files.yaml_file import MOST_FAULTS, format_value
 from cosim.fmi.description import is_difference, read_description, unit_definition, unit_of
 from cosim.ssp.package import Element, Package
 

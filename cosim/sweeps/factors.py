@@ -14,8 +14,9 @@ import numpy as np
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import with_prefix
+from cosim.core.text import did_you_mean
 from cosim.core.units import split_quantity
-from cosim.files.yaml_file import REMOVED_KEYS, YamlFile, did_you_mean, short
+from cosim.files.yaml_file import REMOVED_KEYS, YamlFile, short
 from cosim.fmi.description import unit_of
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of

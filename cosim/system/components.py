@@ -14,8 +14,8 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock, playback, reference
 from cosim.core.errors import FmuError, InputError
 from cosim.core.registry import BASE, is_model, model_entry
+from cosim.core.text import did_you_mean
 from cosim.files.kinds import shell_path
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.description import matches, read_description, state_names, ways
 from cosim.fmi.fmi_types import element_names, kinds_of
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario

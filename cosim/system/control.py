@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.files.yaml_file import did_you_mean
+from cosim.core.text import did_you_mean
 from cosim.fmi.description import takes_any_step
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import FixComponent, Scenario

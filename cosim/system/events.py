@@ -16,9 +16,9 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.scheduled import ScheduledFmu
 from cosim.blocks.sources import SourceBlock
+from cosim.core.text import did_you_mean
 from cosim.core.times import first_point
 from cosim.core.units import read_quantity
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.description import Way, enumeration_items, takes_any_step, unit_of, ways
 from cosim.fmi.fmi_types import input_aliases
 from cosim.fmi.sampled import sampled_by

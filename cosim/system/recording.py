@@ -15,9 +15,8 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Rows
 from cosim.core.messages import Note
 from cosim.core.registry import page_for
-from cosim.core.text import join_names
+from cosim.core.text import did_you_mean, join_names
 from cosim.files.results import Results
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.description import matches
 from cosim.scenario.scenario import Recording, Scenario
 from cosim.scenario.scenario_file import Diagnosis

@@ -13,9 +13,8 @@ from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.core.messages import CheckNote, Note
-from cosim.core.text import join_names
+from cosim.core.text import did_you_mean, join_names
 from cosim.core.times import steps_in
-from cosim.files.yaml_file import did_you_mean
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import Diagnosis, Place
 from cosim.system.wiring import Components, Transfer

@@ -19,7 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.core.errors import refuse
-from cosim.files.yaml_file import did_you_mean
+from cosim.core.text import did_you_mean
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings
 from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile

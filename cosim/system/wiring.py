@@ -14,9 +14,9 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import LinkKind
 from cosim.core.errors import SimulationError
 from cosim.core.messages import with_prefix
+from cosim.core.text import did_you_mean
 from cosim.core.times import whole_steps
 from cosim.core.units import UnitAssumption, assume_si
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.fmi_types import input_aliases, is_compatible, negative
 from cosim.scenario.scenario import (
     Connection,

@@ -49,7 +49,7 @@ ITEM = re.compile(r"^    (\w+)(?: \((.*?)\))?: (.*?)(?=^    \w|\n\n|\Z)", re.MUL
 
 
 @dataclass
-class Manner:
+class Output:
     """Amount and form of the output of a command, and the warnings and notes so far."""
 
     quiet: bool = False
@@ -59,7 +59,7 @@ class Manner:
     messages: list[dict[str, str]] = field(default_factory=list)
 
 
-MANNER = Manner()  # of this process, set by the options of any command
+OUTPUT = Output()  # of this process, set by the options of any command
 LAST: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
 
 
@@ -75,24 +75,24 @@ def echo(text: str, *, err: bool = False, met: bool | None = None) -> None:
 
 def say(*lines: str, met: bool | None = None) -> None:
     """Print lines; print nothing with -q or --json."""
-    for line in () if MANNER.quiet or MANNER.as_json else lines:
+    for line in () if OUTPUT.quiet or OUTPUT.as_json else lines:
         echo(line, met=met)
 
 
 def warn(*texts: str) -> None:
     """Print warnings and notes on stderr, and keep them for JSON; -q omits notes."""
     for text in texts:
-        MANNER.messages.append({"kind": "note" if isinstance(text, Note) else "warning", "message": str(text)})
-        if not (MANNER.quiet and isinstance(text, Note)):
+        OUTPUT.messages.append({"kind": "note" if isinstance(text, Note) else "warning", "message": str(text)})
+        if not (OUTPUT.quiet and isinstance(text, Note)):
             echo(with_severity(text), err=True)
 
 
 def say_json(value: Any) -> None:
     """Print JSON, also with -q. An object gets the warnings and notes so far."""
-    if isinstance(value, dict) and MANNER.messages:
-        value = {**value, "messages": MANNER.messages}
+    if isinstance(value, dict) and OUTPUT.messages:
+        value = {**value, "messages": OUTPUT.messages}
     echo(json.dumps(value, indent=2, ensure_ascii=False))
-    MANNER.has_json = True
+    OUTPUT.has_json = True
 
 
 def say_error(error: CosimError, exit_code: int | None = None) -> int:
@@ -119,7 +119,7 @@ def say_error(error: CosimError, exit_code: int | None = None) -> int:
                 answer |= files_in(error.left, "manifest.json", *([rows.name] if rows else []))
             lines = {"rows so far:": answer["results"], "report:     ": answer["report"]}
             say(*(f"{title} {file}" for title, file in lines.items() if file))
-        if MANNER.as_json and not MANNER.has_json:
+        if OUTPUT.as_json and not OUTPUT.has_json:
             say_json(answer)
     return int(answer["exit_code"])
 
@@ -147,7 +147,7 @@ def files_in(folder: Path, *names: str) -> dict[str, str]:
 def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float], None] | None]:
     """Yield a function of (completed, all steps) or (stage, share): a bar on a terminal, lines with -v, else None."""
     is_terminal, start = sys.stderr.isatty(), time.monotonic()
-    if MANNER.quiet or not (is_terminal or MANNER.verbose):
+    if OUTPUT.quiet or not (is_terminal or OUTPUT.verbose):
         yield None
         return
     from rich.console import Console
@@ -193,8 +193,8 @@ def _with_options(command: Callable[..., Any], verb: Verb) -> Callable[..., None
     """Return a command with options for Typer; it returns nothing, which is exit code 0."""
 
     def run(*, quiet: bool = False, verbose: bool = False, **given: Any) -> None:
-        MANNER.quiet, MANNER.verbose, MANNER.as_json, MANNER.has_json = quiet, verbose, bool(given.get("json")), False
-        MANNER.messages.clear()
+        OUTPUT.quiet, OUTPUT.verbose, OUTPUT.as_json, OUTPUT.has_json = quiet, verbose, bool(given.get("json")), False
+        OUTPUT.messages.clear()
         values = {name: value for name, value in given.items() if value is not None}
         adapters = {name: adapter(*types[name], strict=False) for name in values}
         command(**{**given, **check_values(adapters, values, labels)})

@@ -15,7 +15,7 @@ from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, Port, Seconds, Seed, Values, texts
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, results_in
-from cosim.verbs.cli import MANNER, echo, live_page, progress_bar, say, say_json, show, warn
+from cosim.verbs.cli import OUTPUT, echo, live_page, progress_bar, say, say_json, show, warn
 
 if TYPE_CHECKING:
     from cosim.master.observer import NamedFunctions, Observers
@@ -191,7 +191,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     assert run.folder is not None  # a command writes
     rows, warnings, timings = rows_in(run.folder), run.manifest["warnings"], run.manifest["timings"]
     warn(*warnings)
-    if MANNER.as_json:
+    if OUTPUT.as_json:
         say_json(
             {
                 "status": "missed" if run.missed else run.manifest["status"],
@@ -209,7 +209,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     say(*lines)
     for criterion in run.criteria:
         say(sentence(criterion), met=criterion["met"])
-    if MANNER.verbose:
+    if OUTPUT.verbose:
         speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
         order = f"order: {', '.join(run.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}"
         echo("\n".join(filter(None, (order, time_sentence(timings)))), err=True)
@@ -218,5 +218,5 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
         say(f"report:  {run.report}")
         show(run.report, opens)
     if run.missed:
-        details = ": " + "; ".join(map(sentence, run.missed)) if MANNER.quiet or MANNER.as_json else ""
+        details = ": " + "; ".join(map(sentence, run.missed)) if OUTPUT.quiet or OUTPUT.as_json else ""
         raise CriterionMissed(f"{len(run.missed)} of {len(run.criteria)} criteria missed{details}")

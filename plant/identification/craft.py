@@ -27,9 +27,10 @@ from scipy import optimize, stats
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import BASE
+from cosim.core.text import did_you_mean
 from cosim.core.units import square_unit
 from cosim.files.kinds import check_given
-from cosim.files.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
+from cosim.files.yaml_file import NotNegative, Number, Part, YamlFile
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
 from cosim.model import Model, Stepper

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from cosim.core.errors import refuse
+from cosim.core.text import did_you_mean
 from cosim.core.units import factor, number_in
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import (
@@ -26,7 +27,6 @@ from cosim.files.yaml_file import (
     PositiveSeconds,
     Share,
     YamlFile,
-    did_you_mean,
 )
 from plant.bench import FREE_HEIGHT, Bench
 from plant.identification import PROTOCOL

@@ -181,14 +181,14 @@ class LibraryKernel(CompiledKernel):
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
         acting = p.copy()
         acting[self._not_of_run] = 0.0
-        run: Simulated = self._kept(
+        run: Simulated = self._cached(
             ("run", *_driven(data), acting.tobytes(), x0.tobytes()),
             lambda: self.simulate(data, p, x0, np.zeros(self.layout.memory)),
         )
         return run
 
-    def _kept(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-        """Return what was made under a key, if it is one of the last used, or make it."""
+    def _cached(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        """Return the cached value of a key, made by `make` if it is missing; the oldest values are dropped."""
         made = self._last[key] = self._last.pop(key) if key in self._last else make()
         for oldest in [*self._last][:-KEPT]:
             del self._last[oldest]
@@ -216,7 +216,7 @@ class LibraryKernel(CompiledKernel):
         They are those at given parameter values, and change little with the parameters. Without start states, pulses of
         the inputs in the first row tell the propagation.
         """
-        found: tuple[Array, Array] = self._kept(
+        found: tuple[Array, Array] = self._cached(
             ("responses", *_driven(data), x0.tobytes()), lambda: self._responses(data, x0)
         )
         return found

@@ -2,7 +2,7 @@
 
 Parameters define a local shape, so that one kernel serves every place on every signal. With signals z,
 
-    to · (by.1 + f) · (Σ c_k·bump(ζ − k) + c·rise(ζ))      f = by·z, clipped to −1 … 1 where dry is 1      ζ = of·z
+    to · (by.1 + by·z) · (Σ c_k·bump(ζ − k) + c·rise(ζ))      ζ = of·z
 
 bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. With all parameters 0, no shape exists.
 """
@@ -137,9 +137,7 @@ def local_shape(
     def slope(role: str, x: Any) -> Any:
         return sum(w * sympy.diff(z, x) for z, w in weights[role].items())
 
-    over, plain, factor, shape, bend, edge = map(symbol, ("over", "plain", "factor", "shape", "bend", "edge"))
-    dry = number(f"{LOCAL}.{slot}.dry")
-    gain = number(f"{LOCAL}.{slot}.by.1") + plain + dry * (clip(plain) - plain)
+    over, factor, shape, bend = map(symbol, ("over", "factor", "shape", "bend"))
     value = number(f"{LOCAL}.{slot}.rise") * rise(over)
     value += sum(number(f"{LOCAL}.{slot}.{k}") * bump(over - k) for k in range(KNOTS))
     sums = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
@@ -148,10 +146,10 @@ def local_shape(
         shape,
         tuple(number(f"{LOCAL}.{slot}.to.{name}") * factor * shape for name in equations),
         (
-            {over: number(f"{LOCAL}.{slot}.of.1") + sums["of"], plain: sums["by"]},
-            {factor: gain, shape: value, bend: sympy.diff(value, over), edge: sympy.diff(gain, plain)},
+            {over: number(f"{LOCAL}.{slot}.of.1") + sums["of"], factor: number(f"{LOCAL}.{slot}.by.1") + sums["by"]},
+            {shape: value, bend: sympy.diff(value, over)},
         ),
-        {x: (edge * slope("by", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
+        {x: (slope("by", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
     )
 
 
@@ -161,12 +159,7 @@ def bump(x: Any) -> Any:
     return ((below + abs(below)) / 2) ** 3
 
 
-def clip(x: Any) -> Any:
-    """Return x limited to −1 … 1."""
-    return (abs(x + 1) - abs(x - 1)) / 2
-
-
 def rise(x: Any) -> Any:
     """Return a smooth step in x: 0 below −1, 1 above 1, and a cubic between."""
-    c = clip(x)
+    c = (abs(x + 1) - abs(x - 1)) / 2  # x limited to −1 … 1
     return (2 + 3 * c - c**3) / 4

@@ -14,8 +14,9 @@ from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import BASE, entry_of, is_model, model_entry, models, resolve
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import ModelName, Names
+from cosim.core.text import did_you_mean
 from cosim.files.files import FilePath, check_folder, named_path
-from cosim.files.yaml_file import YamlFile, did_you_mean
+from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.refined import NoNearest, names_refine, refined_file
 from cosim.fmi.building.source import ModelText

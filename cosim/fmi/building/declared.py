@@ -14,8 +14,8 @@ from itertools import chain
 from typing import Any
 
 from cosim.core.errors import refuse
+from cosim.core.text import did_you_mean
 from cosim.core.units import parse
-from cosim.files.yaml_file import did_you_mean
 from cosim.fmi.building.equations import effect_faults, equation_faults
 from cosim.fmi.building.source import ModelText
 from cosim.fmi.ports import model_ports

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from cosim.core.errors import Fault
-from cosim.files.yaml_file import did_you_mean
+from cosim.core.text import did_you_mean
 from cosim.fmi.building.source import ModelText
 from cosim.model.integrate import Stepper
 from cosim.model.model import Effect, Equations, Model, overrides

@@ -20,10 +20,11 @@ from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.registry import BASE, is_model, model_entry, resolve
 from cosim.core.registry import MODELS as MODEL_GROUP
 from cosim.core.registry import names as registered_names
+from cosim.core.text import did_you_mean
 from cosim.files.artefact import CODE, MODEL, kind_by_keys
 from cosim.files.files import write_text
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
+from cosim.files.yaml_file import UNIT_OF_KEY, YamlFile
 from cosim.fmi.building.declared import make_model
 from cosim.fmi.building.refined import names_refine, refined_file
 from cosim.fmi.building.source import ModelText

@@ -290,7 +290,7 @@ def by_family(
 
 
 def inclusion(classes: Mapping[Names, float]) -> dict[str, float]:
-    """Return part → its inclusion probability, the sum over the classes that contain it."""
+    """Return part → inclusion probability: the sum over all classes with this part."""
     return {n: sum(p for parts, p in classes.items() if n in parts) for n in sorted(frozenset[str]().union(*classes))}
 
 

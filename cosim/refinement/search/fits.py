@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
+from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
@@ -34,10 +35,6 @@ Parts = tuple[Candidate, ...]
 Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
 Progress = Callable[[str, float], None]
 Item = TypeVar("Item")
-
-
-def _objective(f: Fit) -> float:
-    return f.objective
 
 
 def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
@@ -129,7 +126,7 @@ class Search:
             begins = [self._toward(promised, base, free, noise, start.nll), *(begins if len(begins) > 1 else ())]
         iterations = SCREEN_ITERATIONS if screen else ITERATIONS
         fits = [fit(problem, free, b, noise, None, iterations, goal=goal, sensing=not screen) for b in begins]
-        best = min(fits, key=_objective)
+        best = min(fits, key=attrgetter("objective"))
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=not screen)
 
     def from_the_prior(self, h: Hypothesis) -> Hypothesis:
@@ -152,10 +149,11 @@ class Search:
             if not problem.trusted:
                 power = rng.uniform(problem.noise.smallest, problem.noise.largest)
                 noise = replace(noise, power=power, memory=problem.plain.memory)
-            best = min(best, fit(problem, free, values, noise, goal=best.objective - CONVERGED), key=_objective)
+            other = fit(problem, free, values, noise, goal=best.objective - CONVERGED)
+            best = min(best, other, key=attrgetter("objective"))
         if not problem.trusted and leaves_the_motion(problem, best):
             own = {n: best.values[n] for c in h.candidates for n in c.parameters}
-            best = min(best, fit_growing(problem, free, {**problem.values, **own}), key=_objective)
+            best = min(best, fit_growing(problem, free, {**problem.values, **own}), key=attrgetter("objective"))
         return replace(h, fit=best, score=best.objective + self.cost(h.candidates))
 
     def _toward(

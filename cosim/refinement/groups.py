@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cosim.core.errors import Fault
+from cosim.core.text import did_you_mean
 from cosim.estimation.subject.interface import Subject
-from cosim.files.yaml_file import did_you_mean
 
 Groups = Mapping[str, Sequence[str]]  # group → files
 
