@@ -134,7 +134,9 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
         if region[0] <= f.low:
             return f"{name} at most {high}"
         return f"{name} at least {low}" if region[1] >= f.high else f"{name} between {low} and {high}"
-    return f"{name} = {rounded(value, half)} ± {half:.2g} {unit}".rstrip()
+    decimals = 1 - math.floor(math.log10(half)) if 0.0 < half < math.inf else 0
+    width = f"{half:.{decimals}f}" if 0 < decimals < 7 else f"{half:.2g}"
+    return f"{name} = {rounded(value, half)} ± {width} {unit}".rstrip()
 
 
 def rounded(value: float, half: float) -> str:

@@ -109,7 +109,8 @@ def second_sentence(r: Refinement) -> str:
         return ""
     sizes = _numbers(r, part, name)
     shown = {key: error_size(r, name, size, sizes["after"]) for key, size in sizes.items()}
-    text = f"{where} the error of {name} over {horizon(r)} changed from {shown['before']} to {shown['after']}"
+    verb = "fell" if sizes["after"] < sizes["before"] else "changed"
+    text = f"{where} the error of {name} over {horizon(r)} {verb} from {shown['before']} to {shown['after']}"
     if r.verdict.claimed is None:
         text = f"{where} the unchanged model misses {name} by {shown['after']} over {horizon(r)}"
         text += f", the nearest model by {shown['nearest']}" if sizes["nearest"] < sizes["after"] else ""
