@@ -9,6 +9,7 @@ import ctypes
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -115,6 +116,11 @@ class Calls:
         """Return a library function without FMPy's checks and copies."""
         function = getattr(self.fmu.dll, self.symbol(name))
         return prototype(ctypes.cast(function, ctypes.c_void_p).value)
+
+    def prepared(self, prototype: Any, name: str, *arguments: Any) -> partial[int]:
+        """Return a library function with arguments that no call converts again; those beyond its prototype are left."""
+        values = [kind(value) for kind, value in zip(prototype._argtypes_, arguments, strict=False)]
+        return partial(self.bare(ctypes.CFUNCTYPE(ctypes.c_int), name), *values)
 
     def stepping(self) -> Step:
         """Return a function of (component, t, h, flag) → status."""

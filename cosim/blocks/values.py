@@ -41,21 +41,32 @@ class Values:
         self.ports.place(row, first, first_beside)
 
     def look_up(self) -> None:
-        """Look up the C functions that set and get values of the new instance."""
-        exchanges = [e for e in (*self.ports.inward, *self.ports.read) if e.kind.ctype is not None]
+        """Look up the functions that set and get values of the new instance."""
+        exchanges = (*self.ports.inward, *self.ports.read)
         self._setters, self._getters = ({e: self._function(verb, e) for e in exchanges} for verb in ("Set", "Get"))
 
     def _function(self, verb: str, exchange: Exchange) -> partial[int]:
-        """Return a C function with its arguments."""
-        function = self._calls.bare(self._calls.exchange, f"{verb}{exchange.kind.function}")
-        return partial(function, self.instance.component, *exchange.arguments[: 4 if self.ports.fmi3 else 3])
+        """Return a C function with its arguments, or one of FMPy for binary values."""
+        if exchange.kind.ctype is None:
+            return partial(self._move_binary, verb, exchange)
+        prepared, name = self._calls.prepared, f"{verb}{exchange.kind.function}"
+        return prepared(self._calls.exchange, name, self.instance.component, *exchange.arguments)
+
+    def _move_binary(self, verb: str, exchange: Exchange) -> int:
+        with self.instance.check_calls():
+            if verb == "Set":
+                self.instance.fmu.setBinary(exchange.vrs, exchange.buffer)
+            else:
+                exchange.buffer = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
+        return 0
 
     # -- all values --------------------------------------------------------------------------
 
     def put(self) -> None:
         """Set the inputs of the FMU, or only the changed inputs if changes are watched."""
         if self.watched is None:
-            self.put_all()
+            for exchange in self.ports.fed:
+                self.put_in(exchange)
             return
         values = [self.content(e) for e in self.ports.fed]
         with self.instance.check_calls():
@@ -75,21 +86,14 @@ class Values:
 
     # -- single exchanges -------------------------------------------------------------------------
 
-    def read_in(self, exchange: Exchange) -> None:
-        """Read values of the FMU."""
-        if exchange.kind.ctype is None:
-            with self.instance.check_calls():
-                exchange.buffer = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
-        elif status := self._getters[exchange]():
+    def get_from(self, exchange: Exchange) -> None:
+        """Read values of the FMU; raise SimulationError if an output is not finite."""
+        if status := self._getters[exchange]():
             self.instance.judge(f"{self._calls.prefix}Get{exchange.kind.function}", status)
         if not exchange.is_direct:
             self._target(exchange)[exchange.places] = exchange.decode()
-
-    def get_from(self, exchange: Exchange) -> None:
-        """Read values of the FMU; raise SimulationError if an output is not finite."""
-        self.read_in(exchange)
-        if exchange.finite:
-            self._check_finite(exchange)
+        if exchange.finite and not math.isfinite(sum(self.row[exchange.judged])):
+            self._raise_not_finite(exchange)
 
     def content(self, exchange: Exchange) -> list[Any]:
         """Return the values of an exchange, from the row or beside it."""
@@ -108,10 +112,7 @@ class Values:
                     self.instance.time,
                     f"the input {reason}, the range of its type; scale or limit the value connected to it",
                 ) from None
-        if exchange.kind.ctype is None:
-            with self.instance.check_calls():
-                self.instance.fmu.setBinary(exchange.vrs, exchange.buffer)
-        elif status := self._setters[exchange]():
+        if status := self._setters[exchange]():
             self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function}", status)
 
     def set(self, values: Mapping[str, Any]) -> None:
@@ -120,9 +121,7 @@ class Values:
             variable = self._variables[name]
             exchange = Exchange(self.ports.kinds[variable.type], [variable])
             exchange.encode(value if isinstance(value, (list, tuple)) else [value] * exchange.count)
-            if exchange.kind.ctype is None:
-                self.instance.fmu.setBinary(exchange.vrs, exchange.buffer)
-            elif status := self._function("Set", exchange)():  # FMPy's own setters drop the status.
+            if status := self._function("Set", exchange)():  # FMPy's own setters drop the status.
                 self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function} of {name}", status)
 
     def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
@@ -140,7 +139,7 @@ class Values:
             except (TypeError, ValueError):  # No start value, or none of its type.
                 if readable:
                     try:
-                        self.read_in(exchange)
+                        self.get_from(exchange)
                         continue
                     except SimulationError:
                         if self.instance.fmu is None:
@@ -181,13 +180,9 @@ class Values:
     def _target(self, exchange: Exchange) -> Any:
         return self._beside if exchange.kind.beside else self.row
 
-    def _check_finite(self, exchange: Exchange) -> None:
-        """Raise SimulationError for a non-finite output."""
-        first = exchange.places.start
-        values = self.row[first : first + exchange.finite]
-        if math.isfinite(sum(values)):
-            return
-        for name, value in zip(exchange.names, values, strict=False):
+    def _raise_not_finite(self, exchange: Exchange) -> None:
+        """Raise SimulationError for the first output that is not finite."""
+        for name, value in zip(exchange.names, self.row[exchange.judged], strict=False):
             if not math.isfinite(value):
                 raise NotFinite(
                     f"{self.instance.name}.{name}",
@@ -211,7 +206,7 @@ class Values:
         """Raise the error of a transfer by C; warnings are only logged."""
         fed, read = self.ports.fed, self.ports.read
         if reason == StopReason.NOT_FINITE:
-            self._check_finite(read[plan.moving])
+            self._raise_not_finite(read[plan.moving])
         elif reason == StopReason.UNFIT:
             self.put_in(fed[plan.moving])
         else:

@@ -70,6 +70,7 @@ class Ports:
             for exchange in exchanges:
                 begin = place[exchange.kind.beside]
                 exchange.places = slice(begin, begin + exchange.count)
+                exchange.judged = slice(begin, begin + exchange.finite)
                 if exchange.is_direct:
                     exchange.move_by((ctypes.c_double * exchange.count).from_buffer(row, 8 * begin))
                 place[exchange.kind.beside] += exchange.count

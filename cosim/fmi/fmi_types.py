@@ -121,6 +121,7 @@ class Exchange:
         places: Their places in the row or beside the row.
         is_direct: Whether the FMU reads and writes the row itself; all but doubles pass through a buffer.
         finite: Number of leading values that are floating-point outputs, which must be finite.
+        judged: Places of these.
         buffer: Values on their way; a list of bytes for binary data, which FMPy sets and reads.
         arguments: Arguments of an FMI function after the instance; the last one is of FMI 3.0 only.
     """
@@ -135,7 +136,7 @@ class Exchange:
         self.is_direct = kind.ctype is ctypes.c_double and not self.negated
         is_float = kind.ctype in (ctypes.c_double, ctypes.c_float)
         self.finite = sum(name in outputs for name in self.names) if is_float else 0
-        self.places = slice(0, 0)
+        self.places = self.judged = slice(0, 0)
         self.buffer: Any = [b""] * self.count
         if kind.ctype is not None:
             self.move_by((kind.ctype * self.count)())
