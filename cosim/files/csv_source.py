@@ -166,6 +166,7 @@ def _texts(
         header: Line of the header, whose cells are `width`.
     """
     faults: list[Fault] = []
+    misfits = 0
     lines, rows = array("q"), list[list[str]]()
     try:
         text = content.decode("utf-8-sig")
@@ -182,15 +183,19 @@ def _texts(
                 lines.append(reader.line_num)
                 rows.append(row)
                 continue
+            misfits += 1
+            if misfits > SHOWN_FAULTS:
+                continue
             cure = "delete the row, or leave cells empty where nothing was measured"
             if len(row) == 2 * width:
                 cure = "is each number cut in two by a decimal comma? Write a point"
             message = f"has {counted(len(row), 'cell')}, the header {width}; {cure}"
             faults.append(Fault(path, reader.line_num, 1, message))
-            if len(faults) >= SHOWN_FAULTS:
-                break
     except csv.Error as error:
         faults.append(Fault(path, reader.line_num, 1, f"is not CSV: {error}"))
+    if misfits > SHOWN_FAULTS:
+        further = counted(misfits - SHOWN_FAULTS, "further row")
+        faults.append(Fault(path, 0, 0, f"faults in {further}; correct the first ones"))
     if not width and not faults:
         faults.append(Fault(path, 1, 1, "is empty; the first line names the columns"))
     return faults, [*zip(*rows, strict=True)] if rows else [()] * width, lines

@@ -22,7 +22,7 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import SOURCES, load, names, resolve
-from cosim.core.text import did_you_mean
+from cosim.core.text import counted, did_you_mean
 from cosim.core.units import alternatives, factor
 from cosim.files.files import open_bytes
 
@@ -205,10 +205,13 @@ class Faults:
 
     def raise_any(self) -> None:
         """Raise InputError if any fault was noted."""
-        shown = sorted(self._cells, key=lambda fault: (fault.line, fault.column))[:SHOWN_FAULTS]
-        more = self._count - len(shown)
-        rest = [Fault(self.path, 0, 0, f"{more} more cells have faults; correct the first ones")] if more else []
-        refuse([*self.items, *shown, *rest])
+        of_rows = [fault for fault in self.items if fault.line > self.header]
+        whole = [fault for fault in self.items if fault.line <= self.header]
+        shown = sorted([*of_rows, *self._cells], key=lambda fault: (fault.line, fault.column))[:SHOWN_FAULTS]
+        more = len(of_rows) + self._count - len(shown)
+        if more:
+            whole.append(Fault(self.path, 0, 0, f"faults in {counted(more, 'further cell')}; correct the first ones"))
+        refuse([*whole, *shown])
 
 
 # -- reading --------------------------------------------------------------------------------------
