@@ -101,10 +101,10 @@ def say_error(error: CosimError, exit_code: int | None = None) -> int:
     answer: dict[str, Any] = {"error": str(error), "kind": type(error).__name__, "faults": []}
     answer["exit_code"] = error.exit_code if exit_code is None else exit_code
     for fault in faults:
-        place = {"file": str(fault.file), "line": fault.line, "column": fault.column, "message": fault.message}
-        answer["faults"].append(
-            {"kind": "FmuError" if fault.exit_code == FmuError.exit_code else "InputError", **place}
-        )
+        kind = "FmuError" if fault.exit_code == FmuError.exit_code else "InputError"
+        is_option = str(fault.file).startswith("--")
+        place = {"file": None if is_option else str(fault.file), "line": fault.line, "column": fault.column}
+        answer["faults"].append({"kind": kind, **place, "message": str(fault) if is_option else fault.message})
     for line in faults or [f"error: {error}"]:
         echo(str(line), err=True)
     with suppress(OSError):  # stdout may be on the disk that is full
