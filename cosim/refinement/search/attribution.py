@@ -61,13 +61,15 @@ class Attributor:
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
         search.tried = {(): base}
         search.problem = replace(search.problem, sensing=base.fit.noise)
-        best = self._rescore(base)
+        self._rescore()
+        best = search.tried[()]
         while proposed := self._proposals(best):
             is_first = len(search.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
             fitted = search.fit_all(proposed, best, stage, NEAR)
-            reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
-            before, best = best.score, best_hypothesis((best, *fitted, *reduced))
+            search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
+            self._rescore()
+            before, best = search.tried[best.names].score, best_hypothesis(search.tried.values())
             if best.score > before - DONE:
                 break
             (settled,) = search.fit_to_the_end([(best.candidates, best.fit)])
@@ -75,21 +77,20 @@ class Attributor:
             further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
             search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
             search.tried[settled.names] = settled
-            best = self._rescore(settled)
-            if search.problem.trusted:  # the costs have changed
-                best = best_hypothesis((best, *search.tried.values()))
+            self._rescore()
+            best = best_hypothesis(search.tried.values())
         return self._finish(base, best)
 
-    def _rescore(self, h: Hypothesis) -> Hypothesis:
+    def _rescore(self) -> None:
         """Update all scores for a non-white residual of trusted equations."""
         search = self.search
         if not search.problem.trusted:
-            return h
-        search.problem = replace(search.problem, scatter=dispersion(evidence(search, h)))
+            return
+        likeliest = min(search.tried.values(), key=lambda h: h.fit.nll)
+        search.problem = replace(search.problem, scatter=dispersion(evidence(search, likeliest)))
         search.tried = {
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
-        return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
     def _with_likely_starts(self, base: Hypothesis) -> Hypothesis:
         """Return the base model, fitted in turn with start states.
@@ -228,7 +229,10 @@ class Attributor:
         search.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=search.problem.scatter)
         search.tried = {n: replace(h, ended=False) for n, h in search.tried.items()}
         best = search.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
-        best = self._rescore(self._with_enough_substeps(best))
+        best = self._with_enough_substeps(best)
+        search.tried[best.names] = best
+        self._rescore()
+        best = search.tried[best.names]
         # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
         from_best: list[tuple[Parts, Fit]] = [((), best.fit)] if best.candidates else []
         search.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
