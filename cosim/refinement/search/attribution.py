@@ -33,8 +33,7 @@ from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
 
 FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
-NEAR = 12.0  # score difference within which a set is worth a fit, and a hypothesis is fitted to convergence
-DONE = 1.0  # score improvement below which a round has found nothing better
+DONE = 1.0  # nats by which a round must improve the score
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
 
 
@@ -66,11 +65,11 @@ class Attributor:
         while proposed := self._proposals(best):
             is_first = len(search.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
-            fitted = search.fit_all(proposed, best, stage, NEAR)
-            search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
+            fitted = search.fit_all(proposed, best, stage, search.near)
+            search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", search.near)
             self._rescore()
             before, best = search.tried[best.names].score, best_hypothesis(search.tried.values())
-            if best.score > before - DONE:
+            if best.score > before - DONE * search.problem.scatter:
                 break
             (settled,) = search.fit_to_the_end([(best.candidates, best.fit)])
             settled = self._with_stamp_errors(settled)
@@ -175,7 +174,9 @@ class Attributor:
                 continue
             promise, parts = choice.promise(names), tuple(named[n] for n in names)
             dearer = search.cost(parts) - search.cost(best.candidates)
-            if promise.within and (HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR):
+            if promise.within and (
+                HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - search.near
+            ):
                 ranking.append((dearer - promise.gain, (parts, promise.values)))
         ranking.sort(key=lambda entry: entry[0])
         whole = [] if best.candidates else [*self._complete_errors()]
@@ -245,7 +246,7 @@ class Attributor:
     def _beyond_special_cases(self, best: Hypothesis) -> list[tuple[Parts, Fit]]:
         """Return sets near the best with an effect in place of its special case, starting from the values of that."""
         search, starts = self.search, dict[tuple[str, ...], tuple[Parts, Fit]]()
-        near = sorted((h for h in search.tried.values() if h.score - best.score < NEAR), key=lambda h: h.score)
+        near = sorted((h for h in search.tried.values() if h.score - best.score < search.near), key=lambda h: h.score)
         for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
             values = values_of_special_case(rich, simple, h.fit.values)
             if values and rich.name not in h.names:
