@@ -2,8 +2,9 @@
 
 A free unknown input absorbs every one-step prediction error, for example an input that was not held between two rows or
 an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's own horizon,
-have little weight. If a fit without unknown inputs predicts clearly better in open loop, the search is repeated without
-them. The residual is then not white, and the cost of every candidate is scaled by the dispersion of the likelihood.
+have little weight. The search is then repeated without unknown inputs. Its residual is not white: the cost of every
+candidate is scaled by the dispersion of the likelihood. Likelihoods of the two ways have no common scale; predictions
+of logs left out have, and decide.
 """
 
 from __future__ import annotations
