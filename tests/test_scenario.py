@@ -150,7 +150,7 @@ def test_an_option_that_is_at_fault_brings_no_fault_of_what_would_have_to_fit_it
 
 
 def test_faults_of_form_and_of_meaning_are_told_together(project: Path) -> None:
-    text = GOOD.replace("seed: 1", "sed: 1").replace("step: 0.02", "step: 0.03").replace("plant.ax,", "plant.axe,")
+    text = GOOD.replace("seed: 1", "sed: 1").replace("step: 0.02", "step: 0.05").replace("plant.ax,", "plant.axe,")
     text = text.replace("variance: 2.613e-5", "variance: a").replace("x_start: 1,", "x_strt: 1,")
     text = text.replace("of: plant.phi", "of: plant.phy")
     error = faults_of(project / "scenarios" / "case.yaml", text)
