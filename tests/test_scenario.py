@@ -201,6 +201,11 @@ def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
     build_system(ScenarioFile(path, ["step=0.05", "components.controller.start.sample_time=0.05"]))
 
 
+def test_a_component_may_have_the_step_of_its_scenario(project: Path) -> None:
+    file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["components.plant.step=0.02"])
+    assert {stage.every for stage in build_system(file).stages} == {1}
+
+
 def test_aliases_and_merged_keys_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(
