@@ -636,9 +636,9 @@ def redrawn(entry: Frozen, taken: set[tuple[str | int, ...]]) -> Frozen | None:
 def present(entries: Iterable[Frozen]) -> list[tuple[Frozen, Frozen, Mutant | None]]:
     """Return for each entry itself or what replaces it, and its mutant; None where nothing can replace it."""
     entries = list(entries)
-    taken, found = {entry.key for entry in entries}, []
+    same, taken, found = equivalents(), {entry.key for entry in entries}, []
     for entry in entries:
-        now, mutant = entry, located(entry)
+        now, mutant = entry, None if (entry.file, entry.line, entry.mutant) in same else located(entry)
         if mutant is None and (other := redrawn(entry, taken)) is not None:
             now, mutant = other, located(other)
             taken.add(other.key)
