@@ -100,9 +100,9 @@ fuzz: $(TESTING)
 	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
 
 # the 200 faults of tests/mutants_frozen.jsonl, each tried against the tests of its subject, as far as they are missing
-# for these sources; with FILES: N random ones in them, which SEED draws
+# for these sources
 mutants: $(MUTATING)
-	$(BIN)/python -m tests.mutants $(FILES) $(if $(filter command line,$(origin N)),-n $(N)) $(if $(SEED),--seed $(SEED))
+	$(BIN)/python -m tests.mutants
 
 # how often the intervals of `cosim identify` hold the truth, over SEEDS; the controllers, over 20
 seed: $(TESTING)

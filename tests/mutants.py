@@ -1,12 +1,9 @@
 """Random faults in the code, each tried against the tests that call it: `python -m tests.mutants`, `make mutants`.
 
-    python -m tests.mutants                      the frozen list, tests/mutants_frozen.jsonl; goes on where it ended
-    python -m tests.mutants FILES -n 20 --seed 3     a new sample of some files
-    python -m tests.mutants --freeze 200 --seed 7    draw the list anew
-
-A mutant of the list is known by its function and the text of its line. What has no code any more is replaced by a
-mutant of the same operator and room, drawn from the `redraw_seed` that stands in the list; `--redraw` writes it down.
-A line without an outcome gets that of the next run; later runs compare theirs with it.
+A mutant of the list, tests/mutants_frozen.jsonl, is known by its function and the text of its line. What has no code
+any more is replaced by a mutant of the same operator and room, drawn from the `redraw_seed` that stands in the list;
+`--redraw` writes it down. A line without an outcome gets that of the next run; later runs compare theirs with it. A run
+goes on where it ended.
 
 The operators are those of cosmic-ray, and one more: a float by half as much again. A mutant is written into a copy of
 the tree, so that the workers that a test starts or forks run it too. A process that has imported code and tests forks
@@ -43,7 +40,6 @@ from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
 from functools import cache
 from importlib import import_module
-from itertools import islice
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any, NoReturn
@@ -106,17 +102,6 @@ class Mutant:
     def room(self) -> str:
         """The room of its file."""
         return room_of(self.file)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The answer of the tests to a mutant."""
-
-    mutant: Mutant
-    outcome: str  # killed, timeout, survived, equivalent
-    by: str  # the test that failed
-    before: str
-    after: str
 
 
 @dataclass(frozen=True)
@@ -215,23 +200,6 @@ def _omitted(source: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
         for part in parts:
             if part is not None:
                 yield (part.lineno, part.col_offset), (part.end_lineno, part.end_col_offset)
-
-
-def drawn(files: list[str], count: int, seed: int) -> list[Mutant]:
-    """Return a sample, as many mutants of each room: a file by its size, a place in it, a mutant of that place."""
-    tried, rooms = operators(), defaultdict(list)
-    for file in files:
-        rooms[room_of(file)].append(file)
-    sample = []
-    for number, room in enumerate(sorted(rooms)):
-        rng = random.Random(f"{seed} {room}")
-        sizes = [(ROOT / file).stat().st_size for file in rooms[room]]
-        share = count // len(rooms) + (number < count % len(rooms))
-        for file, wanted in sorted(Counter(rng.choices(rooms[room], sizes, k=share)).items()):
-            places, before = mutants_of(file, tried), (ROOT / file).read_text(encoding="utf-8")
-            chosen = (rng.choice(place) for place in rng.sample(places, len(places)))
-            sample += islice((m for m in chosen if _is_fault(mutated(m, tried), before)), wanted)
-    return sample
 
 
 def _is_fault(text: str, before: str) -> bool:
@@ -650,21 +618,6 @@ def entry_of(mutant: Mutant, seed: int, redraw_seed: int) -> Frozen:
     return Frozen(mutant.room, *where, *change, alike(*where, *change).index(mutant), seed, redraw_seed)
 
 
-def freeze(count: int, seed: int) -> list[Frozen]:
-    """Return as many mutants of each room, from a seed and those that follow."""
-    same, entries = equivalents(), dict[tuple[str | int, ...], Frozen]()
-    for room, patterns in ROOMS.items():
-        files = [file for file in files_of(patterns) if room_of(file) == room]
-        wanted, now = len(entries) + count // len(ROOMS), seed
-        while len(entries) < wanted:
-            for mutant in drawn(files, wanted - len(entries), now):
-                entry = entry_of(mutant, now, 100 * seed + len(entries))
-                if (entry.file, entry.line, entry.mutant) not in same:
-                    entries.setdefault(entry.key, entry)
-            now += 1
-    return list(entries.values())
-
-
 def redrawn(entry: Frozen, taken: set[tuple[str | int, ...]]) -> Frozen | None:
     """Return a mutant of the same operator and room from the seed in the entry; None if there is none."""
     tools, same = operators(), equivalents()
@@ -683,9 +636,9 @@ def redrawn(entry: Frozen, taken: set[tuple[str | int, ...]]) -> Frozen | None:
 def present(entries: Iterable[Frozen]) -> list[tuple[Frozen, Frozen, Mutant | None]]:
     """Return for each entry itself or what replaces it, and its mutant; None where nothing can replace it."""
     entries = list(entries)
-    taken, found = {entry.key for entry in entries}, []
+    same, taken, found = equivalents(), {entry.key for entry in entries}, []
     for entry in entries:
-        now, mutant = entry, located(entry)
+        now, mutant = entry, None if (entry.file, entry.line, entry.mutant) in same else located(entry)
         if mutant is None and (other := redrawn(entry, taken)) is not None:
             now, mutant = other, located(other)
             taken.add(other.key)
@@ -799,55 +752,15 @@ def changed(mutant: Mutant, text: str) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Try the frozen list, or a sample of mutants; list the survivors, then the score of each room."""
+    """Try the frozen list; print the outcomes of each room."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", help="files or patterns, such as cosim/logs/*.py; without, the frozen list")
-    parser.add_argument("-n", type=int, help="mutants in all, by default 60 of a sample, the whole frozen list")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--freeze", type=int, metavar="N", help="draw the frozen list anew, try nothing")
+    parser.add_argument("-n", type=int, help="mutants to try, by default all")
     parser.add_argument("--redraw", action="store_true", help="write into the list what replaces lost code")
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="of the list, at a time")
-    parser.add_argument("--tests", default="tests/test_*.py", help="pattern of the test files")
-    parser.add_argument("--list", action="store_true", help="print the sample, try nothing")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="mutants at a time")
     options = parser.parse_args()
     WORK.mkdir(parents=True, exist_ok=True)
-    if options.freeze:
-        write_frozen(freeze(options.freeze, options.seed))
-        return
-    tests = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(options.tests))
-    if not options.files:
-        sys.exit(frozen(options.jobs, tests, redraw=options.redraw, only=options.n))
-    tools, same = operators(), equivalents()
-    sample = drawn(files_of(options.files), options.n or 60, options.seed)
-    tree = None if options.list else Tree(WORK / str(os.getpid()) / "tree")
-    traces = traced(tree, tests) if tree is not None else {}
-    verdicts = []
-    for mutant in sample:
-        text, begun = mutated(mutant, tools), time.perf_counter()
-        before, after = changed(mutant, text)
-        if (mutant.file, before, after) in same:
-            outcome, by = "equivalent", ""
-        elif tree is None:
-            outcome, by = "listed", ""
-        else:
-            outcome, _, by = tried(tree, mutant, text, traces)
-        verdicts.append(Verdict(mutant, outcome, by, before, after))
-        print(f"{outcome:10} {mutant.file}:{mutant.line}  [{time.perf_counter() - begun:.0f} s] {by[:110]}", flush=True)
-        if outcome != "killed":
-            print(f"    - {before}\n    + {after}", flush=True)
-    print(json.dumps(summary(verdicts)))
-    if tree is not None:
-        shutil.rmtree(tree.folder.parent)
-
-
-def summary(verdicts: list[Verdict]) -> dict[str, Any]:
-    """Return the score of each room and of all: killed of those that are not equivalent."""
-    rooms: dict[str, Any] = {}
-    for room in [*dict.fromkeys(verdict.mutant.room for verdict in verdicts), "all"]:
-        count = Counter(verdict.outcome for verdict in verdicts if room in (verdict.mutant.room, "all"))
-        tried = count.total() - count["equivalent"]
-        rooms[room] = {**count, "score": round((count["killed"] + count["timeout"]) / tried, 3) if tried else None}
-    return rooms
+    tests = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("tests/test_*.py"))
+    sys.exit(frozen(options.jobs, tests, redraw=options.redraw, only=options.n))
 
 
 if __name__ == "__main__":

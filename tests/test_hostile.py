@@ -189,8 +189,8 @@ ENORMOUS = {
     "results": (
         "a.yaml",
         "name: x\nduration: 1e6\nstep: 1\ncomponents:\n  a:\n    block: reference\n    signals: {"
-        + ", ".join(f"x{k}: {{}}" for k in range(2000)) + "}\n",
-        "1e+06 rows of 2000 signals, 16 GB",
+        + ", ".join(f"x{k}: {{}}" for k in range(1200)) + "}\n",
+        "1e+06 rows of 1200 signals, 9.6 GB",
     ),
 }  # fmt: skip
 

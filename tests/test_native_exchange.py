@@ -256,7 +256,7 @@ def test_an_effect_that_counts_substeps_is_for_co_simulation_alone(tmp_path: Pat
 
 @pytest.mark.thorough
 def test_fmi_3_says_the_same(native_plant: Path, tmp_path: Path) -> None:
-    plant, controller = build_native(tmp_path, fmi=3)
+    plant, controller = build_native(tmp_path, "hovercraft", fmi=3)
     assert [p.path.name for p in (plant, controller)] == ["plant-native-fmi3.fmu", "controller-native-fmi3.fmu"]
     assert validate_fmu(str(plant.path)) == validate_fmu(str(controller.path)) == []
     signal = np.array([(0, 0.1), (0.2, 0.1), (0.2, -0.1), (0.4, -0.1)], dtype=[("time", "f8"), ("tilt_right", "f8")])

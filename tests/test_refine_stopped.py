@@ -45,9 +45,9 @@ def stopped(study: Path, out: Path, monkeypatch: pytest.MonkeyPatch, at: str, nu
     place = model_subject if hasattr(model_subject, at) else workflow
     step = getattr(place, at)
 
-    def and_then(*arguments: Any) -> Any:
+    def and_then(*arguments: Any, **more: Any) -> Any:
         signal.raise_signal(number)
-        return step(*arguments)
+        return step(*arguments, **more)
 
     monkeypatch.setattr(place, at, and_then)
     monkeypatch.setattr("sys.argv", ["cosim", "refine", str(study), "--out", str(out), "--no-report"])

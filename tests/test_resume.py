@@ -96,6 +96,15 @@ def test_a_run_stopped_from_the_keyboard_goes_on_to_the_same_bytes(walk: Walk, t
     assert sorted(path.name for path in again.iterdir()) == ["manifest.json", "results.csv"]
 
 
+def test_delays_and_dropouts_go_on_from_their_memory(tmp_path: Path) -> None:
+    scenario, settings = walker_scenario(tmp_path, pause=PAUSE), [f"components.other.fmu={tmp_path}/saving.fmu"]
+    whole = run(scenario, tmp_path / "whole", settings, report=False).folder
+    part, said = stopped(scenario, tmp_path / "part", settings), list[str]()
+    run(part, resume=True, report=False, tell=said.append)
+    assert not any("again" in text for text in said)
+    check_equal(part, whole)
+
+
 def test_a_run_without_a_checkpoint_makes_all_steps_again(walk: Walk, tmp_path: Path) -> None:
     _, whole, part = walk
     again = shutil.copytree(part, tmp_path / "again")

@@ -150,7 +150,7 @@ def test_an_option_that_is_at_fault_brings_no_fault_of_what_would_have_to_fit_it
 
 
 def test_faults_of_form_and_of_meaning_are_told_together(project: Path) -> None:
-    text = GOOD.replace("seed: 1", "sed: 1").replace("step: 0.02", "step: 0.03").replace("plant.ax,", "plant.axe,")
+    text = GOOD.replace("seed: 1", "sed: 1").replace("step: 0.02", "step: 0.05").replace("plant.ax,", "plant.axe,")
     text = text.replace("variance: 2.613e-5", "variance: a").replace("x_start: 1,", "x_strt: 1,")
     text = text.replace("of: plant.phi", "of: plant.phy")
     error = faults_of(project / "scenarios" / "case.yaml", text)
@@ -199,6 +199,11 @@ def test_an_angle_may_be_given_in_degrees(project: Path) -> None:
 def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
     path = project / "scenarios" / "manoeuvre.yaml"
     build_system(ScenarioFile(path, ["step=0.05", "components.controller.start.sample_time=0.05"]))
+
+
+def test_a_component_may_have_the_step_of_its_scenario(project: Path) -> None:
+    file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["components.plant.step=0.02"])
+    assert {stage.every for stage in build_system(file).stages} == {1}
 
 
 def test_aliases_and_merged_keys_are_taken(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_fmus_without_states_are_controlled_by_residuals_of_inputs_or_power(
     assert steps["estimator"] == estimator.partition(",")[0]
     assert len(results.time) == 251
     assert error(results) < goal
-    assert steps["communication_points"] == steps["accepted"]
+    assert steps["communication_points"] == steps["accepted"] > 10 * steps["above_tolerance"]
     parts = 5 * steps["accepted"] // 250
     equal, _ = ran(tmp_path, f"step: {ROW / parts!r}\n")
     assert error(equal, parts) > error(results)

@@ -66,8 +66,9 @@ def test_sources_have_the_values_of_their_laws(in_c: bool, tmp_path: Path) -> No
     noisy = {"from": "r.z", "to": "lag.u", "noise": {"variance": 0.25, "bias": 0.5}}
     content = {"name": "s", "duration": 40, "step": 0.01, "components": components, "connections": [noisy]}
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(content))
-    file = ScenarioFile(tmp_path / "s.yaml")
-    results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
+    file, told = ScenarioFile(tmp_path / "s.yaml"), list[int]()
+    results = simulate(build_system(file), file.scenario.steps, file.scenario.step, told.append, in_c=in_c)
+    assert told == [*range(50, 4001, 50)]
     times, rows, values = results.time, [0, 0.5, 1.5, 2.0], np.array([1, -2, 0.5, 4])
     assert results["line.p"] == pytest.approx(np.interp(times, rows, values), abs=1e-9)
     assert results["held.p"] == pytest.approx(values[np.searchsorted(rows, times + 1e-9, "right") - 1])

@@ -6,7 +6,17 @@ import math
 
 import pytest
 
-from cosim.core.units import SYMBOLS, alternatives, factor, parse, unit_definitions
+from cosim.core.units import (
+    SYMBOLS,
+    alternatives,
+    assume_si,
+    conversion,
+    factor,
+    parse,
+    read_quantity,
+    unit_definitions,
+    unit_of_rate,
+)
 
 BASE = {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}  # FMI 2.0, 2.2.2
 
@@ -87,3 +97,33 @@ def test_volts_and_amperes_of_a_log_come_in_other_sizes() -> None:
     assert factor("mV", "V") == factor("mA", "A") == 1e-3
     assert {"mA", "kA"} <= set(alternatives("A"))
     assert factor("V", "A") is None
+
+
+@pytest.mark.parametrize(
+    ("written", "taken"),
+    [
+        ("degC", ("K", 1.0, 273.15)),
+        ("mV", ("V", 1e-3, 0.0)),
+        ("l/min", ("m3/s", 1e-3 / 60.0, 0.0)),
+        ("m", ("m", 1.0, 0.0)),
+    ],
+)
+def test_signals_without_unit_are_taken_in_si(written: str, taken: tuple[str, float, float]) -> None:
+    assumed = assume_si(written)
+    assert (assumed.unit, assumed.factor, assumed.offset) == (taken[0], pytest.approx(taken[1]), taken[2])
+
+
+def test_a_definition_of_an_fmu_comes_before_a_known_unit() -> None:
+    own = {"turn": (*7 * [0.0], 1.0, 6.0, 0.0), "degC": (*4 * [0.0], 1.0, *3 * [0.0], 2.0, 10.0)}
+    assert conversion("turn", "rad", definitions=own) == (6.0, 0.0)
+    assert conversion("degC", "K", definitions=own) == (2.0, 10.0)
+
+
+def test_a_quantity_has_a_unit_where_its_signal_has_one() -> None:
+    assert read_quantity("5", "") == read_quantity("5 m", "m") == 5.0
+    with pytest.raises(ValueError, match="number"):
+        read_quantity("5 m", "")
+
+
+def test_a_derivative_by_time_has_the_unit_of_a_rate() -> None:
+    assert [unit_of_rate(unit) for unit in ("rad", "m/s", "")] == ["rad/s", "m/s2", "1/s"]

@@ -138,7 +138,7 @@ class Component:
 
     @property
     def saves(self) -> bool:
-        return True
+        return type(self).checkpoint is not Component.checkpoint
 
     def checkpoint(self) -> Any:
         """Return the state in JSON types and bytes, if possible."""

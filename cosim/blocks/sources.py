@@ -62,9 +62,6 @@ class SourceBlock(Component):
             if signal.name == name and isinstance(function, Recorded):
                 function.is_linear = False
 
-    def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
-        return False
-
     def open(self, start: float, stop: float) -> None:
         self._t = start
 
@@ -92,8 +89,8 @@ class SourceBlock(Component):
 
     def over(self, times: Array) -> Array:
         """Return the signals at many times, shape (times, signals)."""
-        columns = [function.over(times) for function in self.functions]
-        return np.ascontiguousarray(np.transpose(columns)) if columns else np.zeros((len(times), 0))
+        columns = np.array([function.over(times) for function in self.functions])
+        return np.ascontiguousarray(columns.reshape(len(self.functions), len(times)).T)
 
     def set_time(self, t: float) -> None:
         """Note the time [s] after C steps."""

@@ -57,7 +57,6 @@ typedef struct {
     Function step;
     void *instance;
     int64_t every, doing, pulls, lates, puts, gets;
-    double length;         /* of its own step; 0: from communication point to communication point */
     const Transfer *pull, *late; /* before and after its step */
     const Move *put, *get;
     const double *prepared;
@@ -211,7 +210,7 @@ enum { PULLS, PUTS, STEPS, STEPPED, LATE_PUTS, GETS, GOT };
 static int step_slot(Plan *p, Slot *s, int64_t k)
 {
     const double since = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
-    const double length = s->length != 0.0 ? s->length : (p->begin + (double)k * p->h) - since;
+    const double length = (p->begin + (double)k * p->h) - since;
     int status, why;
     switch (p->phase) {
     case PULLS:

@@ -107,7 +107,7 @@ class Slot(ctypes.Structure):
     failures: list[BaseException]
 
     _fields_ = _fields(
-        "int32 version; pointer step, instance; int64 every, doing, pulls, lates, puts, gets; double length; "
+        "int32 version; pointer step, instance; int64 every, doing, pulls, lates, puts, gets; "
         "pointer pull, late, put, get, prepared, row; size scalars; int64 since; double time, reached; "
         "bool event, terminate, early"
     )

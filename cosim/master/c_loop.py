@@ -66,7 +66,6 @@ class CompiledSteps:
             if not isinstance(slot, Slot):
                 raise NotCompiled(slot)
             slot.every, slot.doing = stage.every, announced[1]
-            slot.length = stage.every * h if component.nominal_step else 0.0
             self.slots.append(slot)
         library()  # compiled only if used
         every = {stage.component.name: stage.every for stage in system.stages}
