@@ -2,7 +2,8 @@
 
 A free unknown input absorbs every one-step prediction error, for example an input that was not held between two rows or
 an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's own horizon,
-have little weight. The search is then repeated without unknown inputs. Its residual is not white: the cost of every
+have little weight. If the best hypothesis or the base model predicts better without unknown inputs, the search is
+repeated without them. Its residual is not white: the cost of every
 candidate is scaled by the dispersion of the likelihood. Likelihoods of the two ways have no common scale; predictions
 of logs left out have, and decide.
 """
@@ -14,13 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.estimation.posing import with_equations_trusted
+from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.scatter import held_out_errors, noise_gains, unknown_input_gain
 from cosim.refinement.search.attribution import Attributor
-from cosim.refinement.search.fits import Progress, SearchResult
+from cosim.refinement.search.fits import Progress, Search, SearchResult
+from cosim.refinement.search.hypotheses import Hypothesis
 
 CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better
 
@@ -31,13 +33,18 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     Equations are trusted if open-loop predictions of logs left out become clearly better.
     """
 
-    def error(of: SearchResult) -> float:
-        return float(np.mean(held_out_errors(of.search, of.best, of.best.fit)))
+    def error(search: Search, h: Hypothesis) -> float:
+        return float(np.mean(held_out_errors(search, h, h.fit)))
 
     result = Attributor(subject, problem, candidates, progress).run()
     if not any(gain > unknown_input_gain(problem) for gain in noise_gains(result.search.problem, result.best.fit)):
         return result
     progress("predicting with the equations trusted", 0.0)
-    trusted = with_equations_trusted(subject, problem)
+    trusted, free = with_equations_trusted(subject, problem), error(result.search, result.best)
+    search = Search(subject, coarsen(trusted), len(candidates), progress)
+    alike = (search.hypothesis(h.candidates, h.fit) for h in (result.best, result.search.tried[()]))
+    if all(error(search, h) > free for h in alike):
+        return result
     other = Attributor(subject, trusted, candidates, progress).run()
-    return replace(other, free_noise=result.best.fit.noise) if error(other) < error(result) - CLEARLY else result
+    is_better = error(other.search, other.best) < free - CLEARLY
+    return replace(other, free_noise=result.best.fit.noise) if is_better else result
