@@ -3,9 +3,8 @@
 A free unknown input absorbs every one-step prediction error, for example an input that was not held between two rows or
 an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's own horizon,
 have little weight. If the best hypothesis or the base model predicts better without unknown inputs, the search is
-repeated without them. Its residual is not white: the cost of every
-candidate is scaled by the dispersion of the likelihood. Likelihoods of the two ways have no common scale; predictions
-of logs left out have, and decide.
+repeated without them. Its residual is not white: the cost of every candidate is scaled by the dispersion of the
+likelihood. Likelihoods of the two ways have no common scale; predictions of logs left out have, and decide.
 """
 
 from __future__ import annotations
