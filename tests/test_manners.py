@@ -206,4 +206,4 @@ def test_json_of_a_linear_model_and_of_faults(told: Told) -> None:
     assert told("linearize", "tank.py:Tank", "--at", "level=-1", "--out", "n")[0] == 4  # the square root
     assert not Path("n").exists()
     code, out, _ = told("linearize", "tank.py:Tank", "--at", "a=1,b=1", "--json")
-    assert [(f["kind"], f["file"]) for f in json.loads(out)["faults"]] == [("InputError", "--at")] * 2
+    assert [(f["kind"], f["file"]) for f in json.loads(out)["faults"]] == [("InputError", None)] * 2
