@@ -139,9 +139,9 @@ def test_sensors_with_more_noise_than_the_model_says_are_believed_and_slow_ones_
 @pytest.mark.thorough
 def test_of_a_model_at_rest_nothing_can_be_said(tmp_path: Path) -> None:
     r = proven(motor_study(tmp_path, 0.0), tmp_path / "out")
-    assert (r.record["verdict"], r.record["rivals"]) == ("ambiguous", ["fan", "no_effect"])
+    assert (r.record["verdict"], {*r.record["rivals"]}) == ("ambiguous", {"fan", "no_effect"})
     found = excite(str(tmp_path / "out"), tmp_path / "flight", limits=["voltage=6"], experiments=4)
-    assert found.apart[("fan", "nothing")] > 10.0
+    assert min(found.apart.values()) > 10.0
 
 
 @pytest.mark.thorough

@@ -233,8 +233,9 @@ class _Scoring:
             pace = self._move(gradient, information)
             if is_kept and not pace:
                 self.damping = damping  # the slopes are to blame
-            converged = pace < CONVERGED and not is_kept
-            is_kept = not is_kept and pace > max(CONVERGED, 0.5 * expected)  # where a step keeps its promise
+            enough = CONVERGED * self.problem.scatter
+            converged = pace < enough and not is_kept
+            is_kept = not is_kept and pace > max(enough, 0.5 * expected)  # where a step keeps its promise
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
         reached = *self._unpack(self.theta), self.free, self.scored.by_log

@@ -204,7 +204,7 @@ class Problem:
         least = np.where(self.stated, 1.0 / WITHIN, UNKNOWN) ** 2 * np.exp(stated)
         low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))
         high = np.maximum(np.log(np.maximum(self._largest("spread") ** 2, TINY)), stated + 2.0 * decade)
-        if self.layout.is_free_run:  # errors of the model are for unknown inputs to explain
+        if self.layout.is_free_run and not self.trusted:  # errors of the model are for unknown inputs to explain
             most = np.log(np.maximum(self.r, 0.0 if self.shown is None else self.shown))
             low, high = np.maximum(low, stated - decade), np.minimum(high, most + decade)
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))

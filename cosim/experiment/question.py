@@ -219,6 +219,8 @@ def _fitted_rival(
 
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
+    if r.name not in candidates:  # nothing
+        return r
     others = set(names) - {r.name}
     free = candidates[r.name].free
     for h in content.candidates:

@@ -12,7 +12,7 @@ from cosim.core.arrays import Array
 from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import Fit
 from cosim.estimation.kernel.nameless import RATE
-from cosim.estimation.posing import build_problem, coarsen, halve_log
+from cosim.estimation.posing import build_problem, coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest
 from cosim.logs.channel_noise import NORMAL_95
@@ -20,9 +20,9 @@ from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, ch
 from cosim.refinement.decision.claims import Claims, equivalent_groups, experiment_for
 from cosim.refinement.decision.posterior import CERTAIN, Bundle, Decision, decide, log_evidence, log_prior
 from cosim.refinement.decision.scatter import (
+    CLEARLY,
     fit_given_model,
-    fit_without,
-    log_error,
+    held_out_errors,
     noise_gains,
     unknown_input_gain,
     with_intervals,
@@ -84,7 +84,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     ladder = _ladder(search, base, [*shown, *([claimed] if claimed else [])])
     nearest = None
     if decision.grade != "claimed":  # the most probable class that predicts logs left out no worse than the given model
-        most = float(np.mean(ladder[0][1]))
+        most = float(np.mean(ladder[0][1])) + CLEARLY
         better = {frozenset(h.names): h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
         nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))
     rivals = tuple(decision.rivals)
@@ -136,17 +136,10 @@ def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Itera
 def _ladder(search: Search, base: Hypothesis, others: Sequence[Hypothesis]) -> list[tuple[Hypothesis | None, Array]]:
     """Return models with the log error of their predictions of each log, by fits to the other logs; simplest first.
 
-    A single log is halved. The first model is the given one, None.
+    The first model is the given one, None.
     """
-    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
-    logs = range(len(problem.logs))
-
-    def errors(h: Hypothesis | None) -> Array:
-        fits = [fit_without(search, problem, h, k) if h else fit_given_model(problem, base.fit, k) for k in logs]
-        return np.array([log_error(problem, search.subject.horizon, [f], [k]) for k, f in zip(logs, fits, strict=True)])
-
     every = sorted({h.names: h for h in others}.values(), key=lambda h: len(h.names))
-    return [(h, errors(h)) for h in (None, base, *every)]
+    return [(h, held_out_errors(search, h, base.fit)) for h in (None, base, *every)]
 
 
 def _ranked(search: Search, bundle: Bundle, kappa: float) -> list[tuple[Hypothesis, float]]:

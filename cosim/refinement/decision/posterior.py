@@ -232,15 +232,14 @@ def log_prior(size: int, count: int) -> float:
 
 
 def posterior(hypotheses: Sequence[Evidence], count: int) -> tuple[dict[Names, float], float]:
-    """Return set of parts → probability, and the dispersion, which is that of the best hypothesis.
+    """Return set of parts → probability, and the dispersion, which is that of the likeliest hypothesis.
+
+    The dispersion of a poor hypothesis holds its lack of fit (Burnham and Anderson 2002, Model Selection, 2.5).
 
     Args:
         count: Number of parts on trial.
     """
-    kappa = 1.0
-    for _ in range(2):  # the best hypothesis hardly depends on the dispersion
-        best = max(hypotheses, key=lambda h: log_evidence(h, kappa) + log_prior(len(h.parts), count))
-        kappa = dispersion(best)
+    kappa = dispersion(max(hypotheses, key=lambda h: float(h.log_likelihoods.sum())))
     log_weights = {h.parts: log_evidence(h, kappa) + log_prior(len(h.parts), count) for h in hypotheses}
     total = logsumexp([*log_weights.values()])
     return {parts: math.exp(weight - total) for parts, weight in log_weights.items()}, kappa

@@ -33,6 +33,7 @@ from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.missing import rows_of_delay
 
 BLOCKS = 20  # blocks of time of a study
+CLEARLY = 0.05  # difference of log errors of predictions from which one model is better
 PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 
@@ -106,6 +107,19 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
         refit = fit(problem, search.free(h.candidates), h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)
         search.cross_fits[key] = fit_for_held_out(problem, refit, log)
     return search.cross_fits[key]
+
+
+def held_out_errors(search: Search, h: Hypothesis | None, given: Fit) -> Array:
+    """Return the log error of predictions of each log, by fits to the other logs; a single log is halved.
+
+    Args:
+        h: The hypothesis; None for the given model.
+        given: Fit of the base model, for the parameters per log of the given one.
+    """
+    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
+    logs = range(len(problem.logs))
+    fits = [fit_without(search, problem, h, k) if h else fit_given_model(problem, given, k) for k in logs]
+    return np.array([log_error(problem, search.subject.horizon, [f], [k]) for k, f in zip(logs, fits, strict=True)])
 
 
 def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array:

@@ -18,12 +18,11 @@ from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
 from cosim.refinement.decision.bundle import evidence, optima
 from cosim.refinement.decision.posterior import CERTAIN, POSSIBLE, folded, log_prior, posterior
-from cosim.refinement.search.fits import HOPE, Parts, Search, key_of
+from cosim.refinement.search.fits import HOPE, NEAR, Parts, Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
 
 BREADTH = 4  # most probable sets whose neighbours are tried in a round, additions to one, replacements of its parts
 EXPANSIONS = 4  # rounds of neighbours
-NEAR_NATS = 10.0  # nats, in units of the dispersion, within which a set that was screened is fitted to the end
 
 Start = tuple[Parts, Fit]
 
@@ -45,7 +44,7 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
             for start in _neighbours(search, candidates, h, kappa):
                 starts.setdefault(key_of(start[0]), start)
         best = ended[ranked[0]]
-        near = [h for h in search.tried.values() if not h.ended and h.score - best.score < NEAR_NATS * kappa]
+        near = [h for h in search.tried.values() if not h.ended and h.score - best.score < NEAR * kappa]
         for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
             starts[h.names] = h.candidates, h.fit
         untried = [s for names, s in starts.items() if not (names in search.tried and search.tried[names].ended)]

@@ -33,8 +33,7 @@ from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
 
 FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
-NEAR = 12.0  # score difference within which a set is worth a fit, and a hypothesis is fitted to convergence
-DONE = 1.0  # score improvement below which a round has found nothing better
+DONE = 1.0  # nats by which a round must improve the score
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
 
 
@@ -61,35 +60,36 @@ class Attributor:
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
         search.tried = {(): base}
         search.problem = replace(search.problem, sensing=base.fit.noise)
-        best = self._rescore(base)
+        self._rescore()
+        best = search.tried[()]
         while proposed := self._proposals(best):
             is_first = len(search.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
-            fitted = search.fit_all(proposed, best, stage, NEAR)
-            reduced = search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", NEAR)
-            before, best = best.score, best_hypothesis((best, *fitted, *reduced))
-            if best.score > before - DONE:
+            fitted = search.fit_all(proposed, best, stage, search.near)
+            search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", search.near)
+            self._rescore()
+            before, best = search.tried[best.names].score, best_hypothesis(search.tried.values())
+            if best.score > before - DONE * search.problem.scatter:
                 break
             (settled,) = search.fit_to_the_end([(best.candidates, best.fit)])
             settled = self._with_stamp_errors(settled)
             further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
             search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
             search.tried[settled.names] = settled
-            best = self._rescore(settled)
-            if search.problem.trusted:  # the costs have changed
-                best = best_hypothesis((best, *search.tried.values()))
+            self._rescore()
+            best = best_hypothesis(search.tried.values())
         return self._finish(base, best)
 
-    def _rescore(self, h: Hypothesis) -> Hypothesis:
+    def _rescore(self) -> None:
         """Update all scores for a non-white residual of trusted equations."""
         search = self.search
         if not search.problem.trusted:
-            return h
-        search.problem = replace(search.problem, scatter=dispersion(evidence(search, h)))
+            return
+        likeliest = min(search.tried.values(), key=lambda h: h.fit.nll)
+        search.problem = replace(search.problem, scatter=dispersion(evidence(search, likeliest)))
         search.tried = {
             n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
         }
-        return replace(h, score=h.fit.objective + search.cost(h.candidates))
 
     def _with_likely_starts(self, base: Hypothesis) -> Hypothesis:
         """Return the base model, fitted in turn with start states.
@@ -174,7 +174,9 @@ class Attributor:
                 continue
             promise, parts = choice.promise(names), tuple(named[n] for n in names)
             dearer = search.cost(parts) - search.cost(best.candidates)
-            if promise.within and (HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR):
+            if promise.within and (
+                HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - search.near
+            ):
                 ranking.append((dearer - promise.gain, (parts, promise.values)))
         ranking.sort(key=lambda entry: entry[0])
         whole = [] if best.candidates else [*self._complete_errors()]
@@ -228,7 +230,10 @@ class Attributor:
         search.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=search.problem.scatter)
         search.tried = {n: replace(h, ended=False) for n, h in search.tried.items()}
         best = search.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
-        best = self._rescore(self._with_enough_substeps(best))
+        best = self._with_enough_substeps(best)
+        search.tried[best.names] = best
+        self._rescore()
+        best = search.tried[best.names]
         # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
         from_best: list[tuple[Parts, Fit]] = [((), best.fit)] if best.candidates else []
         search.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
@@ -241,7 +246,7 @@ class Attributor:
     def _beyond_special_cases(self, best: Hypothesis) -> list[tuple[Parts, Fit]]:
         """Return sets near the best with an effect in place of its special case, starting from the values of that."""
         search, starts = self.search, dict[tuple[str, ...], tuple[Parts, Fit]]()
-        near = sorted((h for h in search.tried.values() if h.score - best.score < NEAR), key=lambda h: h.score)
+        near = sorted((h for h in search.tried.values() if h.score - best.score < search.near), key=lambda h: h.score)
         for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
             values = values_of_special_case(rich, simple, h.fit.values)
             if values and rich.name not in h.names:

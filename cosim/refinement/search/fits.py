@@ -28,6 +28,7 @@ from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
 HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
+NEAR = 10.0  # nats from the best within which a set is worth a fit, and a hypothesis is fitted to the end
 STARTS = 4  # draws of the prior from which a probable hypothesis is fitted again
 HALVINGS = 2  # of promised sizes, until the logs are no less likely
 
@@ -149,7 +150,7 @@ class Search:
             if not problem.trusted:
                 power = rng.uniform(problem.noise.smallest, problem.noise.largest)
                 noise = replace(noise, power=power, memory=problem.plain.memory)
-            other = fit(problem, free, values, noise, goal=best.objective - CONVERGED)
+            other = fit(problem, free, values, noise, goal=best.objective - CONVERGED * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
         if not problem.trusted and leaves_the_motion(problem, best):
             own = {n: best.values[n] for c in h.candidates for n in c.parameters}
@@ -194,7 +195,8 @@ class Search:
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
             fitted = self.hypothesis(*start, loosen=False)
             earlier = self.tried.get(fitted.names)
-            if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - CONVERGED:
+            enough = CONVERGED * self.problem.scatter
+            if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - enough:
                 fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
             return fitted
 
@@ -218,6 +220,11 @@ class Search:
         self.tried |= {h.names: h for h in fitted}
         report_ranking(self.progress, [*self.tried.values()])
         return fitted
+
+    @property
+    def near(self) -> float:
+        """Return the score difference of `NEAR` nats."""
+        return NEAR * self.problem.scatter
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """Return the score cost of candidates."""
