@@ -212,8 +212,7 @@ def _remaining_texts(c: Claims, remaining: Mapping[str, float], file: str) -> It
         yield f"This explains only a part of the error: {rest} of the excess error of {channel} remains in replays."
     if remaining:
         share = sum(remaining.values()) / len(remaining)
-        is_recalibrated = c.nearest is not None and not c.nearest.names
-        who = f"{file}, the recalibrated model," if is_recalibrated else f"{file}, not claimed,"
+        who = f"{file}, the recalibrated model," if c.name == NO_EFFECT else file
         if c.claimed is not None:
             who = "The most probable of these" if c.name == "ambiguous" else "The claim"
         removes = percent(1.0 - share) if share < 1.0 else "nothing"
@@ -231,10 +230,11 @@ def _remark_texts(c: Claims, inputs: str, nearest: str) -> Iterator[str]:
     for (rich, simple), probability in c.decision.not_excluded.items():
         yield f"These logs do not exclude {rich} in place of {simple} ({percent(probability)})."
     if c.grade != "claimed" and c.name != NO_EFFECT:
-        content = "is the given model" if c.nearest is None else "is the given model, recalibrated"
+        more = "" if c.nearest is None else ", recalibrated"
         if c.nearest is not None and c.nearest.names:
-            content = f"adds {_counted_names(c.nearest.names, 'part')}"
-        yield f"{nearest}, the most probable model that predicts held-out logs no worse than the given one, {content}."
+            more = f" with {_counted_names(c.nearest.names, 'part')}"
+        told = "is the most probable model that predicts held-out logs no worse than the given one"
+        yield f"{nearest} {told}: the given one{more}."
 
 
 def _counted_names(names: Sequence[str], noun: str) -> str:
