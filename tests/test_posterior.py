@@ -303,8 +303,6 @@ def test_a_part_that_a_term_without_a_name_may_replace_is_not_claimed_with_the_o
     misfit = Misfit(probability=1e-9, beside={"a": 0.99, "b": 0.6})
     d = decide(weighed(odds, effects("a", "b"), misfit=misfit))
     assert (d.verdict, d.grade, set(d.claimed), d.disputed) == ("effect_found", "part", {"a"}, named("b"))
-    d = decide(weighed(odds, {"a": "effect", "b": "parameter"}, misfit=replace(misfit, beside={})))
-    assert (set(d.claimed), d.disputed) == ({"a"}, named("b"))
 
 
 @pytest.mark.parametrize("kind", ["effect", "sensor", "parameter"])

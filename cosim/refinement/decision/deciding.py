@@ -20,7 +20,6 @@ from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, ch
 from cosim.refinement.decision.claims import Claims, equivalent_groups, experiment_for
 from cosim.refinement.decision.posterior import CERTAIN, Bundle, Decision, decide, log_evidence, log_prior
 from cosim.refinement.decision.scatter import (
-    CLEARLY,
     fit_given_model,
     held_out_errors,
     noise_gains,
@@ -84,7 +83,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     ladder = _ladder(search, base, [*shown, *([claimed] if claimed else [])])
     nearest = None
     if decision.grade != "claimed":  # the most probable class that predicts logs left out no worse than the given model
-        most = float(np.mean(ladder[0][1])) + CLEARLY
+        most = float(np.mean(ladder[0][1]))
         better = {frozenset(h.names): h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
         nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))
     rivals = tuple(decision.rivals)

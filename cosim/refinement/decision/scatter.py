@@ -33,7 +33,6 @@ from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.missing import rows_of_delay
 
 BLOCKS = 20  # blocks of time of a study
-CLEARLY = 0.05  # difference of log errors of predictions from which one model is better
 PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 

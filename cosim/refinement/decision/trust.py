@@ -18,10 +18,12 @@ from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.scatter import CLEARLY, held_out_errors, noise_gains, unknown_input_gain
+from cosim.refinement.decision.scatter import held_out_errors, noise_gains, unknown_input_gain
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Progress, Search, SearchResult
 from cosim.refinement.search.hypotheses import Hypothesis
+
+CLEARLY = 0.05  # difference of the log errors of predictions from which one way is better
 
 
 def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> SearchResult:
