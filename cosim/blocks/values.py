@@ -65,8 +65,7 @@ class Values:
     def put(self) -> None:
         """Set the inputs of the FMU, or only the changed inputs if changes are watched."""
         if self.watched is None:
-            for exchange in self.ports.fed:
-                self.put_in(exchange)
+            self.put_all()
             return
         values = [self.content(e) for e in self.ports.fed]
         with self.instance.check_calls():

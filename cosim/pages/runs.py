@@ -222,7 +222,7 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
 
 
 def _rows_of(folder: Path) -> Path | None:
-    """Return the rows of a run; of one under way, what describes them while its process makes them."""
+    """Return the file of a run's rows; for a run under way, the file that tells where its process writes them."""
     if (rows := rows_in(folder)) is not None:
         return rows
     for followed in folder.glob(f"*/{FOLLOWED}"):
