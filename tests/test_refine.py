@@ -148,6 +148,7 @@ def without(path: Path, *outputs: str) -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.xfail(strict=True, reason="dry friction is claimed of a craft that stands still")
 def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     sigma = [np.sqrt(Hovercraft.sensor_variance[name]) for name in ("psi", "psi_dot", "ax", "x_world", "y_world")]
@@ -159,7 +160,7 @@ def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
     study = tmp_path / "study.yaml"
     study.write_text("model: base\nlogs: {estimation: [a.csv], validation: [b.csv]}\n")
     r = proven(study, tmp_path / "out")
-    assert r.record["verdict"] == "ambiguous"
+    assert (r.record["verdict"], r.record["grade"], r.record["effects"]) == ("ambiguous", "nearest", [])
     assert len(r.record["rivals"]) > 1
     assert r.record["experiment"]
 

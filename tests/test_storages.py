@@ -61,10 +61,11 @@ def test_a_leak_comes_in_through_the_pump_of_its_tank(study: Path) -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.xfail(strict=True, reason="ambiguous: a further part beside the leak")
 def test_a_leak_of_a_tank_is_named_in_co_simulation(study: Path, tmp_path: Path) -> None:
     result = cosim.refine(study, tmp_path / "out").record
     (found,) = result["effects"]
-    assert found["name"] == "leak_at_gauge_right"
+    assert (found["name"], result["grade"]) == ("leak_at_gauge_right", "claimed")
     value = found["parameters"]["coefficient"]
     assert value["unit"] == "1/s"
     low, high = value["ci95"]
