@@ -19,7 +19,17 @@ from typing import Any
 import numpy as np
 
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, START, Layout
-from cosim.estimation.kernel.nameless import PREFIX, RATE, SLOTS, Known, LocalShape, bases, local_shape, local_signals
+from cosim.estimation.kernel.nameless import (
+    PREFIX,
+    RATE,
+    READING,
+    SLOTS,
+    Known,
+    LocalShape,
+    bases,
+    local_shape,
+    local_signals,
+)
 from cosim.files.cache import fingerprint, load_or_make
 from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
@@ -67,9 +77,11 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     rates = {name: equal[e] for name, e in body.derivative.items() if e in equal}
     shapes: list[LocalShape] = []
     if unnamed:
-        sums, shapes = _nameless(body, Known.of(body.symbols, excluded=drifting), forced)
-        body.derivative.update({state: body.derivative[state] + term for state, term in sums.items()})
+        sums, shapes = _nameless(body, Known.of(body.symbols, excluded=drifting), forced, measured)
+        body.derivative.update({state: body.derivative[state] + sums[state] for state in forced})
     _add_sensor_errors(body, model)
+    if unnamed:
+        body.outputs.update({n: sympy.sympify(body.outputs[n]) + sums[READING + n] for n in measured})
     if forced:  # an unknown input as additional state in each forced equation
         lasting = body.parameter(MEMORY)
         added = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in forced}
@@ -192,36 +204,40 @@ def _print_functions(
         expressions: Derivatives and readings.
         random: Indices and symbols of the stochastic states.
     """
-    import sympy
 
     (f, g), (stochastic, x) = expressions, random
     functions = {
         "deriv": f,
         "jacobian": [_slope(f[i], xj, shapes) for i in stochastic for xj in x],
         "measure": g,
-        "measure_jacobian": [sympy.diff(e, xj) for e in g for xj in x],
+        "measure_jacobian": [_slope(e, xj, shapes) for e in g for xj in x],
     }
     if stiff:
         functions["state_jacobian"] = [_slope(e, xj, shapes) for e in f for xj in body.symbols.state]
     stages = _stages(shapes)
-    first = {"deriv": stages, "jacobian": stages, "state_jacobian": stages}
-    texts = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
+    texts = [body.function(C(), name, e, stages) for name, e in functions.items()]
     return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
 
 
-def _nameless(body: Body, known: Known, forced: Sequence[str]) -> tuple[dict[str, Any], list[LocalShape]]:
-    """Return the unnamed terms of each forced equation, and their local shapes; their parameters are added."""
+def _nameless(
+    body: Body, known: Known, forced: Sequence[str], measured: Sequence[str] = ()
+) -> tuple[dict[str, Any], list[LocalShape]]:
+    """Return the unnamed terms of forced equations and readings, and their local shapes; parameters are added.
+
+    Readings have local shapes only.
+    """
     import sympy
 
-    sums: dict[str, Any] = dict.fromkeys(forced, sympy.Integer(0))
+    places = [*forced, *(READING + n for n in measured)]
+    sums: dict[str, Any] = dict.fromkeys(places, sympy.Integer(0))
     for name, basis in bases(known).items():
         for state in forced:
             sums[state] += body.parameter(f"{PREFIX}.{state}.{name}") * basis
     signals = local_signals(known)
-    shapes = [local_shape(slot, signals, forced, body.parameter) for slot in range(1, SLOTS + 1)]
+    shapes = [local_shape(slot, signals, places, body.parameter) for slot in range(1, SLOTS + 1)]
     for shape in shapes:
-        for state, term in zip(forced, shape.terms, strict=True):
-            sums[state] += term
+        for place, term in zip(places, shape.terms, strict=True):
+            sums[place] += term
     return sums, shapes
 
 

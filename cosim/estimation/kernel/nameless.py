@@ -1,8 +1,8 @@
-"""Terms outside the catalogue in forced equations: basis functions of one signal, and local shapes.
+"""Terms outside the catalogue in forced equations and readings: basis functions of one signal, and local shapes.
 
 Parameters define a local shape, so that one kernel serves every place on every signal. With signals z,
 
-    to · (by.1 + by·z) · (Σ c_k·bump(ζ − k) + c·rise(ζ))      ζ = of·z
+    to · (by.1 + by·z) · (Σ c_k·bump(ζ − k) + c·rise(ζ) + a·sin ζ + b·cos ζ)      ζ = of·z
 
 bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. With all parameters 0, no shape exists.
 """
@@ -18,6 +18,7 @@ from cosim.model.quantities import Quantity
 from cosim.model.symbolic.symbols import SymbolicModel
 from cosim.terms.fmu_model import FmuModel
 
+READING = "reading of "  # prefix of an output in place of a state whose equation has a local shape
 PREFIX = "unnamed"  # prefix of coefficients: `unnamed.state.basis`
 RATE = "rate of "  # prefix of the rate of an output in co-simulation
 LOCAL = "local"  # prefix of a local shape's parameters: `local.1.of.position`, and `local.1.of.1` of the constant
@@ -107,7 +108,7 @@ class LocalShape:
     """Symbols of a local shape, an unnamed term that acts in a range of a signal: factor times shape.
 
     Attributes:
-        terms: Contribution to each equation.
+        terms: Contribution to each equation, and to each reading.
         slopes: Symbol of a signal → derivatives of factor and shape.
     """
 
@@ -140,6 +141,7 @@ def local_shape(
     over, factor, shape, bend = map(symbol, ("over", "factor", "shape", "bend"))
     value = number(f"{LOCAL}.{slot}.rise") * rise(over)
     value += sum(number(f"{LOCAL}.{slot}.{k}") * bump(over - k) for k in range(KNOTS))
+    value += sum(number(f"{LOCAL}.{slot}.{w.__name__}") * w(over) for w in (sympy.sin, sympy.cos))
     sums = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
     return LocalShape(
         factor,

@@ -192,7 +192,8 @@ def _dependence_text(c: Claims) -> str:
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
     if shape.kind == "spline":
         return f"depends on {signal}, by no simple law"
-    how = f", changing at {place}" if shape.kind == "step" else f", most near {place} (width {width})"
+    ways = {"step": f", changing at {place}", "wave": f" and repeats every {width}"}
+    how = ways.get(shape.kind, f", most near {place} (width {width})")
     by = f", times {shape.factor}" if shape.factor else ""
     return f"depends on {signal}{how}{by}"
 

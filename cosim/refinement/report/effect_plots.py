@@ -118,7 +118,7 @@ def _compare_residual(r: Refinement) -> EffectComparison:
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
     if residual["equation"] in equations:
         column = equations.index(residual["equation"])
-    first = next(iter(residual["terms"]), None)
+    first = next((term for term in residual["terms"] if term["equation"] == equations[column]), None)
     basis = subject.nameless(first["signal"]) if first else None
     if first and first.get("local"):
         shape = Shape.of_entry(first["equation"], first["local"])

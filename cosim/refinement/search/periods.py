@@ -91,20 +91,39 @@ def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
 
 def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float) -> Iterator[float]:
     """Yield the periods of the strongest lines in the spectrum of the innovations along the position."""
-    first = min(float(q.min()) for q in positions)
-    count = 2 + int(2.0 * (max(float(q.max()) for q in positions) - first) / low)  # two cells in the shortest period
-    cells = np.zeros((2, len(test.problem.layout.outputs), count))
-    parts = test.scored.of_each_log(test.residual[: len(test.scored.errors)])
-    for q, part, readings, log in zip(positions, parts, test.problem.readings, test.problem.logs, strict=True):
-        table = np.zeros(log.y.shape)
-        table.put(readings.places, part)
-        middle = (2.0 * (0.5 * (q[1:] + q[:-1]) - first) / low).astype(np.intp)
-        for direction, moving in enumerate((np.diff(q) > 0.0, np.diff(q) < 0.0)):
-            for output, column in enumerate(table[1:].T):
-                cells[direction, output] += np.bincount(middle[moving], column[moving], count)
-    height = np.sum(np.abs(np.fft.rfft(cells, 2 * count)) ** 2, axis=(0, 1))
-    frequency = np.arange(len(height)) / (count * low)
-    height[(frequency * low > 1.0) | (frequency * high < 1.0)] = 0.0
+    frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
+    height[frequency * high < 1.0] = 0.0
     peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel
     strongest = sorted(peaks, key=lambda peak: -height[peak])[:LINES]
     yield from (1.0 / float(frequency[peak]) for peak in strongest)
+
+
+def innovations_of_logs(test: ScoreTest) -> list[Array]:
+    """Return the normalised innovations of each log, shape (rows, outputs), beside what free parameters imitate."""
+    tables = []
+    parts = test.scored.of_each_log(test.residual[: len(test.scored.errors)])
+    for part, readings, log in zip(parts, test.problem.readings, test.problem.logs, strict=True):
+        tables.append(np.zeros(log.y.shape))
+        tables[-1].put(readings.places, part)
+    return tables
+
+
+def spectrum_along(tracks: Sequence[tuple[Array, Array]], low: float) -> tuple[Array, Array]:
+    """Return the frequencies and the spectrum of tables along positions, each direction of motion by itself.
+
+    Args:
+        tracks: Positions and table of each log, shapes (rows,) and (rows, columns).
+        low: Shortest period.
+    """
+    first = min(float(q.min()) for q, _ in tracks)
+    count = 2 + int(2.0 * (max(float(q.max()) for q, _ in tracks) - first) / low)  # two cells in the shortest period
+    cells = np.zeros((2, tracks[0][1].shape[1], count))
+    for q, table in tracks:
+        middle = (2.0 * (0.5 * (q[1:] + q[:-1]) - first) / low).astype(np.intp)
+        for direction, moving in enumerate((np.diff(q) > 0.0, np.diff(q) < 0.0)):
+            for column, values in enumerate(table[1:].T):
+                cells[direction, column] += np.bincount(middle[moving], values[moving], count)
+    height = np.sum(np.abs(np.fft.rfft(cells, 2 * count)) ** 2, axis=(0, 1))
+    frequency = np.arange(len(height)) / (count * low)
+    height[frequency * low > 1.0] = 0.0
+    return frequency, height

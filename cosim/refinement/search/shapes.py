@@ -1,8 +1,9 @@
-"""Local shapes of unnamed terms: range of a signal, or of time, in which an equation lacks a term.
+"""Shapes of unnamed terms over a signal, or over time.
 
 A smoother estimates the missing input of each equation in each row. Regression on shapes over time, each state, each
 command, and each difference of two states with equal units selects the most promising ones for a filter run: bumps,
-steps, and rows of bumps (splines). A bump or step may be multiplied by a velocity.
+steps, and rows of bumps (splines). The spectra over each signal, and over time, select waves. A factor, such as a
+velocity or a command, may multiply a shape.
 """
 
 from __future__ import annotations
@@ -16,15 +17,17 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, orthonormal
-from cosim.estimation.fit import Fit
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
 from cosim.estimation.kernel.nameless import KNOTS, LOCAL, RATE, bump, rise
 from cosim.estimation.problem import Problem
+from cosim.estimation.screen import ScoreTest
 from cosim.refinement.decision.posterior import CERTAIN, LITTLE
 from cosim.refinement.search.missing import Smoothed, smooth_unknown_inputs
+from cosim.refinement.search.periods import innovations_of_logs, spectrum_along
 
 EVERY = 4  # rows between linearizations, sufficient for a regression
 DIFFERENCE = " − "
+ENDS = 0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)  # quantiles of a signal, beyond which rows are few
 
 Signals = Mapping[str, Array]
 
@@ -34,11 +37,12 @@ class Shape:
     """A local shape: a function of a signal, possibly times a factor, in the equation of a state.
 
     Attributes:
-        equation: Forced state.
+        equation: Forced state, or `reading of` an output.
         of: Signal of the shape, or two signals for their difference.
-        kind: `bump`, `step` or `spline`.
-        place: Centre, for a spline of its first bump.
-        width: Width of a bump at about half its height, of a step from end to end, of a spline from bump to bump.
+        kind: `bump`, `step`, `spline` or `wave`.
+        place: Centre, for a spline of its first bump; of a wave the zero of its phase.
+        width: Width of a bump at about half its height, of a step from end to end, of a spline from bump to bump, of a
+            wave its period.
         times: Signals of the factor, as in `of`; may be empty.
         unit: Unit of place and width.
     """
@@ -75,7 +79,7 @@ class Shape:
     @property
     def per(self) -> float:
         """Return the normalised signal ζ per unit of the signal."""
-        return (1.0 if self.kind == "spline" else 2.0) / self.width
+        return {"spline": 1.0, "wave": 2.0 * np.pi}.get(self.kind, 2.0) / self.width
 
     def settings(self, slot: int) -> dict[str, float]:
         """Return this shape's kernel parameters in a slot."""
@@ -86,14 +90,17 @@ class Shape:
 
     def coefficients(self, slot: int) -> tuple[str, ...]:
         """Return the names of the kernel parameters that scale this shape in a slot."""
-        own = {"bump": ("0",), "step": ("rise",), "spline": tuple(map(str, range(KNOTS)))}[self.kind]
+        splines = tuple(map(str, range(KNOTS)))
+        own = {"bump": ("0",), "step": ("rise",), "spline": splines, "wave": ("sin", "cos")}[self.kind]
         return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
 
     def columns(self, signals: Signals) -> Array:
         """Return the regressor of each coefficient, shape (rows, coefficients)."""
         over = self.per * (values_of(signals, self.of) - self.place)
         count = KNOTS if self.kind == "spline" else 1
-        basis = [rise(over)] if self.kind == "step" else [bump(over - k) for k in range(count)]
+        basis = [bump(over - k) for k in range(count)]
+        if self.kind != "spline":
+            basis = {"bump": basis, "step": [rise(over)], "wave": [np.sin(over), np.cos(over)]}[self.kind]
         return np.stack(basis, axis=1) * (values_of(signals, self.times)[:, None] if self.times else 1.0)
 
 
@@ -117,16 +124,15 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
-def promising_shapes(
-    problem: Problem, at: Fit, price: float, units: Mapping[str, str]
-) -> tuple[list[Shape], int, Signals]:
+def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
     """Return the likeliest shape of each kind and equation beside a fit, the number of shapes tried, and the signals.
 
     Args:
+        test: Score test at the fit.
         price: Score cost of a coefficient.
         units: Units of the signals; two states with equal units also give a difference signal.
     """
-    prefix = f"{LOCAL}.1.of."
+    problem, at, prefix = test.problem, test.at, f"{LOCAL}.1.of."
     names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
     if not names:
         return [], 0, {}
@@ -150,7 +156,11 @@ def promising_shapes(
             if net > best.get(shape.kind, (0.0, shape))[0]:
                 best[shape.kind] = net, shape
         shapes += [shape for _, shape in best.values()]
-    return shapes, tried, signals
+    waves, lines = _likely_waves(test, parts, signals)
+    prefix = f"{LOCAL}.1.to."
+    places = [n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)]
+    shapes += [replace(w, equation=e, unit=units.get(w.signal, "")) for w in waves for e in places]
+    return shapes, tried + lines * len(places), signals
 
 
 def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[Shape]:
@@ -160,10 +170,11 @@ def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[st
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
     for of in (*((n,) for n in signals), *pairs):
         z = values_of(signals, of)
-        low, high = (float(end) for end in np.quantile(z, [0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)]))
+        low, high = (float(end) for end in np.quantile(z, ENDS))
         if not high > low or np.unique(z).size <= KNOTS:
             continue
         factors = {tuple(rates.get(n, "") for n in of), (equation,)}
+        factors |= {(n,) for n in signals if n.startswith("command ")} if of == ("time",) else set()
         times = [(), *(t for t in sorted(factors) if signals.keys() >= {*t} and not {*t} & {*of})]
         width = (high - low) / (KNOTS - 1)
         shape = Shape(equation, of, "spline", low, width, unit=units.get(of[0], ""))
@@ -175,6 +186,32 @@ def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[st
                 bumps = np.linspace(low, high, count).tolist()
                 width = 2.0 * (high - low) / (count - 1)
                 yield from (replace(shape, kind="bump", place=p, width=width, times=factor) for p in bumps)
+
+
+def _likely_waves(test: ScoreTest, parts: Smoothed, signals: Signals) -> tuple[list[Shape], int]:
+    """Return the wave over time, and that over another signal, with the highest lines of spectra; the lines tried.
+
+    Spectra are those of the innovations, times a factor.
+    """
+    commands = [n for n in signals if n.startswith("command ")]
+    innovations = innovations_of_logs(test)
+    tables = [innovations[k][m.rows(test.problem.logs[k])] for k, m in parts]
+    ends, tried, found = np.cumsum([len(m.time) for _, m in parts])[:-1], 0, dict[bool, tuple[float, Shape]]()
+    for name, z in signals.items():
+        if np.unique(z).size <= KNOTS:
+            continue
+        low = 2.0 * KNOTS * float(np.ptp(z)) / len(z)
+        for factor in {n: None for n in ("", test.problem.layout.rates.get(name, ""), *commands) if n != name}:
+            by = values_of(signals, (factor,))[:, None] if factor else np.ones((len(z), 1))
+            own = zip(np.split(z, ends), tables, np.split(by, ends), strict=True)
+            frequency, height = spectrum_along([(q, table * times) for q, table, times in own], low)
+            line = 2 + int(np.argmax(height[2:]))  # one period in the travel at least
+            over = float(height[line] / np.mean(height))
+            if over > found.get(name == "time", (0.0, None))[0]:
+                wave = Shape("", (name,), "wave", 0.0, 1.0 / float(frequency[line]), (factor,) if factor else ())
+                found[name == "time"] = over, wave
+            tried += len(height)
+    return [wave for _, wave in found.values()], tried
 
 
 def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, is_rate: bool) -> str:

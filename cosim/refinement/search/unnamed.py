@@ -21,7 +21,7 @@ from scipy.stats import chi2
 
 from cosim.core.arrays import Array
 from cosim.estimation.fit import DIFFERENCE, Fit, fit
-from cosim.estimation.kernel.nameless import PREFIX, SLOTS
+from cosim.estimation.kernel.nameless import PREFIX, READING, SLOTS
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
@@ -36,7 +36,7 @@ class UnnamedTerm:
     """A term outside the catalogue in the equation of a forced state.
 
     Attributes:
-        equation: Forced state.
+        equation: Forced state, or `reading of` an output.
         signal: Basis such as `1` or `|velocity|`; for a local shape its signal.
         gain: Log-likelihood gain, predicted or fitted.
         sizes: Coefficients: one, or those of the bumps of a spline.
@@ -115,17 +115,18 @@ def find_unnamed_terms(
     """
     test = ScoreTest(problem, at)
     simple = [n.split(".", 2)[1:] for n in problem.layout.parameters if n.startswith(f"{PREFIX}.")]
-    shapes, tried, signals = promising_shapes(problem, at, price, units)
+    shapes, tried, signals = promising_shapes(test, price, units)
     terms = [UnnamedTerm(equation, signal) for equation, signal in simple]
     terms += [UnnamedTerm(shape.equation, shape.signal, shape=shape) for shape in shapes]
     among = len(simple) + tried
-    densities = dict(zip(problem.layout.forced, np.sqrt(problem.plain.density), strict=True))
+    usual = dict(zip(problem.layout.forced, np.sqrt(problem.plain.density), strict=True))
+    usual |= {READING + n: float(np.sqrt(r)) for n, r in zip(problem.layout.outputs, problem.r, strict=True)}
 
     def effects(u: UnnamedTerm) -> tuple[list[Array], list[float]]:
         """Return the change of the innovations by a detectable step of each coefficient, and the steps."""
         rows, steps = list[Array](), list[float]()
         for name in u.names:
-            step = DIFFERENCE * densities[u.equation]
+            step = DIFFERENCE * usual[u.equation]
             size = float(np.linalg.norm(test.row({**u.settings, name: step})))
             steps.append(step / size if size > 0.0 else step)
             rows.append(test.row({**u.settings, name: steps[-1]}))
@@ -176,8 +177,10 @@ def find_unnamed_terms(
     else:
         return Leftover()
     first = refitted[0]
-    place = problem.layout.forced.index(first.equation)
-    share = None if problem.trusted else 1.0 - math.exp(float(fitted.noise.power[place] - without.noise.power[place]))
+    share = None
+    if first.equation in problem.layout.forced and not problem.trusted:
+        place = problem.layout.forced.index(first.equation)
+        share = 1.0 - math.exp(float(fitted.noise.power[place] - without.noise.power[place]))
     like = ""
     if first.shape is not None:
         where = first.equation, first.signal
