@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.estimation.fit import Fit
+from cosim.estimation.fit import CONVERGED, Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
@@ -48,9 +48,28 @@ def fit_neighbours(search: Search, candidates: Sequence[Candidate]) -> None:
         for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
             starts[h.names] = h.candidates, h.fit
         untried = [s for names, s in starts.items() if not (names in search.tried and search.tried[names].ended)]
+        untried += _without_idle_parts(search, best.score + NEAR * kappa)
         if not untried:
             return
         search.fit_to_the_end(untried)
+
+
+def _without_idle_parts(search: Search, limit: float) -> list[Start]:
+    """Return the sets without the parts that a fit has moved to neutral, where they have no fit as good as that.
+
+    Args:
+        limit: Score from which a set is too improbable.
+    """
+    starts, given = dict[tuple[str, ...], Start](), search.problem.values
+    for h in search.tried.values():
+        moved = {f.name for c in h.candidates for f in c.free if f.neutral is not None or c.kind == "parameter"}
+        moved = {name for name in moved if h.fit.values[name] != given[name]}
+        acting = tuple(c for c in h.candidates if moved.intersection(c.parameters))
+        known = search.tried.get(key_of(acting))
+        least = h.fit.objective + CONVERGED * search.problem.scatter
+        if h.ended and least + search.cost(acting) < limit and not (known and known.fit.objective <= least):
+            starts[key_of(acting)] = acting, h.fit
+    return [*starts.values()]
 
 
 def _neighbours(search: Search, candidates: Sequence[Candidate], h: Hypothesis, kappa: float) -> Iterator[Start]:

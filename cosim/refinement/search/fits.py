@@ -190,7 +190,10 @@ class Search:
         return self._fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
 
     def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
-        """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts."""
+        """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts.
+
+        A fit that ends worse than that of some of its parts begins again there, so that it cannot be worse.
+        """
 
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
             fitted = self.hypothesis(*start, loosen=False)
@@ -198,6 +201,15 @@ class Search:
             enough = CONVERGED * self.problem.scatter
             if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - enough:
                 fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
+            ended = [h for h in self.tried.values() if h.ended and {*h.names} < {*fitted.names}]
+            best = min(ended, key=lambda h: h.fit.objective, default=fitted)
+            if best.fit.objective < fitted.fit.objective:
+                added = [c for c in fitted.candidates if c.name not in best.names and c.kind != "parameter"]
+                free = [f for c in added for f in c.free]
+                values = dict(chain.from_iterable(c.starts[0].items() for c in added))
+                values |= {f.name: f.neutral for f in free if f.neutral is not None}
+                begin = replace(best.fit, values={**best.fit.values, **values}, free=(*best.fit.free, *free))
+                fitted = self.hypothesis(fitted.candidates, begin, loosen=False)
             return fitted
 
         return self._fit_each("fitting what comes near the best", refit, starts)
