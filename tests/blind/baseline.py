@@ -3,6 +3,8 @@
     python -m tests.blind.baseline                                     go on with the revision in tests/corpus/revision
     python -m tests.blind.baseline --python ENV/bin/python --revision SHA
     python -m tests.blind.baseline --summary [--revision SHA]          the table
+    python -m tests.blind.baseline --confirmatory --revision SHA       the studies announced in docs/blind.md
+    python -m tests.blind.baseline --confirmatory --revision SHA --against OLD      its table, new beside old
 
 This tree draws a study, the environment of the revision refines it, both in processes of their own. Ctrl-C loses the
 studies that are under way. Model files of plants are those of the revision, whose classes they use. A study that
@@ -24,13 +26,13 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tests.blind import field_score, fmu_apart, fmu_study, harness
+from tests.blind import field_score, fmu_apart, fmu_study, harness, parts, score
 from tests.blind.harness import ARM, FIELD, FMU, LABORATORY, MIXED, SCORES, RefinerFailed
 from tests.blind.score import Line, wilson
 from tests.corpus import revisions
@@ -44,12 +46,30 @@ SUITES = {  # suite → first seed, number of studies; chosen before any of thes
     ARM: (440000, 30),
     FMU: (450000, 80),
 }
+CRAFT_STRANGERS = (  # the second five occur in the studies on which the rules were developed
+    "quantised_tilt", "tilt_stop", "growing_friction", "thrust_ripple", "compass_deviation",
+    "gust", "tether", "cable_torsion", "table_bumps", "gyroscopic",
+)  # fmt: skip
+FMU_STRANGERS = ("iron", "tap", "radiation", "door", "foam", "cone", "brake", "magnet")  # the last three occur there
+CONFIRMATORY = (  # suite, kinds or names, first seed, number of studies
+    (LABORATORY, ("known",), 610000, 40),
+    (LABORATORY, ("nothing",), 610000, 20),
+    (LABORATORY, CRAFT_STRANGERS, 610000, 40),
+    (FIELD, ("known",), 620000, 80),
+    (FIELD, ("nothing",), 620000, 40),
+    (MIXED, (), 630000, 40),
+    (ARM, (), 640000, 48),  # of which eight have nothing
+    (FMU, ("known",), 650000, 60),
+    (FMU, ("nothing",), 650000, 32),
+    (FMU, FMU_STRANGERS, 650000, 40),
+)
 TIMEOUT = 1200.0  # time limit of a study [s]
 STUDY = ("kind", "plant", "way", "version", "size", "disturbance", "disturbed", "truth", "strangers", "costs")
 ANSWER = ("error_true", "yardstick")
 FOUND = ("verdict", "grade", "rivals", "not_excluded", "alike", "failure")
 STAGES = ("before", "recalibrated", "after", "nearest")
 CLAIM = ("value", "ci95")
+ONE_SIDED = statistics.NormalDist().inv_cdf(0.95)
 BEST = 5  # candidates with scores
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -133,11 +153,16 @@ def read(path: Path, revision: str) -> dict[tuple[str, int], Line]:
     return {(line["suite"], line["seed"]): line for line in map(json.loads, texts) if line["revision"] == revision}
 
 
-def missing(path: Path, revision: str, suites: Sequence[str] = ()) -> list[tuple[str, int]]:
-    """Return the studies without a line of a revision."""
+def missing(
+    path: Path, revision: str, suites: Sequence[str] = (), *, confirmatory: bool = False
+) -> list[tuple[str, int]]:
+    """Return the studies without a line of a revision, suites in turn."""
     have = read(path, revision)
-    table = [(suite, first + k) for suite, (first, count) in SUITES.items() for k in range(count)]
-    return [key for key in table if key not in have and (not suites or key[0] in suites)]
+    rows = [(suite, [*range(first, first + count)]) for suite, (first, count) in SUITES.items()]
+    if confirmatory:
+        rows = [(suite, harness.seeds(count, first, only, suite)) for suite, only, first, count in CONFIRMATORY]
+    table = sorted((k / len(seeds), suite, seed) for suite, seeds in rows for k, seed in enumerate(seeds))
+    return [(suite, seed) for _, suite, seed in table if (suite, seed) not in have and (not suites or suite in suites)]
 
 
 def append(path: Path, line: Line) -> None:
@@ -251,6 +276,65 @@ def _share(hits: int, of: int) -> str:
     return f" {hits:3d} of {of:3d}  {part}  [{100 * low:5.1f}, {100 * high:5.1f}]"
 
 
+def is_right(line: Line) -> bool:
+    """Return whether a known study gets its names and no others, of several parts also as rivals or in part."""
+    if line["suite"] in (MIXED, ARM):
+        return parts.named_parts(line) == parts.parts(line) and not parts.wrong_parts(line)
+    return bool((score if line["suite"] == LABORATORY else field_score).is_right(line))
+
+
+def is_wrong(line: Line) -> bool:
+    """Return whether a study gets a name that is not in the truth."""
+    if line["suite"] in (MIXED, ARM):
+        return bool(parts.wrong_parts(line))
+    return field_score.is_wrong(line) if line["kind"] == "known" else field_score.is_misnamed(line)
+
+
+def comparison(old: Mapping[tuple[str, int], Line], new: Mapping[tuple[str, int], Line]) -> str:
+    """Return the announced figures of two revisions on the same studies."""
+    keys = sorted(old.keys() & new.keys())
+    pairs = [(old[key], new[key]) for key in keys]
+    known, outside, nothing = (
+        [pair for pair in pairs if pair[0]["kind"] == kind] for kind in ("known", "outside", "nothing")
+    )
+
+    def points(chosen: Sequence[tuple[Line, Line]], holds: Callable[[Line], bool]) -> str:
+        gains = [100.0 * (holds(b) - holds(a)) for a, b in chosen]
+        if len(gains) < 2:
+            return "–"
+        mean, error = statistics.fmean(gains), ONE_SIDED * statistics.stdev(gains) / math.sqrt(len(gains))
+        counted = " → ".join(str(sum(map(holds, side))) for side in zip(*chosen, strict=True))
+        return (
+            f"{counted} of {len(chosen)}: {mean:+.1f} points, 95 % bounds {mean - error:+.1f} and {mean + error:+.1f}"
+        )
+
+    def ratios(of: Callable[[Line], Mapping[str, float]]) -> list[float]:
+        each = [(of(a), of(b)) for a, b in pairs if "failed" not in (a["verdict"], b["verdict"])]
+        both = [[b[n] / a[n] for n in a.keys() & b.keys() if a[n] and b[n]] for a, b in each]
+        return [statistics.geometric_mean(found) for found in both if found]
+
+    def delivered(line: Line) -> Mapping[str, float]:
+        stage = "nearest" if field_score.grade(line) != "claimed" and "nearest" in line["error"] else "after"
+        errors: Mapping[str, float] = line["error"][stage]["validation"]
+        return errors
+
+    hits = [hit for _, b in pairs for hit in field_score.claims(b)]
+    alarms = [(field_score.is_false_alarm(a), field_score.is_false_alarm(b)) for a, b in nothing]
+    text = [f"{len(pairs)} studies", f"right: {points(known, is_right)}"]
+    text += [f"  {s}: {points([pair for pair in known if pair[0]['suite'] == s], is_right)}" for s in SUITES]
+    text.append(f"wrong or misnamed: {points([*known, *outside], is_wrong)}")
+    text.append(f"false alarms: {sum(a for a, _ in alarms)} → {sum(b for _, b in alarms)} of {len(nothing)}")
+    for suite in SUITES:
+        chosen = [pair for pair in outside if pair[0]["suite"] == suite]
+        text.append(f"outside flagged, {suite}: {points(chosen, field_score.is_flagged)}")
+    text.append(f"95 % intervals that hold the truth:{_share(sum(hits), len(hits))}")
+    if pairs:
+        text.append(f"sealed error, geometric mean of new over old: {statistics.geometric_mean(ratios(delivered)):.3f}")
+        seconds = statistics.median(ratios(lambda line: {"": line["processor_seconds"]}))
+        text.append(f"processor time of a study, median of new over old: {seconds:.2f}")
+    return "\n".join(text)
+
+
 # -- the command -------------------------------------------------------------------------------------------
 
 
@@ -268,7 +352,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--revision", help="by default the one in tests/corpus/revision")
     parser.add_argument("--python", help="of an environment; by default one with the wheels of the revision")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="studies at a time")
-    parser.add_argument("--lines", type=Path, default=LINES, help="file of lines")
+    parser.add_argument("--lines", type=Path, help="file of lines")
+    parser.add_argument("--confirmatory", action="store_true", help="the studies that docs/blind.md announces")
+    parser.add_argument("--against", metavar="SHA", help="print the figures beside those of this revision, run nothing")
     parser.add_argument("--summary", action="store_true", help="print the table, run nothing")
     parser.add_argument("--study", nargs=3, metavar=("SUITE", "SEED", "FOLDER"), help="print the line of one study")
     options = parser.parse_args(arguments)
@@ -280,14 +366,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         suite, seed, folder = options.study
         print(json.dumps(conduct(suite, int(seed), options.python, revision, Path(folder))))
         return 0
+    lines = options.lines or (LINES.with_name("confirmatory.jsonl") if options.confirmatory else LINES)
+    if options.against:
+        print(comparison(read(lines, commit_of(options.against)[:12]), read(lines, revision)))
+        return 0
     if not options.summary:
         python = options.python or str(revisions.revision_side(commit).programs / "python")
         if subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
             parser.error(f"{python} has no cosim and hovercraft")
-        todo = missing(options.lines, revision, options.suites)
-        if run(todo, python, revision, options.lines, options.jobs):
+        todo = missing(lines, revision, options.suites, confirmatory=options.confirmatory)
+        if run(todo, python, revision, lines, options.jobs):
             return 1
-    print(f"revision {revision}\n{table(list(read(options.lines, revision).values()))}")
+    print(f"revision {revision}\n{table(list(read(lines, revision).values()))}")
     return 0
 
 

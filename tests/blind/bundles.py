@@ -57,7 +57,7 @@ def outcome(line: Mapping[str, Any]) -> str:
         if field_score.is_misnamed(given):
             return "misnamed"
         return "flagged" if field_score.is_flagged(given) else "missed"
-    for name, holds in (("right", field_score.is_right), ("wrong", field_score.is_wrong)):
+    for name, holds in (("right", baseline.is_right), ("wrong", baseline.is_wrong)):
         if holds(given):
             return name
     return "in set" if field_score.is_in_set(given) else "open"

@@ -146,7 +146,9 @@ def is_any_of(seed: int, chosen: AbstractSet[str]) -> bool:
     dealt = deal(seed)
     if {dealt.kind, dealt.plant, dealt.way, dealt.size} & chosen:
         return True
-    return bool(chosen - DEALT) and bool(draw(seed).truth.keys() & chosen)
+    rig = RIGS[dealt.plant, dealt.way]
+    possible = {"known": rig.entries, "outside": rig.outside}.get(dealt.kind, {})
+    return bool(chosen & possible.keys()) and bool(draw(seed).truth.keys() & chosen)
 
 
 def known_names() -> set[str]:
