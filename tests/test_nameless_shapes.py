@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.core.arrays import Array
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.model_subject import ModelSubject
@@ -41,8 +42,8 @@ class Block(Model):
         )  # fmt: skip
 
 
-def left(folder: Path, push: Push) -> tuple[Problem, Leftover]:
-    """What is left beside the block recalibrated, on two logs of a block with another push on it."""
+def left(folder: Path, push: Push, shown: Callable[[Array], Array] = np.array) -> tuple[Problem, Leftover]:
+    """What is left beside the block recalibrated, on two logs of a block with another push on it, or another sensor."""
     logs = []
     for seed in (1, 2):
         rng = np.random.default_rng(seed)
@@ -56,7 +57,7 @@ def left(folder: Path, push: Push) -> tuple[Problem, Leftover]:
                 h = STEP / fine
                 v += h * (u - 0.8 * v - 2.0 * x + push(t + k * h, x, v))
                 x += h * v
-        columns = {"time": time, "force": force, "place": np.array(places) + NOISE * rng.standard_normal(ROWS)}
+        columns = {"time": time, "force": force, "place": shown(np.array(places)) + NOISE * rng.standard_normal(ROWS)}
         logs.append(read_log(write_log(folder / f"{seed}.csv", columns), Block.inputs, Block.outputs))
     problem = build_problem(ModelSubject.of(Block()), logs, unnamed=True)
     at = Search(ModelSubject.of(Block()), problem, 1, lambda stage, share: None).hypothesis((), None).fit
@@ -100,11 +101,30 @@ def test_where_nothing_is_hidden_no_shape_is_found(tmp_path: Path) -> None:
     assert left(tmp_path, lambda t, x, v: 0.0)[1].terms == ()
 
 
+@pytest.mark.parametrize(
+    ("push", "shown", "where", "signal", "period"),
+    [
+        (lambda t, x, v: 0.02 * np.sin(8.0 * t + 1.0), np.array, "speed", "time", 2.0 * np.pi / 8.0),
+        (lambda t, x, v: 0.0, lambda x: x + 2e-3 * np.sin(30.0 * x), "reading of place", "place", 2.0 * np.pi / 30.0),
+    ],
+    ids=["push", "sensor"],
+)
+def test_what_repeats_is_found_where_it_acts(
+    tmp_path: Path, push: Push, shown: Callable[[Array], Array], where: str, signal: str, period: float
+) -> None:
+    _, found = left(tmp_path, push, shown)
+    first = found.terms[0]
+    assert first.shape is not None
+    assert (first.equation, first.shape.kind, first.signal) == (where, "wave", signal)
+    assert first.shape.width == pytest.approx(period, rel=0.05)
+
+
 SHAPES = [
     Shape("speed", ("place",), "bump", 0.2, 0.1),
     Shape("speed", ("place",), "bump", 0.2, 0.1, ("speed",)),
     Shape("speed", ("place", "speed"), "step", 0.2, 0.3, ("speed",)),
     Shape("speed", ("place",), "spline", -1.0, 0.3),
+    Shape("speed", ("place",), "wave", 0.0, 0.4, ("speed",)),
 ]
 
 

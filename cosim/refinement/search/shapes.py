@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, orthonormal
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
-from cosim.estimation.kernel.nameless import KNOTS, LOCAL, RATE, bump, rise
+from cosim.estimation.kernel.nameless import KNOTS, LOCAL, RATE, READING, bump, rise
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.refinement.decision.posterior import CERTAIN, LITTLE
@@ -159,7 +159,9 @@ def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) ->
     waves, lines = _likely_waves(test, parts, signals)
     prefix = f"{LOCAL}.1.to."
     places = [n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)]
-    shapes += [replace(w, equation=e, unit=units.get(w.signal, "")) for w in waves for e in places]
+    for wave, place in product(waves, places):  # innovations show an error of a reading times a rate of the signal
+        times = () if place.startswith(READING) else wave.times
+        shapes.append(replace(wave, equation=place, times=times, unit=units.get(wave.signal, "")))
     return shapes, tried + lines * len(places), signals
 
 
