@@ -253,8 +253,11 @@ def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) ->
     [
         (lambda f: (f / "e2.csv").write_bytes((f / "e1.csv").read_bytes()), "holds the same as e1.csv"),
         (lambda f: (f / "v1.csv").write_bytes((f / "e1.csv").read_bytes()), "a validation log is never fitted on"),
-        (lambda f: in_study(f, "e2.csv", "./e1.csv"), "is listed for estimation twice; keep one"),
-        (lambda f: in_study(f, "v1.csv", "../study/e1.csv"), "is listed for estimation too"),
+        (
+            lambda f: in_study(f, "e2.csv", "./e1.csv"),
+            "holds the same as e1.csv, which is listed for estimation; keep one",
+        ),
+        (lambda f: in_study(f, "v1.csv", "../study/e1.csv"), "which is listed for estimation; a validation log"),
         (lambda f: in_study(f, FEW, "[]"), "leave the key out to try all"),
         (lambda f: thinned(f, lambda rows: rows < 245), "too short to be judged: it takes 5 s"),
         (lambda f: (f / "v1.csv").write_text("time,psi\n0,1\n"), 'input "duty_right" is missing'),

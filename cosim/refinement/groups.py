@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import os.path
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 from cosim.core.errors import Fault
+from cosim.core.messages import with_prefix
 from cosim.core.text import did_you_mean
 from cosim.estimation.subject.interface import Subject
+from cosim.files.yaml_file import YamlFile
 
 Groups = Mapping[str, Sequence[str]]  # group → files
 
 
-class Places(Protocol):
-    """Places of faults in a study's keys: a `YamlFile`, or the arguments of a call."""
+@dataclass(frozen=True)
+class Arguments:
+    """Places of faults in a study written in Python; `path` names the subject."""
 
-    @property
-    def path(self) -> Path:
-        """Return the file of the study."""
+    path: Path
 
-    def fault(self, location: Any, message: str, *, key: bool = False) -> Fault:
-        """Return a fault at a key of the study."""
+    def fault(self, location: Sequence[str | int], message: str, *, key: bool = False) -> Fault:
+        """Return a fault of an argument."""
+        return Fault(self.path, 0, 0, with_prefix(f"{'.'.join(map(str, location))}: ", message))
+
+
+Places = YamlFile | Arguments  # of faults in a study's keys
 
 
 def full_name(subject: Subject, name: str) -> str:
