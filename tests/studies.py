@@ -15,11 +15,9 @@ from cosim.estimation.subject.interface import Workplace
 from cosim.logs.log import Log
 from cosim.refinement.decision.bundle import bundle_of
 from cosim.refinement.decision.posterior import Bundle, Decision, decide
-from cosim.refinement.proof.measure import ReplayedLogs, replay_logs
-from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.proof.measure import ReplayedLogs, Variant, replay_logs
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import SearchResult
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, SearchResult
 from cosim.refinement.workflow import refine
 from cosim.verbs.schema_verb import schema_of
 from tests.blind.truth import write

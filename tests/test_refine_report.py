@@ -16,8 +16,7 @@ import pytest
 
 from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
-from cosim.refinement.report.plots import innovations
+from cosim.refinement.report.plots import EffectComparison, compare_effects, innovations
 from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.workflow import refine
 from cosim.report.charts import Charts

@@ -29,7 +29,7 @@ from cosim.fmi.building.refined import names_refine
 from cosim.fmi.building.substep import with_substep
 from cosim.logs.log import Log, read_log
 from cosim.model.model import Model
-from cosim.refinement.search.hypotheses import TOGETHER
+from cosim.refinement.search.fits import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
 
 NOTHING = "nothing"

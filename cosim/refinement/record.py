@@ -20,7 +20,7 @@ from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict
 from cosim.refinement.proof.measure import Floor, ReplayedLogs, rmse
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN

@@ -47,13 +47,22 @@ from cosim.refinement.decision.deciding import claims_of
 from cosim.refinement.decision.scatter import fit_given_model
 from cosim.refinement.decision.sentences import floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
-from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
+from cosim.refinement.proof.measure import (
+    FLOOR_SEED,
+    Variant,
+    final_log_parameters,
+    find_rises,
+    log_noise,
+    noise_floor,
+    refined_subject,
+    remaining_on_sealed_logs,
+    rmse,
+    variant_of,
+)
 from cosim.refinement.proof.proof_replays import LogSets, replay_variants
-from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of
-from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs
 from cosim.refinement.record import Floors, Replayed, Replays, record, unfinished
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
@@ -132,7 +141,8 @@ def refine(
         sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
         played, way = replay_variants(variants, problem, sets, place)
         progress("measuring the noise floor", 0.0)
-        best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
+        delivered = "after" if claims.claimed is not None else "nearest"
+        best = variants.get(delivered, variants["after"])
         quiet = replace(best, noise=log_noise((claims.delivered or claims.base).fit.noise, result.free_noise))
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
@@ -142,14 +152,19 @@ def refine(
         study = replace(study, warnings=(*study.warnings, *warnings))
         risen: dict[str, tuple[float, float]] = {}
         remaining: dict[str, float] = {}
-        delivered = "after" if claims.claimed is not None else "nearest"
         if sealed and delivered in played:
             before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
             risen = find_rises(before, after)
             remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-        inputs, is_restricted = between.line, bool(study.content.candidates)
-        told = {"is_restricted": is_restricted, "is_written": bool(files)}
-        text = sentence(claims, subject, risen, remaining, inputs, **told)
+        text = sentence(
+            claims,
+            subject,
+            risen,
+            remaining,
+            between.line,
+            is_restricted=bool(study.content.candidates),
+            is_written=bool(files),
+        )
         written = record(
             study,
             claims,
@@ -245,12 +260,11 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
     """Yield a fault for each log on which the filter of the unfitted model diverges."""
     noise = initial_fit(problem).noise
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
-        by_log = problem.score(problem.values, noise, [index]).by_log
-        if np.isfinite(by_log).all():
-            continue
         errors, variances = problem.innovations(problem.values, noise, index)
         with np.errstate(over="ignore", invalid="ignore"):
             diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
+        if not diverged.any():
+            continue
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
         message = (
             f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:g} s; check its "
@@ -280,12 +294,10 @@ def _variants(study: Study, claims: Claims, unfitted: Fit, free_noise: Noise | N
     subject, settings = study.subject, study.settings
     named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
     named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
-    given = variant_of(subject, settings, unfitted, free_noise)
-    made = {id(None): given}  # one that stands twice is replayed once
-    for h in named.values():
-        if h is not None and id(h) not in made:
-            made[id(h)] = variant_of(refined_subject(subject, settings, h), settings, h.fit, free_noise)
-    return {"before": given, **{name: made[id(h)] for name, h in named.items()}}
+    made = {id(None): variant_of(subject, settings, unfitted, free_noise)}  # one that stands twice is replayed once
+    for h in filter(None, named.values()):
+        made[id(h)] = variant_of(refined_subject(subject, settings, h), settings, h.fit, free_noise)
+    return {"before": made[id(None)], **{name: made[id(h)] for name, h in named.items()}}
 
 
 def failure_warnings(problem: Problem) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import Bundle, Decision, Grade, Names, Verdict
-from cosim.refinement.search.hypotheses import TOGETHER, Hypothesis
+from cosim.refinement.search.fits import TOGETHER, Hypothesis
 
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 NO_EFFECT = "no_effect"

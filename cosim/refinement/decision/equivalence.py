@@ -20,8 +20,7 @@ from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import WIDTHS
 from cosim.refinement.decision.posterior import MIXTURE
-from cosim.refinement.search.fits import Search
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.missing import MOST_ROWS
 
 EQUIVALENT = 1e-3  # share of an effect's response below which a difference is that of rounding and integration

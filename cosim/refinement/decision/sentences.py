@@ -15,7 +15,7 @@ from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import NO_EFFECT, Claims
 from cosim.refinement.decision.posterior import LITTLE, MISFIT
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.shapes import Shape
 from cosim.residuals.residual_statistics import COUNTS_FROM
 

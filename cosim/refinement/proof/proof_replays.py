@@ -16,8 +16,7 @@ from cosim.core.text import plain
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Replayer, Subject, Workplace
 from cosim.logs.log import Log
-from cosim.refinement.proof.measure import ReplayedLogs, replay_logs
-from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.proof.measure import ReplayedLogs, Variant, replay_logs
 from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
 from cosim.residuals.windows import Replay
 

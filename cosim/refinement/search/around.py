@@ -18,8 +18,7 @@ from cosim.estimation.screen import Choice, Promise, ScoreTest
 from cosim.estimation.subject.candidates import Candidate
 from cosim.refinement.decision.bundle import evidence, optima
 from cosim.refinement.decision.posterior import CERTAIN, POSSIBLE, folded, log_prior, posterior
-from cosim.refinement.search.fits import HOPE, NEAR, Parts, Search, key_of
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import HOPE, NEAR, Hypothesis, Parts, Search, key_of
 
 BREADTH = 4  # most probable sets whose neighbours are tried in a round, additions to one, replacements of its parts
 EXPANSIONS = 4  # rounds of neighbours

@@ -28,8 +28,17 @@ from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.bundle import evidence
 from cosim.refinement.decision.posterior import MISFIT, dispersion
 from cosim.refinement.search.around import fit_neighbours
-from cosim.refinement.search.fits import HOPE, Parts, Progress, Search, SearchResult, Trial, key_of
-from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
+from cosim.refinement.search.fits import (
+    HOPE,
+    Hypothesis,
+    Parts,
+    Progress,
+    Search,
+    SearchResult,
+    Trial,
+    best_hypothesis,
+    key_of,
+)
 from cosim.refinement.search.periods import with_likely_periods
 
 FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed

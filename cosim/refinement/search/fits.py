@@ -7,7 +7,7 @@ each parameter (half of BIC), and −ln of the prior of so many parts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from operator import attrgetter
@@ -23,7 +23,6 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import MIXTURE, Evidence, log_prior
-from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
@@ -31,6 +30,8 @@ HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predic
 NEAR = 10.0  # nats from the best within which a set is worth a fit, and a hypothesis is fitted to the end
 STARTS = 4  # draws of the prior from which a probable hypothesis is fitted again
 HALVINGS = 2  # of promised sizes, until the logs are no less likely
+
+TOGETHER = " + "  # separator between the names of a rival with several candidates
 
 Parts = tuple[Candidate, ...]
 Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
@@ -52,6 +53,40 @@ def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
     starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
     most = max([1, *(len(c.starts) for c in parts)])
     return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A fitted set of candidates.
+
+    Attributes:
+        ended: True if fitted with the model's own substeps and all noise free.
+    """
+
+    candidates: tuple[Candidate, ...]
+    fit: Fit
+    score: float
+    ended: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the sorted names of the candidates."""
+        return tuple(sorted(c.name for c in self.candidates))
+
+    @property
+    def is_of_sensors(self) -> bool:
+        """Return True if all candidates are sensor errors."""
+        return {c.kind for c in self.candidates} == {"sensor"}
+
+    def loss_without(self, c: Candidate, neutral: Mapping[str, float]) -> float:
+        """Return the estimated log-likelihood loss without a part."""
+        away = np.array([self.fit.values[f.name] - neutral[f.name] for f in c.free])
+        return 0.5 * float(away @ self.fit.marginal(c.parameters) @ away)
+
+
+def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
+    """Return the hypothesis with the best score."""
+    return min(hypotheses, key=lambda h: h.score)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.posterior import CERTAIN, MISFIT
 from cosim.refinement.decision.scatter import steadiness
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 
 Way = Literal["held", "interpolated"]
 
