@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.core.text import counted
+from cosim.core.text import counted, join_names
 from cosim.experiment.question import Question
 from cosim.experiment.rigs import OpenLoop, Trial
-from cosim.experiment.separation import Pair
+from cosim.experiment.separation import MIN_SEPARATION, Pair
 
-MIN_SEPARATION = 3.0  # standard deviations between rivals from which a log decides
 MAX_LISTED_PAIRS = 5  # pairs listed before the rest is counted
 
 
@@ -43,13 +42,12 @@ class Excitation:
     @property
     def headline(self) -> str:
         """Return a sentence with the number of separated pairs of rivals and the pair that is hardest to separate."""
-        count, pairs = (
-            sum(distance >= MIN_SEPARATION for distance in self.apart.values()),
-            counted(len(self.apart), "pair"),
+        count, _ = merit_of(self.apart)
+        a, b = self.hardest_first[0]
+        return (
+            f"The input separates {count} of {counted(len(self.apart), 'pair')} of rivals; {a} and {b} are "
+            f"{self.apart[a, b]:.1f} standard deviations apart, {MIN_SEPARATION:g} are needed."
         )
-        hardest = self.hardest_first[0]
-        least = f"{self.apart[hardest]:.1f} standard deviations apart, {MIN_SEPARATION:g} are needed"
-        return f"The input separates {count} of {pairs} of rivals; {hardest[0]} and {hardest[1]} are {least}."
 
     @property
     def distances(self) -> list[str]:
@@ -84,9 +82,8 @@ class Excitation:
         """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
         warnings = []
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
-            pairs[MAX_LISTED_PAIRS:] = [f"{len(pairs) - MAX_LISTED_PAIRS} more"] if pairs[MAX_LISTED_PAIRS:] else []
             warnings.append(
-                f"the best input does not tell {', '.join(pairs)} (less than {MIN_SEPARATION:g} standard "
+                f"the best input does not tell {join_names(pairs)} (less than {MIN_SEPARATION:g} standard "
                 "deviations apart); try a wider --limit, a longer --duration or more outputs --measured"
             )
         excess, (count, least) = self.usual_trial.excess(self.question.limits), merit_of(self.usual)

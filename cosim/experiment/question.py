@@ -19,7 +19,7 @@ from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
 from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges
 from cosim.experiment.rigs import Ranges
-from cosim.experiment.separation import Pair, Rival, typical_rival
+from cosim.experiment.separation import MIN_SEPARATION, Pair, Rival, typical_rival
 from cosim.files.artefact import ANSWER, CODE, FMU, MODEL
 from cosim.files.folders import newest_run
 from cosim.files.kinds import check_form, check_given, kind_by_form
@@ -34,8 +34,6 @@ from cosim.refinement.study import StudyFile, read_study
 
 NOTHING = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
-
-SIGNIFICANT = 3.0  # standard deviations of a gain from which a fit says something of a rival
 
 
 @dataclass(frozen=True)
@@ -219,21 +217,16 @@ def _fitted_rival(
 
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
-    if r.name not in candidates:  # nothing
+    if r.name not in candidates or r.name in content.hidden:  # nothing, or not seen
         return r
-    others = set(names) - {r.name}
-    free = candidates[r.name].free
     for h in content.candidates:
-        gain, kept = h.log_likelihood_gain, h.parameters
-        if r.name not in h.names or others.intersection(h.names) or r.name in content.hidden:
+        gain, kept, rest = h.log_likelihood_gain, h.parameters, {*h.names} - {r.name}
+        if not h.fitted or gain is None or r.name not in h.names or not rest.isdisjoint(names):
             continue
-        if not h.fitted or gain is None:
+        if any(kept[f.name] in (f.low, f.high) and kept[f.name] != values[f.name] for f in candidates[r.name].free):
             continue
-        if any(kept[f.name] in (f.low, f.high) and kept[f.name] != values[f.name] for f in free):
-            continue
-        rest = set(h.names) - {r.name}
         simpler = [o.log_likelihood_gain or 0.0 for o in content.candidates if rest.issuperset(o.names)]
-        if gain - max(simpler, default=0.0) > 0.5 * SIGNIFICANT**2:
+        if gain - max(simpler, default=0.0) > 0.5 * MIN_SEPARATION**2:
             return Rival(r.name, kept, tuple(f for n in h.names for f in candidates[n].free))
     return r
 

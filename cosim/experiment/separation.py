@@ -27,6 +27,7 @@ from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log
 
 PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
+MIN_SEPARATION = 3.0  # standard deviations between rivals from which a log decides
 Pair = tuple[str, str]
 
 
