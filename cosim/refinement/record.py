@@ -395,7 +395,7 @@ def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
 
 
 def _values(h: Hypothesis) -> dict[str, float]:
-    return {n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters}
+    return {n: float(h.fit.values[n]) for n in h.parameters}
 
 
 def _estimate(f: Fit, name: str, unit: str) -> Estimate:

@@ -45,6 +45,7 @@ FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
+Setting = TypeVar("Setting")
 ROUNDING = float(np.finfo(np.float64).eps)
 WIDEST = 2.0  # share of a parameter: a tolerance without information
 
@@ -59,7 +60,10 @@ def _check_share(value: Any) -> Any:
     return value
 
 
-ONE_OR_BY_NAME = Discriminator(lambda value: "«by name»" if isinstance(value, dict) else "«all»")
+OneOrByName = Annotated[
+    Annotated[Setting, Tag("«all»")] | Annotated[dict[str, Setting], Tag("«by name»")],
+    Discriminator(lambda value: "«by name»" if isinstance(value, dict) else "«all»"),
+]
 Share = Annotated[float, BeforeValidator(_check_share)]
 FileName = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 
@@ -101,12 +105,8 @@ class StudyFile(BaseModel):
     logs: LogLists
     noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     start_noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
-    tolerance: Annotated[
-        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], ONE_OR_BY_NAME
-    ] = {}
-    inputs: Annotated[
-        Annotated[Interpolation, Tag("«all»")] | Annotated[dict[str, Interpolation], Tag("«by name»")], ONE_OR_BY_NAME
-    ] = "held"
+    tolerance: OneOrByName[Share] = {}
+    inputs: OneOrByName[Interpolation] = "held"
     candidates: list[str] | None = None
     columns: dict[str, str] = {}
     per_log: list[str] | None = None

@@ -262,9 +262,8 @@ def parameter_tables(r: Refinement) -> Rows:
     if r.verdict.claimed is None and near is not None and near.candidates:
         shown.append((near, " of the nearest model, not claimed"))
     for h, of in shown:
-        own = {n for c in h.candidates for n in c.parameters}
         for title, note, added in (("Added parameters", INTERVALS, True), ("Base parameters", TOLERANCE, False)):
-            rows = [_parameter_row(r, f, h) for f in h.fit.free if not f.group and (f.name in own) == added]
+            rows = [_parameter_row(r, f, h) for f in h.fit.free if not f.group and (f.name in h.parameters) == added]
             found += [{"title": title + of, "note": note, "rows": rows}] if rows else []
     return found
 

@@ -71,7 +71,12 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Return the sorted names of the candidates."""
-        return tuple(sorted(c.name for c in self.candidates))
+        return key_of(self.candidates)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the parameters of the candidates."""
+        return tuple(n for c in self.candidates for n in c.parameters)
 
     @property
     def is_of_sensors(self) -> bool:
@@ -104,11 +109,6 @@ class SearchResult:
     hidden: tuple[str, ...]
     candidates: tuple[Candidate, ...]
     free_noise: Noise | None = None
-
-    @property
-    def effects(self) -> int:
-        """Return the number of effects on trial."""
-        return sum(c.kind == "effect" for c in self.candidates)
 
 
 class Search:
@@ -188,7 +188,7 @@ class Search:
             other = fit(problem, free, values, noise, goal=best.objective - CONVERGED * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
         if not problem.trusted and leaves_the_motion(problem, best):
-            own = {n: best.values[n] for c in h.candidates for n in c.parameters}
+            own = {n: best.values[n] for n in h.parameters}
             best = min(best, fit_growing(problem, free, {**problem.values, **own}), key=attrgetter("objective"))
         return replace(h, fit=best, score=best.objective + self.cost(h.candidates))
 
