@@ -6,10 +6,10 @@ Each sentence names at most three things; refine.json and the report list all of
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, Literal
 
-from cosim.core.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, written
+from cosim.core.text import MOST_NAMED, amount, append_unit, finer, join_names, percent, plain, written
 from cosim.estimation.subject.candidates import WIDTHS, Free, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
@@ -87,14 +87,14 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         sizes = [f"{percent(share)} of the derivative of {name}" for name, share in c.moves.items()]
         yield f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING
         if c.hidden:
-            yield f"These logs would not show {_counted_names(c.hidden, 'effect')}."
+            yield f"These logs would not show {join_names(c.hidden)}."
         moved = [
             f"{f.name} {plain(f.prior[0])} → {plain(c.base.fit.values[f.name])}"
             for f in c.base.fit.free
             if f.prior and abs(c.base.fit.values[f.name] - f.prior[0]) > WIDTHS * f.prior[1]
         ]
         if moved:
-            yield f"That holds with base parameters beyond their tolerances: {_counted_names(moved, 'parameter')}."
+            yield f"That holds with base parameters beyond their tolerances: {join_names(moved)}."
     elif c.name == "unexplained":
         something = "Something that was not tried" if subject.untried else "Something outside the catalogue"
         yield _unexplained_text(c, something)
@@ -152,7 +152,7 @@ def _rivals_text(c: Claims) -> str:
     common = frozenset[str].intersection(*rivals)
     names = {parts: join_names(sorted(parts - common)) or "nothing more" for parts in rivals}
     chances = [f"{name} ({percent(rivals[parts])})" for parts, name in names.items()]
-    apart = f"cannot decide between {_counted_names(chances, 'hypothesis')}"
+    apart = f"cannot decide between {join_names(chances)}"
     if len(names) == 2:
         apart = f"cannot tell {chances[0]} from {chances[1]}"
         if common in rivals:
@@ -233,14 +233,9 @@ def _remark_texts(c: Claims, inputs: str, nearest: str) -> Iterator[str]:
     if c.grade != "claimed" and c.name != NO_EFFECT:
         more = "" if c.nearest is None else ", recalibrated"
         if c.nearest is not None and c.nearest.names:
-            more = f" with {_counted_names(c.nearest.names, 'part')}"
+            more = f" with {join_names(c.nearest.names)}"
         told = "is the most probable model that predicts held-out logs no worse than the given one"
         yield f"{nearest} {told}: the given one{more}."
-
-
-def _counted_names(names: Sequence[str], noun: str) -> str:
-    """Return up to three names, or more with their number."""
-    return join_names(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {join_names(names)}"
 
 
 def _sizes(channels: Mapping[str, tuple[float, float]], subject: Subject) -> dict[str, list[str]]:
