@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 
 from cosim.core.text import did_you_mean
-from cosim.core.units import NUMBER, conversion
+from cosim.core.units import NUMBER, conversion, read_quantity
 from cosim.estimation.subject.interface import Subject
 from cosim.experiment.rigs import Ranges
 from cosim.model.model import Model
 
-LIMIT = re.compile(rf"(?P<name>[^=]+)=\s*(?P<number>{NUMBER})\s*(?P<unit>.*)")
 RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NUMBER})\s*(?P<unit>.*)")
 
 
@@ -50,12 +50,13 @@ def limits_and_ranges(
             spans[name] = max(lower, low), min(upper, high)
     reaches, starts = dict(model.excursion), dict(zip(spans, model.start_command(), strict=True))
     for text in limits:
-        match, name = LIMIT.fullmatch(text.strip()), text.partition("=")[0].strip()
+        name, _, value = (part.strip() for part in text.partition("="))
         if name not in units:
             faults.append(f'--limit {text}: no input or output "{name}"{did_you_mean(name, units)}')
             continue
-        convert = conversion(match["unit"].strip(), units[name], difference=True) if match else None
-        size = convert(float(match["number"])) if match and convert else math.nan
+        size = math.nan
+        with suppress(ValueError):
+            size = read_quantity(value, units[name], difference=True)
         if size > 0:
             reaches[name] = size
         else:

@@ -8,6 +8,7 @@ import platform
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
+from statistics import geometric_mean
 from typing import Any, Literal
 
 import numpy as np
@@ -196,9 +197,14 @@ def ranking(r: Refinement) -> dict[str, Rows]:
         for n, value in e["parameters"].items():
             short = n.removesuffix(".value") if len(names) > 1 else n.partition(".")[2] or "value"
             values.append(f"{short} = {amount(value, declared[n].unit if n in declared else '')}")
-        row = {"names": " + ".join(names), "gain": plain(gain), "fitted": ", ".join(values), "why": e["why"]}
-        row |= {"share": max(0.0, gain) / best if best > 0.0 else 0.0}
-        row |= {"claimed": claim is not None and tuple(names) == claim.names}
+        row = {
+            "names": " + ".join(names),
+            "gain": plain(gain),
+            "fitted": ", ".join(values),
+            "why": e["why"],
+            "share": max(0.0, gain) / best if best > 0.0 else 0.0,
+            "claimed": claim is not None and tuple(names) == claim.names,
+        }
         tables["pairs" if len(names) > 1 else "singles" if e["fitted"] else "more"].append(row)
     return tables
 
@@ -223,10 +229,15 @@ def posterior_rows(r: Refinement) -> Rows:
             others.append(probability)
             continue
         rival = "rival" if r.verdict.decision.is_rival(names) else ""
-        row = {"names": " + ".join(entry["names"]) or "nothing: the model recalibrated", "share": probability}
-        row |= {"why": ", ".join(filter(None, (rival, delivered.get(names, ""))))}
-        row |= {"error": held_out.get(names, MISSING), "claimed": delivered.get(names) == "claimed"}
-        rows.append({**row, "sealed": percent(_sealed_ratio(record["error"], sealed.get(names, "")))})
+        row = {
+            "names": " + ".join(entry["names"]) or "nothing: the model recalibrated",
+            "share": probability,
+            "why": ", ".join(filter(None, (rival, delivered.get(names, "")))),
+            "error": held_out.get(names, MISSING),
+            "sealed": percent(_sealed_ratio(record["error"], sealed.get(names, ""))),
+            "claimed": delivered.get(names) == "claimed",
+        }
+        rows.append(row)
     if others:
         row = {"names": f"{counted(len(others), 'other set')} together", "share": sum(others), "why": ""}
         rows.append({**row, "error": MISSING, "sealed": MISSING, "claimed": False})
@@ -237,7 +248,7 @@ def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
     """Return the error on sealed logs relative to the given model, geometric mean over outputs; NaN without any."""
     before, after = ((errors.get(name) or {}).get("validation") or {} for name in ("before", variant))
     ratios = [after[n] / error for n, error in before.items() if error > 0.0 and after.get(n, 0.0) > 0.0]
-    return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else math.nan
+    return geometric_mean(ratios) if ratios else math.nan
 
 
 def inclusion_rows(r: Refinement) -> Rows:
@@ -272,11 +283,7 @@ def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
     """Return an estimate with its interval, and the places of both between the value before and the interval."""
     declared, fit, start = r.study.subject.declared[free.name], h.fit, r.problem.values[free.name]
     (unit, factor), value, (low, high) = display(declared.unit), fit.values[free.name], fit.interval(free.name)
-    least, most = min(start, low), max(start, high)
-    places = {"neutral": start, "low": low, "high": high, "estimate": value}
-    at = {
-        key: (min(max(x, least), most) - least) / (most - least) if most > least else 0.5 for key, x in places.items()
-    }
+    ends, places = (min(start, low), max(start, high)), {"neutral": start, "low": low, "high": high, "estimate": value}
     half = NORMAL_95 * fit.sigma(free.name)
     estimate, lower, upper = (rounded(x * factor, half * factor) for x in (value, low, high))
     neutral = amount(start, declared.unit, None)
@@ -289,7 +296,7 @@ def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
         "value": append_unit(estimate, unit),
         "interval": f"{lower} … {append_unit(upper, unit)}",
         "bounds": f"{plain(free.low * factor, None)} … {amount(free.high, declared.unit, None)}",
-        "at": at,
+        "at": {key: np.interp(x, ends, (0.0, 1.0)) for key, x in places.items()},
         "meaning": declared.doc,
     }
 
