@@ -13,8 +13,7 @@ from cosim.core.errors import Fault, refuse
 from cosim.estimation.data import data_of, start_state
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import neutral_values
-from cosim.experiment.ranges import limits_and_ranges
-from cosim.experiment.rigs import OpenLoop, Ranges, Signals, Trial, clip
+from cosim.experiment.rigs import OpenLoop, Ranges, Signals, Trial, clip, limits_and_ranges
 from cosim.fmi.description import read_description
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker

@@ -17,8 +17,7 @@ from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
-from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges
-from cosim.experiment.rigs import Ranges
+from cosim.experiment.rigs import Ranges, inputs_to_limit, limits_and_ranges
 from cosim.experiment.separation import MIN_SEPARATION, Pair, Rival, typical_rival
 from cosim.files.artefact import ANSWER, CODE, FMU, MODEL
 from cosim.files.folders import newest_run

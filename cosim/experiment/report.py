@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.core.text import append_unit, counted, display, join_names, plain
 from cosim.core.version import __version__
-from cosim.experiment.chosen_input import Excitation
+from cosim.experiment.excite import Excitation
 from cosim.experiment.separation import MIN_SEPARATION
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge

@@ -9,6 +9,7 @@ sign, or in place of another effect.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
@@ -22,15 +23,15 @@ from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen, with_finer_steps
 from cosim.estimation.problem import Problem
-from cosim.estimation.screen import Choice, ScoreTest, Terms
+from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.bundle import evidence
-from cosim.refinement.decision.posterior import MISFIT, dispersion
-from cosim.refinement.search.around import fit_neighbours
+from cosim.refinement.decision.bundle import evidence, optima
+from cosim.refinement.decision.posterior import CERTAIN, MISFIT, POSSIBLE, dispersion, folded, log_prior, posterior
 from cosim.refinement.search.fits import (
     HOPE,
+    NEAR,
     Hypothesis,
     Parts,
     Progress,
@@ -45,6 +46,11 @@ from cosim.refinement.search.periods import with_likely_periods
 FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
 DONE = 1.0  # nats by which a round must improve the score
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
+
+
+BREADTH = 4  # most probable sets whose neighbours are tried in a round, additions to one, replacements of its parts
+EXPANSIONS = 4  # rounds of neighbours
+Start = tuple[Parts, Fit]
 
 
 class Attributor(Search):
@@ -239,17 +245,17 @@ class Attributor(Search):
         self._rescore()
         best = self.tried[best.names]
         # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
-        from_best: list[tuple[Parts, Fit]] = [((), best.fit)] if best.candidates else []
+        from_best: list[Start] = [((), best.fit)] if best.candidates else []
         self.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
-        fit_neighbours(self, self.candidates)
+        self._fit_neighbours()
         best = best_hypothesis(h for h in self.tried.values() if h.ended)
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
         hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
         return SearchResult(self, best, hidden, tuple(self.candidates))
 
-    def _beyond_special_cases(self, best: Hypothesis) -> list[tuple[Parts, Fit]]:
+    def _beyond_special_cases(self, best: Hypothesis) -> list[Start]:
         """Return sets near the best with an effect in place of its special case, starting from the values of that."""
-        starts = dict[tuple[str, ...], tuple[Parts, Fit]]()
+        starts = dict[tuple[str, ...], Start]()
         near = sorted((h for h in self.tried.values() if h.score - best.score < self.near), key=lambda h: h.score)
         for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
             values = values_of_special_case(rich, simple, h.fit.values)
@@ -258,3 +264,58 @@ class Attributor(Search):
                 free = (*h.fit.free, *rich.free)
                 starts.setdefault(key_of(parts), (parts, replace(h.fit, values={**h.fit.values, **values}, free=free)))
         return [*starts.values()]
+
+    def _fit_neighbours(self) -> None:
+        """Fit what may be as probable as the most probable sets: removals, additions, other parts in the place of each.
+
+        A posterior needs every such set. A score test predicts the gain; what would be probable is fitted to the end,
+        until nothing probable is untried.
+        """
+        asked = set[frozenset[str]]()
+        for _ in range(EXPANSIONS):
+            ended = {frozenset(h.names): h for h in optima(self)}
+            sets, kappa = posterior([evidence(self, h) for h in ended.values()], len(self.candidates))
+            classes = folded(sets, ())
+            ranked = [*classes]
+            starts: dict[tuple[str, ...], Start] = {}
+            mass = np.cumsum([*classes.values()])
+            leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
+            probable = [parts for parts in leading if parts not in asked]
+            asked.update(probable)
+            for h in self.fit_from_the_prior([ended[parts] for parts in probable]):
+                for start in self._neighbours(h, kappa):
+                    starts.setdefault(key_of(start[0]), start)
+            best = ended[ranked[0]]
+            near = [h for h in self.tried.values() if not h.ended and h.score - best.score < NEAR * kappa]
+            for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
+                starts[h.names] = h.candidates, h.fit
+            untried = [s for names, s in starts.items() if not (names in self.tried and self.tried[names].ended)]
+            if not untried:
+                return
+            self.fit_to_the_end(untried)
+
+    def _neighbours(self, h: Hypothesis, kappa: float) -> Iterator[Start]:
+        """Yield sets near a hypothesis with starts of their fits."""
+        for part in h.candidates:
+            rest = tuple(c for c in h.candidates if c is not part)
+            yield rest, h.fit
+            without = self.tried.get(key_of(rest)) or self.hypothesis(rest, h.fit, screen=True)
+            others = [c for c in self.candidates if c.name not in h.names and c.kind != "parameter"]
+            for c, promise in self._promises(without, others)[:BREADTH]:
+                yield (*rest, c), replace(without.fit, values={**without.fit.values, **promise.values})
+        others = [c for c in self.candidates if c.name not in h.names]
+        if not others:
+            return
+        count, size = len(self.candidates), len(h.candidates)
+        odds = log_prior(size + 1, count) - log_prior(size, count)
+        for c, promise in self._promises(h, others)[:BREADTH]:
+            if HOPE * promise.gain / kappa + odds > math.log(POSSIBLE):
+                yield (*h.candidates, c), replace(h.fit, values={**h.fit.values, **promise.values})
+
+    def _promises(self, h: Hypothesis, others: Sequence[Candidate]) -> list[tuple[Candidate, Promise]]:
+        """Return what each of other candidates promises beside a hypothesis, best first."""
+        test = ScoreTest(self.problem, h.fit, h.candidates)
+        terms = [t for t in in_parallel(test.terms, others) if not t.switched]
+        promises = Choice(test, terms, (), self.problem.values).extensions(())
+        named = {c.name: c for c in others}
+        return [(named[name], promise) for name, promise in promises.items()]
