@@ -68,7 +68,6 @@ from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
-RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
 
 
@@ -104,7 +103,7 @@ def refine(
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study), limits)
     limited = _Limited(progress, study.content.limits, start)
-    check_writable(folder, (*RESULTS, "report.html"), study.files)
+    check_writable(folder, (*REFINED, *NEAREST, ANSWER, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
@@ -183,10 +182,7 @@ def refine(
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():
             remove_earlier(folder, read=study.files)
-            results = [*files, scratch / ANSWER]
-            for name in {"report.html", *RESULTS} - {path.name for path in results}:
-                (folder / name).unlink(missing_ok=True)  # from an earlier study
-            for path in results:
+            for path in (*files, scratch / ANSWER):
                 path.replace(folder / path.name)
         release_stops()
     searched, horizon = result.search.problem, subject.horizon

@@ -76,8 +76,9 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis) -
     """
     fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
     stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
-    unchanged = {n for n in fitted if n not in subject.sensor_parameters and n not in stated and claimed.is_of_sensors}
-    refined = subject.refined({n: v for n, v in fitted.items() if n not in unchanged})
+    if {c.kind for c in claimed.candidates} == {"sensor"}:
+        fitted = {n: v for n, v in fitted.items() if n in subject.sensor_parameters or n in stated}
+    refined = subject.refined(fitted)
     refined.horizon = subject.horizon
     return refined
 

@@ -78,11 +78,6 @@ class Hypothesis:
         """Return the parameters of the candidates."""
         return tuple(n for c in self.candidates for n in c.parameters)
 
-    @property
-    def is_of_sensors(self) -> bool:
-        """Return True if all candidates are sensor errors."""
-        return {c.kind for c in self.candidates} == {"sensor"}
-
     def loss_without(self, c: Candidate, neutral: Mapping[str, float]) -> float:
         """Return the estimated log-likelihood loss without a part."""
         away = np.array([self.fit.values[f.name] - neutral[f.name] for f in c.free])
