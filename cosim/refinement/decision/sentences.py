@@ -238,13 +238,15 @@ def _remark_texts(c: Claims, inputs: str, nearest: str) -> Iterator[str]:
         yield f"{nearest} {told}: the given one{more}."
 
 
+def error_text(subject: Subject, channel: str, error: float, like: float) -> str:
+    """Return an error of a channel in a unit for size `like`."""
+    unit, factor = finer(next((q.unit for q in subject.outputs if q.name == channel), ""), like)
+    return append_unit(plain(error * factor), unit)
+
+
 def _sizes(channels: Mapping[str, tuple[float, float]], subject: Subject) -> dict[str, list[str]]:
     """Return channel → two errors as text, in a unit for the second one."""
-    units, texts = {q.name: q.unit for q in subject.outputs}, {}
-    for name, pair in channels.items():
-        unit, factor = finer(units.get(name, ""), pair[1])
-        texts[name] = [append_unit(plain(error * factor), unit) for error in pair]
-    return texts
+    return {name: [error_text(subject, name, e, pair[1]) for e in pair] for name, pair in channels.items()}
 
 
 def _rise_text(errors: Mapping[str, tuple[float, float]], subject: Subject, file: str) -> str:

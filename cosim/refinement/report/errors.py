@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.text import MISSING, append_unit, finer, percent, plain
+from cosim.core.text import MISSING, percent
+from cosim.refinement.decision.sentences import error_text
 from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
 from cosim.residuals.replay_sentences import horizon_name
@@ -19,13 +20,6 @@ NOTES: Mapping[Part, str] = {
     "estimation": "Estimation logs.",
     "validation": "Opened once, at the end, to test the chosen model.",
 }
-
-
-def error_size(r: Refinement, channel: str, value: float, like: float) -> str:
-    """Return an error of a channel in a unit for size `like`."""
-    unit = next((q.unit for q in r.study.subject.outputs if q.name == channel), "")
-    shown_unit, factor = finer(unit, like)
-    return append_unit(plain(value * factor), shown_unit)
 
 
 def horizon(r: Refinement) -> str:
@@ -62,8 +56,8 @@ def error_tables(r: Refinement) -> list[dict[str, Any]]:
             sizes = _numbers(r, part, name)
             after, floor = sizes["after"], sizes["floor"]
             drawn = {key: sizes[key] for key in ("before", "after", "floor")}
-            row: dict[str, Any] = {key: error_size(r, name, size, after) for key, size in sizes.items()}
-            row["sensor_noise"] = error_size(r, name, r.record["sensor_noise"].get(name, math.nan), after)
+            row: dict[str, Any] = {key: error_text(r.study.subject, name, size, after) for key, size in sizes.items()}
+            row["sensor_noise"] = error_text(r.study.subject, name, r.record["sensor_noise"].get(name, math.nan), after)
             for key, model in (("excess", "before"), ("of_recalibrated", "recalibrated")):
                 row[key] = percent(max(0.0, remaining_excess(sizes[model], after, floor)))
             largest = max(drawn.values()) if all(map(math.isfinite, drawn.values())) else 0.0
@@ -76,17 +70,19 @@ def error_tables(r: Refinement) -> list[dict[str, Any]]:
 
 def horizon_table(r: Refinement) -> dict[str, Any]:
     """Return the errors over each horizon, shortest first; horizons shorter than a log's step are omitted."""
-    part, models, words = decisive_part(r), ["after"], ""
+    part, subject, models, words = decisive_part(r), r.study.subject, ["after"], ""
     if r.verdict.claimed:
         models, words = ["before", "after"], "Before → refined, over"
     elif r.record["error"].get("nearest"):
         models, words = ["before", "nearest"], "The model → the nearest one, over"
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
-    errors[r.study.subject.horizon] = r.record["error"]
+    errors[subject.horizon] = r.record["error"]
     ordered, rows = sorted(h for h in errors if errors[h]["before"][part]), []
     for channel in r.record["error"]["before"][part]:
         sizes = [[errors[h][model].get(part, {}).get(channel, math.nan) for model in models] for h in ordered]
-        rows.append((channel, [" → ".join(error_size(r, channel, size, of[-1]) for size in of) for of in sizes]))
+        rows.append(
+            (channel, [" → ".join(error_text(r.study.subject, channel, size, of[-1]) for size in of) for of in sizes])
+        )
     horizons = [*map(horizon_name, ordered)]
     return {"title": PARTS[part], "heading": words or "Over", "horizons": horizons, "rows": rows}
 
@@ -108,7 +104,7 @@ def second_sentence(r: Refinement) -> str:
     if not name:
         return ""
     sizes = _numbers(r, part, name)
-    shown = {key: error_size(r, name, size, sizes["after"]) for key, size in sizes.items()}
+    shown = {key: error_text(r.study.subject, name, size, sizes["after"]) for key, size in sizes.items()}
     verb = "fell" if sizes["after"] < sizes["before"] else "changed"
     text = f"{where} the error of {name} over {horizon(r)} {verb} from {shown['before']} to {shown['after']}"
     if r.verdict.claimed is None:
