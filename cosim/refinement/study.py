@@ -67,9 +67,6 @@ Share = Annotated[float, BeforeValidator(_check_share)]
 FileName = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 
 
-Groups = Mapping[str, Sequence[str]]  # group → files
-
-
 @dataclass(frozen=True)
 class Arguments:
     """Places of faults in a study written in Python; `path` names the subject."""
@@ -455,8 +452,8 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterato
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
             yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')
-    logs = content.logs.model_dump()
-    yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
+    yield from _group_faults(places, content)
+    yield from _per_log_faults(places, content, subject)
     if not content.logs.estimation:
         message = "no log is listed; list one"
         if content.logs.validation:
@@ -469,45 +466,25 @@ def full_name(subject: Subject, name: str) -> str:
     return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
 
 
-def group_of(folder: Path, files: Sequence[str], groups: Groups) -> dict[Path, str]:
+def group_of(folder: Path, files: Sequence[str], groups: Mapping[str, Sequence[str]]) -> dict[Path, str]:
     """Return file → group of each log."""
     group = {os.path.realpath(folder / f): name for name, members in groups.items() for f in members}
     return {folder / f: group.get(os.path.realpath(folder / f), f) for f in files}
 
 
-def per_log_faults(
-    places: Places,
-    subject: Subject,
-    names: Sequence[str] | None,
-    groups: Groups,
-    logs: Mapping[str, Sequence[str]],
-    on_trial: Sequence[str],
-) -> Iterator[Fault]:
-    """Yield all faults of `per_log` and `groups`.
-
-    Args:
-        logs: Files by `estimation` and `validation`.
-        on_trial: Candidates named by the study.
-    """
-    files = [*logs["estimation"], *logs["validation"]]
-    yield from _group_faults(places, groups, files)
+def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
+    """Yield faults of parameters per log."""
+    names, logs, folder = content.per_log, content.logs, places.path.parent
     if names is None:
-        if groups:
-            yield places.fault(
-                ("groups",),
-                (
-                    "groups, but no parameter per log; say with per_log which parameters differ between them, or "
-                    "leave the groups out"
-                ),
-                key=True,
-            )
+        if content.groups:
+            message = "groups, but no parameter per log; say with per_log which parameters differ between them, or "
+            yield places.fault(("groups",), f"{message}leave the groups out", key=True)
         return
     if not names:
         yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
-    folder = places.path.parent
-    group = group_of(folder, files, groups)
-    estimated = {group[folder / f] for f in logs["estimation"]}
-    alone = [f for f in logs["validation"] if group[folder / f] not in estimated]
+    group = group_of(folder, [*logs.estimation, *logs.validation], content.groups)
+    estimated = {group[folder / f] for f in logs.estimation}
+    alone = [f for f in logs.validation if group[folder / f] not in estimated]
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
     allowed, full_names = [*base, *of_effects, *subject.sensor_parameters], set[str]()
@@ -528,15 +505,11 @@ def per_log_faults(
         if full in full_names:
             yield places.fault(place, f"{name} stands there twice; keep one")
         elif alone and full in subject.inestimable:
-            yield places.fault(
-                place,
-                (
-                    f"{name} needs a value for {alone[0]}, which no log of estimation gives, and the filter cannot "
-                    f"estimate it during a run; put {alone[0]} in a group with a log of estimation"
-                ),
-            )
+            message = f"{name} needs a value for {alone[0]}, which no log of estimation gives, and the filter cannot "
+            message += f"estimate it during a run; put {alone[0]} in a group with a log of estimation"
+            yield places.fault(place, message)
         full_names.add(full)
-    for k, name in enumerate(on_trial):
+    for k, name in enumerate(content.candidates or ()):
         if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
             yield places.fault(
                 ("candidates", k),
@@ -544,11 +517,11 @@ def per_log_faults(
             )
 
 
-def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Iterator[Fault]:
+def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
     """Yield faults of unknown, repeated or misnamed groups."""
-    folder, owner = places.path.parent, dict[str, str]()
+    folder, owner, files = places.path.parent, dict[str, str](), [name for *_, name in _entries(content.logs)]
     paths = {os.path.realpath(folder / f) for f in files}
-    for group, members in groups.items():
+    for group, members in content.groups.items():
         if group in files:
             yield places.fault(
                 ("groups", group), f'a group with the name of the log "{group}"; call it otherwise', key=True
