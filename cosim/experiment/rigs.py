@@ -86,11 +86,14 @@ class OpenLoop:
         slowest = min(SLOWEST / duration, fastest)
         self.axes = tuple(RigAxis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
+    def commands(self, model: Model, signals: Signals) -> dict[str, Array]:
+        """Return inputs with axis signals around the start values, clipped to their ranges."""
+        starts = zip(model.inputs, model.start_command(), strict=True)
+        return {q.name: clip(start + signals[q.name], q.name, self.ranges) for q, start in starts}
+
     def play(self, model: Model, signals: Signals) -> Trial:
         """Return a model's response to axis signals, clipped to the ranges of the inputs."""
-        starts = {q.name: start for q, start in zip(model.inputs, model.start_command(), strict=True)}
-        commands = [clip(start + signals[name], name, self.ranges).tolist() for name, start in starts.items()]
-        rows = [*zip(*commands, strict=True)]
+        rows = [*zip(*(u.tolist() for u in self.commands(model, signals).values()), strict=True)]
         return trial_of(model, len(rows), lambda k, y: rows[k], signals, {})
 
     def usual_signals(self, time: Array) -> Signals:
