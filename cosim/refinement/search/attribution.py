@@ -282,7 +282,8 @@ class Attributor(Search):
             leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
             probable = [parts for parts in leading if parts not in asked]
             asked.update(probable)
-            for h in self.fit_from_the_prior([ended[parts] for parts in probable]):
+            stage = "fitting the most probable again from other starts"
+            for h in self.fit_each(stage, self.from_the_prior, [ended[parts] for parts in probable]):
                 for start in self._neighbours(h, kappa):
                     starts.setdefault(key_of(start[0]), start)
             best = ended[ranked[0]]

@@ -44,17 +44,6 @@ def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
     return tuple(sorted(c.name for c in parts))
 
 
-def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
-    """Return new candidates' start values, start by start.
-
-    Args:
-        moved: Parameters with values from an earlier fit.
-    """
-    starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
-    most = max([1, *(len(c.starts) for c in parts)])
-    return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
-
-
 @dataclass(frozen=True)
 class Hypothesis:
     """A fitted set of candidates.
@@ -147,7 +136,10 @@ class Search:
         # Only parameters free in this fit keep their start; parts of another hypothesis return to neutral.
         moved = {f.name for f in start.free} & {f.name for f in free}
         base = {**problem.values, **{name: start.values[name] for name in moved}}
-        begins = [{**base, **values} for values in starts_of(parts, moved)]
+        starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
+        begins = []
+        for k in range(max([1, *(len(c.starts) for c in parts)])):
+            begins.append(base | dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)))
         noise = start.noise
         if problem.trusted:
             noise = replace(problem.plain, sensors=noise.sensors, timing=noise.timing)
@@ -217,7 +209,7 @@ class Search:
             goal = start.score + margin - self.cost(parts)
             return self.hypothesis(parts, start.fit, goal, promised=promised, screen=True)
 
-        return self._fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
+        return self.fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
 
     def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
         """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts."""
@@ -230,13 +222,9 @@ class Search:
                 fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
             return fitted
 
-        return self._fit_each("fitting what comes near the best", refit, starts)
+        return self.fit_each("fitting what comes near the best", refit, starts)
 
-    def fit_from_the_prior(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Fit hypotheses again from draws of their priors."""
-        return self._fit_each("fitting the most probable again from other starts", self.from_the_prior, hypotheses)
-
-    def _fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
+    def fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
         """Fit items in parallel and report progress."""
         done = count()
         self.progress(stage, 0.0)
