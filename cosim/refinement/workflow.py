@@ -142,7 +142,7 @@ def refine(
         progress("measuring the noise floor", 0.0)
         delivered = "after" if claims.claimed is not None else "nearest"
         best = variants.get(delivered, variants["after"])
-        quiet = replace(best, noise=log_noise((claims.delivered or claims.base).fit.noise, result.free_noise))
+        quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, result.free_noise))
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         ends = final_log_parameters(variants["after"], problem, sealed)

@@ -50,9 +50,9 @@ class Claims:
         return next(h for h, _ in self.tried if frozenset(h.names) == self.decision.nearest)
 
     @property
-    def delivered(self) -> Hypothesis | None:
-        """Return the hypothesis that predicts best of what may be delivered; None for the given model."""
-        return self.claimed or self.nearest
+    def delivered(self) -> Hypothesis:
+        """Return the hypothesis that predicts best of what may be delivered, else the recalibrated model."""
+        return self.claimed or self.nearest or self.base
 
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:

@@ -30,8 +30,7 @@ def horizon(r: Refinement) -> str:
 
 def has_unknown_input(r: Refinement) -> bool:
     """Return whether the noise floor contains an unknown input."""
-    noise = (r.verdict.delivered or r.verdict.base).fit.noise
-    return bool(np.any(noise.power > r.problem.noise.quiet))
+    return bool(np.any(r.verdict.delivered.fit.noise.power > r.problem.noise.quiet))
 
 
 def decisive_part(r: Refinement) -> Part:
