@@ -178,7 +178,7 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
                 logs.append(
                     read_log(file.parent / name, loaded.model.inputs, loaded.model.outputs, columns=study.columns)
                 )
-    candidates, values = _candidates(loaded), ModelSubject(loaded).values
+    candidates, subject = _candidates(loaded), of_fmu or ModelSubject(loaded)
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     if any(TOGETHER in name for name in names):
         parts = {name: tuple(name.split(TOGETHER)) for name in names}
@@ -195,8 +195,8 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         pairs: Sequence[Pair] = [*combinations(names, 2)]
     else:
         _check_names(path, names, candidates)
-        typical, pairs = _rivals(loaded, candidates, names)
-        rivals = tuple(_fitted_rival(r, names, content, candidates, values) for r in typical)
+        typical, pairs = _rivals(subject, candidates, names, _groups(loaded.model, candidates))
+        rivals = tuple(_fitted_rival(r, names, content, candidates, subject.values) for r in typical)
     ranges = {}  # (least, largest) command over all logs
     for name in logs[0].inputs if logs and inputs_to_limit(loaded.model) else ():
         commands = np.concatenate([log.inputs[name] for log in logs])
@@ -243,13 +243,7 @@ def _question_of_fmu(
     subject, first = subject_of_fmu(path, duration, limits, ranges)
     candidates = _candidates(subject.loaded)
     _check_names(path, against, candidates)
-    if against:
-        rivals, pairs = _rivals(subject.loaded, candidates, list(against))
-    else:
-        groups = confused_groups(subject.model)
-        pairs = tuple(pair for group in groups for pair in combinations(sorted(group), 2))
-        names = dict.fromkeys(chain.from_iterable(pairs))
-        rivals = tuple(typical_rival(subject, candidates[name]) for name in names)
+    rivals, pairs = _rivals(subject, candidates, list(against), confused_groups(subject.model))
     if not pairs:
         raise InputError.at(
             path, f"has no terms that are hard to separate; name rivals as --against ({', '.join(candidates)})"
@@ -270,10 +264,9 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
     base = replace(loaded, model=replace(model, effects=()))
     candidates = _candidates(base)
     _check_names(path, against, candidates)
-    own = [e.name for e in model.awake]
-    groups = [group for group in _groups(model, candidates) if not group.isdisjoint(own)]
-    names = list(against) or sorted(set().union(*groups).difference(own))
-    rivals, pairs = _rivals(base, candidates, names)
+    own, groups = [e.name for e in model.awake], _groups(model, candidates)
+    names = list(against) or sorted(set().union(*(g for g in groups if not g.isdisjoint(own))).difference(own))
+    rivals, pairs = _rivals(ModelSubject(base), candidates, names, groups)
     if own and names:  # against the active effects, with their values in the model
         free, values = tuple(f for n in own for f in candidates[n].free), ModelSubject(loaded).values
         present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
@@ -303,16 +296,14 @@ def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]
 
 
 def _rivals(
-    loaded: LoadedModel, candidates: Mapping[str, Candidate], names: Sequence[str]
+    subject: ModelSubject, candidates: Mapping[str, Candidate], names: Sequence[str], groups: Sequence[set[str]]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
     """Return rivals of typical size and their pairs.
 
-    A single named candidate is compared with the model without it. Without names, the model's groups supply the pairs.
+    A single named candidate is compared with the model without it. Without names, the groups supply the pairs.
     """
-    subject = ModelSubject(loaded)
     if len(names) == 1:
         return (typical_rival(subject, candidates[names[0]]), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
-    groups = [names] if names else [sorted(group) for group in _groups(loaded.model, candidates)]
-    pairs = tuple(pair for group in groups for pair in combinations(group, 2))
+    pairs = tuple(pair for group in ([names] if names else map(sorted, groups)) for pair in combinations(group, 2))
     rivals = dict.fromkeys(chain.from_iterable(pairs))
     return tuple(typical_rival(subject, candidates[name]) for name in rivals), pairs
