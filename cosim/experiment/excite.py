@@ -32,7 +32,7 @@ from cosim.logs.log import slowness
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
-MAX_RIVALS_PER_TRIAL = 4  # up to which each is simulated for every preferred experiment; more at the end
+MAX_RIVALS = 4  # drawn beside the model; more are not simulated for every preferred experiment, but at the end
 EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
 TONES = 12
@@ -260,7 +260,7 @@ def _choose(
         if k >= 0:
             apart = separation.of(trial.log(model, question.measured))
         if best is None or merit_of(apart) > best.score:
-            rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS_PER_TRIAL else {}
+            rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS else {}
             other = Excitation(question, rig, trial, rivals, apart, usual, usual_trial)
             best = other if best is None or other.score > best.score else best
     return best and replace(best, rivals=play_rivals(best.trial))

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.core.text import append_unit, counted, display, join_names, plain
 from cosim.core.version import __version__
-from cosim.experiment.excite import Excitation
+from cosim.experiment.excite import MAX_RIVALS, Excitation
 from cosim.experiment.separation import MIN_SEPARATION
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
@@ -22,7 +22,6 @@ from cosim.report.template import render
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
 MAX_PAIRS = 30  # in the table, the least separated first
 MAX_OUTPUTS = 12  # with a chart
-MAX_RIVALS = 4  # drawn beside the model
 
 
 def page(excitation: Excitation, scenario: Path) -> str:

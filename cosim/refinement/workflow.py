@@ -66,6 +66,7 @@ from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
+from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
 Progress = Callable[[str, float], None]
@@ -244,10 +245,9 @@ def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
         return study
     subject = copy(study.subject)
     subject.horizon = shorter
-    name = f"{plain(horizon)} s" if math.isfinite(horizon) else "free run"
     warning = (
         "errors of the start state grow exponentially in these logs. Predictions therefore last "
-        f"{plain(shorter, 2)} s, in which these errors grow tenfold, and not the model's {name}"
+        f"{plain(shorter, 2)} s, in which these errors grow tenfold, and not the model's {horizon_name(horizon)}"
     )
     return replace(study, subject=subject, warnings=(*study.warnings, warning))
 
