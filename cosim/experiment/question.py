@@ -9,7 +9,7 @@ from itertools import chain, combinations
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.text import did_you_mean
@@ -69,8 +69,6 @@ class Question:
 class Ranked(BaseModel):
     """A ranked hypothesis, as read from refine.json."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
     names: list[str]
     parameters: dict[str, float]
     fitted: bool
@@ -79,8 +77,6 @@ class Ranked(BaseModel):
 
 class RefineResultPart(BaseModel):
     """Required part of a refine.json."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
 
     study: str
     rivals: list[str]

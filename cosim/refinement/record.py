@@ -38,11 +38,7 @@ Floors = Mapping[Part, Floor]
 Replayed = Mapping[str, Mapping[Part, Mapping[float, ReplayedLogs]]]  # model → set of logs → horizon
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class Estimate(_Entry):
+class Estimate(BaseModel):
     """An estimated parameter with its 95 % confidence interval."""
 
     value: Finite
@@ -50,7 +46,7 @@ class Estimate(_Entry):
     ci95: tuple[Finite, Finite]
 
 
-class EffectEntry(_Entry):
+class EffectEntry(BaseModel):
     """An effect, sensor error or base parameter in the claim; `value` names the only parameter of the last two.
 
     kind: `sensor`: an error of the readings, which model.yaml has and an FMU has not
@@ -63,7 +59,7 @@ class EffectEntry(_Entry):
     probability: Finite
 
 
-class NotExcludedEntry(_Entry):
+class NotExcludedEntry(BaseModel):
     """An effect possible in place of a claimed special case.
 
     in_place_of: name in `effects`
@@ -74,14 +70,14 @@ class NotExcludedEntry(_Entry):
     probability: Finite
 
 
-class ClassEntry(_Entry):
+class ClassEntry(BaseModel):
     """A class of hypotheses that the logs do not tell apart, named by its most probable member."""
 
     names: list[str]
     probability: Finite
 
 
-class Followed(_Entry):
+class Followed(BaseModel):
     """A parameter per log on a sealed log of no known group, filtered from past data.
 
     value: at the end of the log
@@ -94,7 +90,7 @@ class Followed(_Entry):
     spread: Finite
 
 
-class PerLog(_Entry):
+class PerLog(BaseModel):
     """A parameter with a separate value for each group of logs.
 
     groups: group, or file of a log that is in none → estimate
@@ -106,7 +102,7 @@ class PerLog(_Entry):
     followed: dict[str, Followed]
 
 
-class CandidateEntry(_Entry):
+class CandidateEntry(BaseModel):
     """A hypothesis on trial.
 
     names: effects, sensor errors and base parameters it adds; none: the base model
@@ -124,7 +120,7 @@ class CandidateEntry(_Entry):
     why: str
 
 
-class Inputs(_Entry):
+class Inputs(BaseModel):
     """Interpolation of inputs between two rows.
 
     gain_otherwise: log-likelihood gained with every input taken the other way
@@ -134,7 +130,7 @@ class Inputs(_Entry):
     gain_otherwise: Likelihood
 
 
-class ProcessNoise(_Entry):
+class ProcessNoise(BaseModel):
     """Process noise density of one state's equation, in the state's unit squared per second.
 
     before: with the base model
@@ -149,7 +145,7 @@ class ProcessNoise(_Entry):
     gain: Likelihood
 
 
-class NamelessTerm(_Entry):
+class NamelessTerm(BaseModel):
     """A term outside the catalogue with a further gain: coefficient · basis of one signal in one equation.
 
     equation: the state
@@ -172,7 +168,7 @@ class NamelessTerm(_Entry):
     like: str = ""
 
 
-class Residual(_Entry):
+class Residual(BaseModel):
     """Deficient equation and signals of the misfit, also if nothing in the catalogue fits.
 
     signals: what the misfit in that equation depends on, most important first
@@ -187,7 +183,7 @@ class Residual(_Entry):
     terms: list[NamelessTerm]
 
 
-class RungEntry(_Entry):
+class RungEntry(BaseModel):
     """Error of predictions of held-out logs by one model, each log predicted by a fit to the others.
 
     names: its candidates
@@ -201,7 +197,7 @@ class RungEntry(_Entry):
     standard_error: Finite | None
 
 
-class Errors(_Entry):
+class Errors(BaseModel):
     """RMSE of measured − model over FMU replays, pooled over the logs of each set.
 
     before: the model named in the study
@@ -216,7 +212,7 @@ class Errors(_Entry):
     nearest: Parts | None = None
 
 
-class Replays(_Entry):
+class Replays(BaseModel):
     """FMUs used for the replays.
 
     why: why not natively; empty where it was
@@ -230,7 +226,7 @@ class Replays(_Entry):
     apart: Finite | None = None
 
 
-class Record(_Entry):
+class Record(BaseModel):
     """Result of `cosim refine` on a study.
 
     study: path of the study; empty of one that was written in Python
