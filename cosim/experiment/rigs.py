@@ -61,8 +61,8 @@ class Trial:
         """Return the largest excursion relative to its limit, infinite after divergence."""
         if not all(np.isfinite(values).all() for values in self.outputs.values()):
             return math.inf
-        limited = {n: limit for n, limit in limits.items() if n in self.outputs}
-        shares = (np.abs(self.outputs[n] - self.outputs[n][0]).max() / limit for n, limit in limited.items())
+        outputs = self.outputs
+        shares = (np.abs(outputs[n] - outputs[n][0]).max() / limit for n, limit in limits.items() if n in outputs)
         return float(max(shares, default=0.0))
 
 

@@ -72,11 +72,8 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         yield _claim_text(c, c.claimed, subject)
     if c.name == "ambiguous" and "nothing would show" in reasons:
         opening = "Nothing moves in these logs" if c.still else "These logs excite too little"
-        which, would, them = f"none of {len(c.hidden)} effects", "would", "them"
-        if len(c.hidden) == 1:
-            which, would, them = "the one effect", "would not", "it"
-        yield f"{opening}: {which} {would} show in them, present or not."
-        yield f"An experiment that shows {them}: {c.experiment}."
+        yield f"{opening}: {join_names(c.hidden)} would not show in them, present or not."
+        yield f"An experiment that shows more: {c.experiment}."
     elif c.name == "ambiguous":
         for reason, text in REFUSALS.items():
             if parts := [name for kind, _, name in (r.partition(": ") for r in reasons) if kind == reason]:
