@@ -25,11 +25,7 @@ REFUSALS = {
     "interval": "Probable but not claimed, since intervals hold the values without effect: {}.",
     "held out": "Fits to some of the logs predict the others worse with {} than without.",
 }
-OPENINGS = {  # kind → before up to three names, and in place of more
-    "effect": ("the model lacks", "the model lacks {} effects"),
-    "parameter": ("the model has a wrong", "the model has {} wrong parameters"),
-    "sensor": ("the sensors have", "the sensors have {} errors"),
-}
+OPENINGS = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
 
 
 def sentence(
@@ -98,9 +94,8 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         if c.decision.nearest:
             yield f"Most probable, but not claimed: {join_names(sorted(c.decision.nearest))}."
         yield subject.untried
-    numbers = [n for n in c.decision.uncertain if n not in c.decision.claimed]
-    if c.claimed is not None and c.name != "ambiguous" and numbers:
-        chances = [f"{n} ({percent(c.decision.uncertain[n])})" for n in numbers[:MOST_NAMED]]
+    chances = [f"{n} ({percent(p)})" for n, p in c.decision.uncertain.items()]
+    if c.claimed is not None and c.name != "ambiguous" and chances:
         yield f"Possible beside this, with its probability: {join_names(chances)}."
 
 
@@ -109,11 +104,10 @@ def _claim_text(c: Claims, best: Hypothesis, subject: Subject) -> str:
     values = {k.name: [_estimate_text(best, f, subject) for f in k.free] for k in c.claimed_candidates}
     is_long = sum(map(len, values.values())) > MOST_NAMED
     parts = []
-    for kind, (opening, several) in OPENINGS.items():
+    for kind, opening in OPENINGS.items():
         names = [k.name for k in c.claimed_candidates if kind_within(k, subject) == kind]
         texts = names if is_long else [f"{name} ({', '.join(values[name])})" for name in names]
-        if names:
-            parts.append(several.format(len(names)) if len(names) > MOST_NAMED else f"{opening} {join_names(texts)}")
+        parts += [f"{opening} {join_names(texts)}"] if names else []
     text = "; ".join(parts)
     each = [f" {name}: {', '.join(estimates)}." for name, estimates in values.items()] if is_long else []
     moving = "" if best.fit.converged else " The fit was still moving when it ended: these intervals are too narrow."
