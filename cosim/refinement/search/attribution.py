@@ -85,8 +85,8 @@ class Attributor(Search):
         while proposed := self._proposals(best):
             is_first = len(self.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
-            fitted = self.fit_all(proposed, best, stage, self.near)
-            self.fit_all(self._reductions(fitted), best, "leaving out what does nothing", self.near)
+            fitted = self.fit_all(proposed, best, stage)
+            self.fit_all(self._reductions(fitted), best, "leaving out what does nothing")
             self._rescore()
             before, best = self.tried[best.names].score, best_hypothesis(self.tried.values())
             if best.score > before - DONE * self.problem.scatter:

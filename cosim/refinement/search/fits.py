@@ -201,12 +201,12 @@ class Search:
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
-    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
-        """Fit sets of candidates; a fit ends early if it cannot reach a score within `margin` of `start`."""
+    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str) -> list[Hypothesis]:
+        """Fit sets of candidates; a fit ends early if it cannot come near the score of `start`."""
 
         def fit_trial(trial: Trial) -> Hypothesis:
             parts, promised = trial
-            goal = start.score + margin - self.cost(parts)
+            goal = start.score + self.near - self.cost(parts)
             return self.hypothesis(parts, start.fit, goal, promised=promised, screen=True)
 
         return self.fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
