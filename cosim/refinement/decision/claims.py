@@ -76,8 +76,7 @@ def text_of(parts: Names) -> str:
 
 def experiment_for(subject: Subject, rivals: Sequence[Names]) -> str:
     """Return the experiment that separates rivals; parts common to all of them need none."""
-    common = frozenset[str].intersection(*rivals) if rivals else frozenset[str]()
-    names = frozenset[str]().union(*rivals) - common
+    names = frozenset[str]().union(*rivals) - frozenset[str].intersection(*rivals)
     experiments = [(len(row & names), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(experiments, default=(0, ""))
     return text if shared > 1 else DEFAULT_EXPERIMENT
