@@ -42,10 +42,9 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
-from cosim.refinement.decision.claims import Claims
+from cosim.refinement.decision.claims import Claims, floor_warning, sentence
 from cosim.refinement.decision.deciding import claims_of
 from cosim.refinement.decision.scatter import fit_given_model
-from cosim.refinement.decision.sentences import floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,

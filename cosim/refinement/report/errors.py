@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.text import MISSING, percent
-from cosim.refinement.decision.sentences import error_text
+from cosim.refinement.decision.claims import error_text
 from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
 from cosim.residuals.replay_sentences import horizon_name

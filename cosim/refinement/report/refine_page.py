@@ -30,8 +30,8 @@ from cosim.estimation.subject.candidates import Free
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision.claims import rounded
 from cosim.refinement.decision.posterior import CERTAIN
-from cosim.refinement.decision.sentences import rounded
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.errors import (
     error_tables,

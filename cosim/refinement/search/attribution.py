@@ -46,8 +46,6 @@ from cosim.refinement.search.periods import with_likely_periods
 FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
 DONE = 1.0  # nats by which a round must improve the score
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
-
-
 BREADTH = 4  # most probable sets whose neighbours are tried in a round, additions to one, replacements of its parts
 EXPANSIONS = 4  # rounds of neighbours
 Start = tuple[Parts, Fit]
