@@ -86,7 +86,7 @@ def command(
     Example: cosim refine study.yaml --out results/refine
     """
     from cosim.probing.fmu_structure import Structure
-    from cosim.refinement.report.errors import error_tables, second_sentence
+    from cosim.refinement.report.refine_page import error_tables, second_sentence
     from cosim.refinement.stages import stage_number
 
     study = Path(given["study"])
