@@ -96,8 +96,8 @@ class Excitation:
             rest = counted(len(lines) - MAX_LISTED_PAIRS, "more pair")
             lines[MAX_LISTED_PAIRS:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
         limits = self.question.limits
-        beyond = {n: trial for n, trial in self.rivals.items() if trial.excess(limits) > 1.0}
-        trials = {"excursion": self.trial, **{f"beyond its limits if {n} is true": t for n, t in beyond.items()}}
+        trials = {"excursion": self.trial}
+        trials |= {f"beyond its limits if {n} is true": t for n, t in self.rivals.items() if t.excess(limits) > 1.0}
         units = {q.name: q.unit for q in self.question.loaded.model.outputs}
         names = [n for n in units if n in limits] or self.question.measured
         for words, trial in trials.items():
