@@ -1,4 +1,4 @@
-"""Plots of logs and innovations on the page of a refinement."""
+"""Plots on the page of a refinement: logs, innovations, and the missing input with the claimed term of each effect."""
 
 from __future__ import annotations
 
@@ -37,6 +37,8 @@ from cosim.report.charts import Abscissa, Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.report import neighbours
 from cosim.residuals.residual_statistics import COUNTS_FROM, lags_of, rmse, whiteness
+
+TIMES = " · "  # between the signals of a product
 
 
 def runs(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
@@ -143,9 +145,6 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
 def modes(r: Refinement) -> tuple[str, str]:
     """Return the labels of the compared models, or of the compared filters without a claim."""
     return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
-
-
-TIMES = " · "  # between the signals of a product
 
 
 class Regressor(NamedTuple):
