@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from shutil import copyfile
 
@@ -20,11 +21,11 @@ from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.core.text import counted, join_names
-from cosim.estimation.posing import build_problem
+from cosim.estimation.posing import build_problem, coarsen
 from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, RigAxis, Trial
-from cosim.experiment.separation import MIN_SEPARATION, Pair, Separation
+from cosim.experiment.separation import MIN_SEPARATION, Pair, separation
 from cosim.files.csv_source import write_columns
 from cosim.files.files import FilePath, check_writable, write_text
 from cosim.files.folders import new_run, remove_earlier
@@ -233,8 +234,9 @@ def _choose(
     usual_trial = rig.play(model, rig.usual_signals(time))
     log = usual_trial.log(model, question.measured)
     problem = build_problem(subject, [log], noise=question.noise)
-    separation = Separation(subject, problem, question.rivals, question.pairs)
-    usual = separation.of(log)
+    substeps = coarsen(problem).logs[0].substeps
+    apart_in = partial(separation, subject, problem, substeps, question.rivals, question.pairs)
+    usual = apart_in(log)
     best: Excitation | None = None
 
     def play_rivals(trial: Trial) -> dict[str, Trial]:
@@ -258,7 +260,7 @@ def _choose(
         if trial.excess(question.limits) > 1.0:
             continue
         if k >= 0:
-            apart = separation.of(trial.log(model, question.measured))
+            apart = apart_in(trial.log(model, question.measured))
         if best is None or merit_of(apart) > best.score:
             rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS else {}
             other = Excitation(question, rig, trial, rivals, apart, usual, usual_trial)
