@@ -15,13 +15,11 @@ from cosim.estimation.subject.interface import Workplace
 from cosim.logs.log import Log
 from cosim.refinement.decision.bundle import bundle_of
 from cosim.refinement.decision.posterior import Bundle, Decision, decide
-from cosim.refinement.proof.measure import ReplayedLogs, replay_logs
-from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.record import schema
+from cosim.refinement.proof.measure import ReplayedLogs, Variant, replay_logs
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import SearchResult
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, SearchResult
 from cosim.refinement.workflow import refine
+from cosim.verbs.schema_verb import schema_of
 from tests.blind.truth import write
 from tests.blind.truth_study import Study
 from tests.verdicts import contradictions
@@ -68,7 +66,7 @@ def proven(study: Path, folder: Path) -> Refinement:
     """Refine a study; check that its results fit the schema and are consistent, for any verdict."""
     r = refine(study, folder)
     written = json.loads((folder / "refine.json").read_text())
-    jsonschema.validate(written, schema())
+    jsonschema.validate(written, schema_of("refine_result"))
     said = contradictions(written, folder)
     assert not said, said
     return r

@@ -12,8 +12,7 @@ from cosim.estimation.posing import build_problem, coarsen
 from cosim.estimation.problem import Problem
 from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import Search
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.study import read_study
 from tests.logs import write_log

@@ -17,8 +17,7 @@ from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
 from cosim.refinement.decision.equivalence import act_alike
-from cosim.refinement.search.fits import Search
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Search
 from tests.test_refine_fmu import NOISE, run_motor, study_of_way
 
 

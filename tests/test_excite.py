@@ -21,8 +21,7 @@ from controller.settings import Settings
 from cosim.core.errors import InputError
 from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.experiment.chosen_input import Excitation
-from cosim.experiment.excite import excite
+from cosim.experiment.excite import Excitation, excite
 from cosim.logs.log import read_log
 from cosim.refinement.search.attribution import Attributor
 from cosim.simulation.workflow import run

@@ -20,7 +20,7 @@ from cosim.fmi.building.file import read_model
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import first_rows
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.study import read_study
 from tests.ferry import ferry_study
 from tests.logs import write_log

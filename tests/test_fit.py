@@ -14,9 +14,10 @@ import pytest
 from scipy.signal import lfilter
 
 import cosim
-from cosim.calibration import fit_record, fitted_fmu
+from cosim.calibration import fitted_fmu
 from cosim.core.errors import InputError, SimulationError, TimedOut
 from cosim.files.kinds import kind_of
+from cosim.verbs.schema_verb import schema_of
 from tests.cases import some
 from tests.fit_head_to_head import CASES, Bench, by_cosim, by_scipy
 from tests.logs import write_log
@@ -56,7 +57,9 @@ def test_two_logs_give_the_truth_and_sealed_logs_prove_it(bench: Path, tmp_path:
     assert holds(fitted, mass=1.6, damping=0.8)
     assert fitted.verdict == "improved"
     record = fitted.record
-    jsonschema.validate(json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8")), fit_record.schema())
+    jsonschema.validate(
+        json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8")), schema_of("fit_result")
+    )
     errors = record["errors"]["sealed"]["channels"]["velocity"]
     assert errors["after"] < 1.2 * errors["noise_floor"] < 0.2 * errors["before"]
     assert {(Path(s["log"]).name, s["name"]) for s in record["starts"]} == {

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.experiment.ranges import inputs_to_limit
+from cosim.experiment.rigs import inputs_to_limit
 from cosim.fmi.building.file import read_model
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine

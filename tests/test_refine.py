@@ -29,11 +29,11 @@ from cosim.logs.log import read_log
 from cosim.model import Stepper
 from cosim.refinement import workflow
 from cosim.refinement.decision.posterior import Verdict
-from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
 from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.schema_verb import schema_of
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER
@@ -87,8 +87,8 @@ def test_replays_are_native_and_equal_those_of_the_delivered_fmu(rubbing: Refine
 
 
 def test_the_schema_has_every_verdict() -> None:
-    jsonschema.Draft202012Validator.check_schema(schema())
-    assert schema()["properties"]["verdict"]["enum"] == list(get_args(Verdict))
+    jsonschema.Draft202012Validator.check_schema(schema_of("refine_result"))
+    assert schema_of("refine_result")["properties"]["verdict"]["enum"] == list(get_args(Verdict))
 
 
 @pytest.fixture(scope="module")
@@ -253,8 +253,11 @@ def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) ->
     [
         (lambda f: (f / "e2.csv").write_bytes((f / "e1.csv").read_bytes()), "holds the same as e1.csv"),
         (lambda f: (f / "v1.csv").write_bytes((f / "e1.csv").read_bytes()), "a validation log is never fitted on"),
-        (lambda f: in_study(f, "e2.csv", "./e1.csv"), "is listed for estimation twice; keep one"),
-        (lambda f: in_study(f, "v1.csv", "../study/e1.csv"), "is listed for estimation too"),
+        (
+            lambda f: in_study(f, "e2.csv", "./e1.csv"),
+            "holds the same as e1.csv, which is listed for estimation; keep one",
+        ),
+        (lambda f: in_study(f, "v1.csv", "../study/e1.csv"), "which is listed for estimation; a validation log"),
         (lambda f: in_study(f, FEW, "[]"), "leave the key out to try all"),
         (lambda f: thinned(f, lambda rows: rows < 245), "too short to be judged: it takes 5 s"),
         (lambda f: (f / "v1.csv").write_text("time,psi\n0,1\n"), 'input "duty_right" is missing'),

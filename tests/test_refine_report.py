@@ -15,14 +15,13 @@ import numpy as np
 import pytest
 
 from cosim.model import Stepper
-from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
-from cosim.refinement.report.plots import innovations
+from cosim.refinement.report.plots import EffectComparison, compare_effects, innovations
 from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.workflow import refine
 from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
+from cosim.verbs.schema_verb import schema_of
 from plant.hovercraft import Hovercraft
 from tests.logs import IMU, fly, log_of, measured, times, write_log
 from tests.seen import faults
@@ -221,7 +220,7 @@ def test_every_verdict_has_its_page(
         claims = replace(claims, claimed=None, nearest=claims.best)
     rivalry = {"rivals": list(rivals), "experiment": "push harder" if rivals else ""}
     record = {**cart.record, **rivalry, "verdict": name, "sentence": "A sentence."}
-    jsonschema.validate(record, schema())
+    jsonschema.validate(record, schema_of("refine_result"))
     verdict = replace(claims, decision=decision, experiment="push harder")
     text = page(replace(cart, verdict=verdict, record=record), tmp_path)
     assert says in text

@@ -10,7 +10,7 @@ import pytest
 
 from cosim.fmi.building.file import load_model
 from cosim.model import Stepper
-from cosim.refinement.proof.sealed import is_significant_rise
+from cosim.refinement.proof.measure import is_significant_rise
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import write_refine_report
 from tests.logs import write_log

@@ -23,7 +23,7 @@ from cosim.model import Model, SensorError, Stepper
 from cosim.model.namespaces import SCALAR, arrays
 from cosim.refinement.proof.measure import Variant
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.effect_plots import compare_effects
+from cosim.refinement.report.plots import compare_effects
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import windows

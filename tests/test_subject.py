@@ -24,9 +24,9 @@ from cosim.estimation.subject.interface import Replayer, Start, Subject, Workpla
 from cosim.logs.log import Log
 from cosim.model import Quantity, parameter
 from cosim.model.quantities import Parameter
-from cosim.refinement.record import schema
 from cosim.refinement.study import study_of
 from cosim.residuals.windows import Replay
+from cosim.verbs.schema_verb import schema_of
 from tests.logs import write_log
 
 STEP, MASS, VISCOUS, FORCE, SOFT, NOISE = 0.05, 2.0, 0.8, 0.9, 0.05, 1e-3
@@ -261,7 +261,7 @@ def test_the_error_is_proven_on_the_sealed_log_by_its_own_replayer(refined: cosi
 def test_what_needs_a_model_is_left_out_and_the_page_says_so(refined: cosim.Refined) -> None:
     assert sorted(p.name for p in refined.folder.iterdir()) == ["refine.json", "report.html"]
     written = json.loads((refined.folder / "refine.json").read_text())
-    jsonschema.validate(written, schema())
+    jsonschema.validate(written, schema_of("refine_result"))
     page = (refined.folder / "report.html").read_text()
     assert "cosim run scenario.yaml" not in page
 

@@ -1,4 +1,4 @@
-"""Content of fit.json, the result of a fit for other programs, with its JSON schema beside this file."""
+"""Content of fit.json, the result of a fit for other programs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
-from pydantic.json_schema import GenerateJsonSchema
 
 from cosim.core.text import join_names
 from cosim.core.version import __version__
@@ -120,19 +119,6 @@ class Record(BaseModel):
     seconds: Finite
     warnings: list[str]
     notes: list[str]
-
-
-class _Untitled(GenerateJsonSchema):
-    """Schema generator without titles, which would only repeat the keys."""
-
-    def field_title_should_be_set(self, schema: Any) -> bool:
-        return False
-
-
-def schema() -> dict[str, Any]:
-    """Return the JSON schema of fit.json."""
-    body = Record.model_json_schema(mode="serialization", schema_generator=_Untitled)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
 
 
 def finite(value: float) -> float | None:

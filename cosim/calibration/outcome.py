@@ -23,7 +23,7 @@ from cosim.calibration.fit_record import (
 from cosim.calibration.fit_study import Request
 from cosim.core.text import amount, counted, join_names, plain, size
 from cosim.logs.log import Log
-from cosim.refinement.proof.sealed import find_rises
+from cosim.refinement.proof.measure import find_rises
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import floors
 from cosim.residuals.replay_sentences import horizon_name

@@ -8,8 +8,9 @@ influence on the choice.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from shutil import copyfile
 
@@ -19,12 +20,12 @@ from cosim.core import registry
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
-from cosim.estimation.posing import build_problem
-from cosim.experiment.chosen_input import Excitation, merit_of
+from cosim.core.text import counted, join_names
+from cosim.estimation.posing import build_problem, coarsen
 from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, RigAxis, Trial
-from cosim.experiment.separation import Separation
+from cosim.experiment.separation import MIN_SEPARATION, Pair, separation
 from cosim.files.csv_source import write_columns
 from cosim.files.files import FilePath, check_writable, write_text
 from cosim.files.folders import new_run, remove_earlier
@@ -32,7 +33,7 @@ from cosim.logs.log import slowness
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
-MAX_RIVALS_PER_TRIAL = 4  # up to which each is simulated for every preferred experiment; more at the end
+MAX_RIVALS = 4  # drawn beside the model; more are not simulated for every preferred experiment, but at the end
 EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
 TONES = 12
@@ -41,7 +42,107 @@ MOVE_PROBABILITY = 0.75  # probability that an axis moves in a part
 AMPLITUDE_SHARE = (0.3, 1.0)  # share of an axis' amplitude
 KINDS = ("multisine", "chirp", "steps", "ramps")
 REPORT = "report.html"
+MAX_LISTED_PAIRS = 5  # pairs listed before the rest is counted
 Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A designed experiment, simulated with the model and with each rival hypothesis.
+
+    Attributes:
+        trial, rivals: Simulation with the model, and with each rival, under the same signals.
+        apart: Distance of each pair of rivals [standard deviations].
+        usual: Distance of each pair under the rig's usual input, for comparison [standard deviations].
+        usual_trial: Simulation of the model with the usual input.
+    """
+
+    question: Question
+    rig: OpenLoop
+    trial: Trial
+    rivals: Mapping[str, Trial]
+    apart: Mapping[Pair, float]
+    usual: Mapping[Pair, float]
+    usual_trial: Trial
+
+    @property
+    def score(self) -> tuple[int, float]:
+        """Return the merit (see `merit_of`), reduced if a rival exceeds the limits."""
+        return merit_of(self.apart, max([1.0, *(trial.excess(self.question.limits) for trial in self.rivals.values())]))
+
+    @property
+    def headline(self) -> str:
+        """Return a sentence with the number of separated pairs of rivals and the pair that is hardest to separate."""
+        count, _ = merit_of(self.apart)
+        a, b = self.hardest_first[0]
+        return (
+            f"The input separates {count} of {counted(len(self.apart), 'pair')} of rivals; {a} and {b} are "
+            f"{self.apart[a, b]:.1f} standard deviations apart, {MIN_SEPARATION:g} are needed."
+        )
+
+    @property
+    def distances(self) -> list[str]:
+        """Return a line per pair, the hardest pair first."""
+        return [
+            f"{a} from {b}: {self.apart[a, b]:.1f} standard deviations ({self.rig.usual}: {self.usual[a, b]:.1f})"
+            for a, b in self.hardest_first
+        ]
+
+    @property
+    def sentences(self) -> list[str]:
+        """Return sentences on the distances of the pairs, hardest first, and on excursions of model and rivals."""
+        lines = self.distances
+        if len(lines) > MAX_LISTED_PAIRS + 1:
+            least = self.apart[self.hardest_first[MAX_LISTED_PAIRS]]
+            rest = counted(len(lines) - MAX_LISTED_PAIRS, "more pair")
+            lines[MAX_LISTED_PAIRS:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
+        limits = self.question.limits
+        trials = {"excursion": self.trial}
+        trials |= {f"beyond its limits if {n} is true": t for n, t in self.rivals.items() if t.excess(limits) > 1.0}
+        units = {q.name: q.unit for q in self.question.loaded.model.outputs}
+        names = [n for n in units if n in limits] or self.question.measured
+        for words, trial in trials.items():
+            ranges = ", ".join(
+                f"{n} {trial.outputs[n].min():.3g} to {trial.outputs[n].max():.3g} {units[n]}" for n in names
+            )
+            lines.append(f"{words}: {ranges}")
+        return lines
+
+    @property
+    def warnings(self) -> list[str]:
+        """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
+        warnings = []
+        if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
+            warnings.append(
+                f"the best input does not tell {join_names(pairs)} (less than {MIN_SEPARATION:g} standard "
+                "deviations apart); try a wider --limit, a longer --duration or more outputs --measured"
+            )
+        excess, (count, least) = self.usual_trial.excess(self.question.limits), merit_of(self.usual)
+        if 1.0 < excess < np.inf and (count, least) > merit_of(self.apart):
+            warnings.append(
+                f"{self.rig.usual} separates better ({count} of {counted(len(self.apart), 'pair')}, the nearest "
+                f"{least:.1f} standard deviations apart) but goes {excess:.1f} times as far as --limit allows"
+            )
+        return warnings
+
+    @property
+    def hardest_first(self) -> list[Pair]:
+        """Return pairs of rivals, the hardest to separate first."""
+        return sorted(self.apart, key=lambda pair: self.apart[pair])
+
+
+def merit_of(apart: Mapping[Pair, float], excess: float = 1.0) -> tuple[int, float]:
+    """Return the number of separated pairs and the smallest of their distances.
+
+    Without separated pairs, the largest distance counts.
+
+    Args:
+        apart: Distance of each pair [standard deviations].
+        excess: Largest excursion relative to its limit; reduces the distances.
+    """
+    distances = [distance / excess for distance in apart.values()]
+    separated = [distance for distance in distances if distance >= MIN_SEPARATION]
+    return len(separated), min(separated, default=max(distances))
 
 
 def excite(
@@ -133,8 +234,9 @@ def _choose(
     usual_trial = rig.play(model, rig.usual_signals(time))
     log = usual_trial.log(model, question.measured)
     problem = build_problem(subject, [log], noise=question.noise)
-    separation = Separation(subject, problem, question.rivals, question.pairs)
-    usual = separation.of(log)
+    substeps = coarsen(problem).logs[0].substeps
+    apart_in = partial(separation, subject, problem, substeps, question.rivals, question.pairs)
+    usual = apart_in(log)
     best: Excitation | None = None
 
     def play_rivals(trial: Trial) -> dict[str, Trial]:
@@ -158,9 +260,9 @@ def _choose(
         if trial.excess(question.limits) > 1.0:
             continue
         if k >= 0:
-            apart = separation.of(trial.log(model, question.measured))
+            apart = apart_in(trial.log(model, question.measured))
         if best is None or merit_of(apart) > best.score:
-            rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS_PER_TRIAL else {}
+            rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS else {}
             other = Excitation(question, rig, trial, rivals, apart, usual, usual_trial)
             best = other if best is None or other.score > best.score else best
     return best and replace(best, rivals=play_rivals(best.trial))

@@ -13,8 +13,7 @@ from cosim.core.errors import Fault, refuse
 from cosim.estimation.data import data_of, start_state
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import neutral_values
-from cosim.experiment.ranges import limits_and_ranges
-from cosim.experiment.rigs import OpenLoop, Ranges, Signals, Trial, clip
+from cosim.experiment.rigs import OpenLoop, Ranges, Signals, Trial, limits_and_ranges
 from cosim.fmi.description import read_description
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -60,8 +59,7 @@ class FmuOpenLoop(OpenLoop):
 
     def play(self, model: Model, signals: Signals) -> Trial:
         """Simulate the FMU with the parameters of a model, and input signals clipped to the ranges."""
-        starts = {q.name: start for q, start in zip(model.inputs, model.start_command(), strict=True)}
-        inputs = {name: clip(start + signals[name], name, self.ranges) for name, start in starts.items()}
+        inputs = self.commands(model, signals)
         time = model.rate * np.arange(len(next(iter(signals.values()))), dtype=np.float64)
         names = [q.name for q in model.outputs]
         readings = {n: np.where(np.arange(time.size) == 0, self.first.get(n, np.nan), np.nan) for n in names}
@@ -105,9 +103,8 @@ def subject_of_fmu(
     reaches, spans = limits_and_ranges(bare, limits, ranges, {}, faults)
     refuse(Fault(fmu, 0, 0, fault) for fault in faults)
     rig = OpenLoop(bare, reaches, spans, float(time[-1]))
-    pulses = rig.usual_signals(time)
-    names = {with_place(q.name): q for q in inputs}
-    played = {q.name: clip(q.start + pulses[name], name, spans) for name, q in names.items()}
+    commands = rig.commands(bare, rig.usual_signals(time))
+    played = {q.name: commands[with_place(q.name)] for q in inputs}
     units = {q.name: q.unit for group in signals for q in group}
     log = Log(fmu.with_suffix(".csv"), time, played, {}, units, step, units, {})
     with Worker(*MODULES) as worker, DriveApart(worker, log, fmu) as drive:

@@ -9,7 +9,7 @@ from itertools import chain, combinations
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.text import did_you_mean
@@ -17,9 +17,8 @@ from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
-from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges
-from cosim.experiment.rigs import Ranges
-from cosim.experiment.separation import Pair, Rival, typical_rival
+from cosim.experiment.rigs import Ranges, inputs_to_limit, limits_and_ranges
+from cosim.experiment.separation import MIN_SEPARATION, Pair, Rival, typical_rival
 from cosim.files.artefact import ANSWER, CODE, FMU, MODEL
 from cosim.files.folders import newest_run
 from cosim.files.kinds import check_form, check_given, kind_by_form
@@ -29,13 +28,11 @@ from cosim.fmi.building.refined import names_refine
 from cosim.fmi.building.substep import with_substep
 from cosim.logs.log import Log, read_log
 from cosim.model.model import Model
-from cosim.refinement.search.hypotheses import TOGETHER
+from cosim.refinement.search.fits import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
 
 NOTHING = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
-
-SIGNIFICANT = 3.0  # standard deviations of a gain from which a fit says something of a rival
 
 
 @dataclass(frozen=True)
@@ -72,8 +69,6 @@ class Question:
 class Ranked(BaseModel):
     """A ranked hypothesis, as read from refine.json."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
     names: list[str]
     parameters: dict[str, float]
     fitted: bool
@@ -82,8 +77,6 @@ class Ranked(BaseModel):
 
 class RefineResultPart(BaseModel):
     """Required part of a refine.json."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
 
     study: str
     rivals: list[str]
@@ -181,7 +174,7 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
                 logs.append(
                     read_log(file.parent / name, loaded.model.inputs, loaded.model.outputs, columns=study.columns)
                 )
-    candidates, values = _candidates(loaded), ModelSubject(loaded).values
+    candidates, subject = _candidates(loaded), of_fmu or ModelSubject(loaded)
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     if any(TOGETHER in name for name in names):
         parts = {name: tuple(name.split(TOGETHER)) for name in names}
@@ -198,8 +191,8 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         pairs: Sequence[Pair] = [*combinations(names, 2)]
     else:
         _check_names(path, names, candidates)
-        typical, pairs = _rivals(loaded, candidates, names)
-        rivals = tuple(_fitted_rival(r, names, content, candidates, values) for r in typical)
+        typical, pairs = _rivals(subject, candidates, names, _groups(loaded.model, candidates))
+        rivals = tuple(_fitted_rival(r, names, content, candidates, subject.values) for r in typical)
     ranges = {}  # (least, largest) command over all logs
     for name in logs[0].inputs if logs and inputs_to_limit(loaded.model) else ():
         commands = np.concatenate([log.inputs[name] for log in logs])
@@ -219,21 +212,16 @@ def _fitted_rival(
 
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
-    if r.name not in candidates:  # nothing
+    if r.name not in candidates or r.name in content.hidden:  # nothing, or not seen
         return r
-    others = set(names) - {r.name}
-    free = candidates[r.name].free
     for h in content.candidates:
-        gain, kept = h.log_likelihood_gain, h.parameters
-        if r.name not in h.names or others.intersection(h.names) or r.name in content.hidden:
+        gain, kept, rest = h.log_likelihood_gain, h.parameters, {*h.names} - {r.name}
+        if not h.fitted or gain is None or r.name not in h.names or not rest.isdisjoint(names):
             continue
-        if not h.fitted or gain is None:
+        if any(kept[f.name] in (f.low, f.high) and kept[f.name] != values[f.name] for f in candidates[r.name].free):
             continue
-        if any(kept[f.name] in (f.low, f.high) and kept[f.name] != values[f.name] for f in free):
-            continue
-        rest = set(h.names) - {r.name}
         simpler = [o.log_likelihood_gain or 0.0 for o in content.candidates if rest.issuperset(o.names)]
-        if gain - max(simpler, default=0.0) > 0.5 * SIGNIFICANT**2:
+        if gain - max(simpler, default=0.0) > 0.5 * MIN_SEPARATION**2:
             return Rival(r.name, kept, tuple(f for n in h.names for f in candidates[n].free))
     return r
 
@@ -251,13 +239,7 @@ def _question_of_fmu(
     subject, first = subject_of_fmu(path, duration, limits, ranges)
     candidates = _candidates(subject.loaded)
     _check_names(path, against, candidates)
-    if against:
-        rivals, pairs = _rivals(subject.loaded, candidates, list(against))
-    else:
-        groups = confused_groups(subject.model)
-        pairs = tuple(pair for group in groups for pair in combinations(sorted(group), 2))
-        names = dict.fromkeys(chain.from_iterable(pairs))
-        rivals = tuple(typical_rival(subject, candidates[name]) for name in names)
+    rivals, pairs = _rivals(subject, candidates, list(against), confused_groups(subject.model))
     if not pairs:
         raise InputError.at(
             path, f"has no terms that are hard to separate; name rivals as --against ({', '.join(candidates)})"
@@ -278,10 +260,9 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
     base = replace(loaded, model=replace(model, effects=()))
     candidates = _candidates(base)
     _check_names(path, against, candidates)
-    own = [e.name for e in model.awake]
-    groups = [group for group in _groups(model, candidates) if not group.isdisjoint(own)]
-    names = list(against) or sorted(set().union(*groups).difference(own))
-    rivals, pairs = _rivals(base, candidates, names)
+    own, groups = [e.name for e in model.awake], _groups(model, candidates)
+    names = list(against) or sorted(set().union(*(g for g in groups if not g.isdisjoint(own))).difference(own))
+    rivals, pairs = _rivals(ModelSubject(base), candidates, names, groups)
     if own and names:  # against the active effects, with their values in the model
         free, values = tuple(f for n in own for f in candidates[n].free), ModelSubject(loaded).values
         present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
@@ -311,16 +292,14 @@ def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]
 
 
 def _rivals(
-    loaded: LoadedModel, candidates: Mapping[str, Candidate], names: Sequence[str]
+    subject: ModelSubject, candidates: Mapping[str, Candidate], names: Sequence[str], groups: Sequence[set[str]]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
     """Return rivals of typical size and their pairs.
 
-    A single named candidate is compared with the model without it. Without names, the model's groups supply the pairs.
+    A single named candidate is compared with the model without it. Without names, the groups supply the pairs.
     """
-    subject = ModelSubject(loaded)
     if len(names) == 1:
         return (typical_rival(subject, candidates[names[0]]), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
-    groups = [names] if names else [sorted(group) for group in _groups(loaded.model, candidates)]
-    pairs = tuple(pair for group in groups for pair in combinations(group, 2))
+    pairs = tuple(pair for group in ([names] if names else map(sorted, groups)) for pair in combinations(group, 2))
     rivals = dict.fromkeys(chain.from_iterable(pairs))
     return tuple(typical_rival(subject, candidates[name]) for name in rivals), pairs

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.text import append_unit, counted, display, plain
+from cosim.core.text import append_unit, counted, display, join_names, plain
 from cosim.core.version import __version__
-from cosim.experiment.chosen_input import MIN_SEPARATION, Excitation
+from cosim.experiment.excite import MAX_RIVALS, Excitation
+from cosim.experiment.separation import MIN_SEPARATION
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace, held_panels
@@ -21,8 +22,6 @@ from cosim.report.template import render
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
 MAX_PAIRS = 30  # in the table, the least separated first
 MAX_OUTPUTS = 12  # with a chart
-MAX_RIVALS = 4  # drawn beside the model
-MAX_BADGE_NAMES = 8  # rivals in a badge
 
 
 def page(excitation: Excitation, scenario: Path) -> str:
@@ -63,7 +62,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
             "badges": [
                 Badge(f"{plain(seconds)} s"),
                 Badge(counted(len(question.rivals), "rival")),
-                Badge(f"measured: {', '.join(names[:MAX_BADGE_NAMES])}{', …' if names[MAX_BADGE_NAMES:] else ''}"),
+                Badge(f"measured: {join_names(names)}"),
             ],
             "cautions": excitation.warnings,
             "inputs": drawing.plots(held_panels(excitation.trial.inputs, units)),

@@ -20,13 +20,13 @@ from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import data_of, readings_of, start_state
 from cosim.estimation.fit import DIFFERENCE
-from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log
 
 PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
+MIN_SEPARATION = 3.0  # standard deviations between rivals from which a log decides
 Pair = tuple[str, str]
 
 
@@ -57,66 +57,58 @@ def typical_rival(subject: Subject, candidate: Candidate) -> Rival:
     return Rival(candidate.name, values, candidate.free)
 
 
-class Separation:
-    """Measure of how well an input separates pairs of hypotheses.
+def separation(
+    subject: Subject, problem: Problem, substeps: int, rivals: Sequence[Rival], pairs: Sequence[Pair], log: Log
+) -> dict[Pair, float]:
+    """Return the distance of each pair of rivals on a noise-free log [standard deviations].
 
     Args:
         problem: Fitting problem with the kernel.
+        substeps: Of the integration.
         rivals: Hypotheses at a detectable size.
-        pairs: Pairs of `rivals` to separate.
     """
+    layout, noise, named = problem.layout, problem.plain, {r.name: r for r in rivals}
+    free_base = base_parameters(subject, problem.values, problem.settings.tolerance)
+    data = replace(data_of(subject, log, layout), substeps=substeps)
+    start = start_state(subject, data, layout.outputs, layout.states)
+    problem = replace(problem, logs=[data], readings=[readings_of(data)], x0=[start])
+    scored = problem.score(problem.values, noise)
+    sigma, count = np.sqrt(scored.variances), len(scored.errors)
 
-    def __init__(self, subject: Subject, problem: Problem, rivals: Sequence[Rival], pairs: Sequence[Pair]) -> None:
-        self.subject, self.problem, self.pairs = subject, problem, tuple(pairs)
-        self.rivals = {r.name: r for r in rivals}
-        self.base = base_parameters(subject, problem.values, problem.settings.tolerance)
-        self.noise, self.substeps = problem.plain, coarsen(problem).logs[0].substeps
+    def change(values: Mapping[str, float]) -> Array:
+        """Return the change of the filter's innovations at parameter values, 0 for a diverged filter."""
+        errors = problem.score({**problem.values, **values}, noise).errors
+        return np.asarray(np.nan_to_num((errors - scored.errors) / sigma, nan=0.0, posinf=0.0, neginf=0.0))
 
-    def of(self, log: Log) -> dict[Pair, float]:
-        """Return the distance of each pair of rivals on a noise-free log [standard deviations]."""
-        layout = self.problem.layout
-        data = replace(data_of(self.subject, log, layout), substeps=self.substeps)
-        start = start_state(self.subject, data, layout.outputs, layout.states)
-        readings = [readings_of(data)]
-        problem = replace(self.problem, logs=[data], readings=readings, x0=[start])
-        scored = problem.score(problem.values, self.noise)
-        sigma, count = np.sqrt(scored.variances), len(scored.errors)
+    def slopes(free: Sequence[Free], values: Mapping[str, float], shift: Array) -> Array:
+        """Return the derivatives by scaled parameters at `values`, shape (parameters, measurements)."""
+        rows = np.empty((len(free), count))
+        for row, f in zip(rows, free, strict=True):
+            value = values.get(f.name, problem.values[f.name])
+            h = DIFFERENCE * f.size if value + DIFFERENCE * f.size <= f.high else -DIFFERENCE * f.size
+            row[:] = (change({**values, f.name: value + h}) - shift) * (f.size / h)
+        return rows
 
-        def change(values: Mapping[str, float]) -> Array:
-            """Return the change of the filter's innovations at parameter values, 0 for a diverged filter."""
-            errors = problem.score({**problem.values, **values}, self.noise).errors
-            return np.asarray(np.nan_to_num((errors - scored.errors) / sigma, nan=0.0, posinf=0.0, neginf=0.0))
+    shift = {r.name: change(r.values) for r in rivals}
+    own = {r.name: slopes(r.free, r.values, shift[r.name]) for r in rivals}
+    base = slopes(free_base, {}, np.zeros(count))
 
-        def slopes(free: Sequence[Free], values: Mapping[str, float], shift: Array) -> Array:
-            """Return the derivatives by scaled parameters at `values`, shape (parameters, measurements)."""
-            rows = np.empty((len(free), count))
-            for row, f in zip(rows, free, strict=True):
-                value = values.get(f.name, problem.values[f.name])
-                h = DIFFERENCE * f.size if value + DIFFERENCE * f.size <= f.high else -DIFFERENCE * f.size
-                row[:] = (change({**values, f.name: value + h}) - shift) * (f.size / h)
-            return rows
+    def distance(truth: str, adapted: str) -> float:
+        """Return what remains after fitting the free parameters of one hypothesis and of the base."""
+        names = {f.name for f in named[adapted].free}
+        others = [k for k, f in enumerate(free_base) if f.name not in names]
+        design = np.vstack([own[adapted], base[others]]).T
+        # one row per prior, δ in units of the parameter's size
+        priors = np.zeros((len(others), design.shape[1]))
+        for row, k in enumerate(others):
+            if prior := free_base[k].prior:
+                priors[row, len(own[adapted]) + row] = free_base[k].size / prior[1]
+        A = np.vstack([design, priors])
+        b = np.concatenate([shift[truth] - shift[adapted], np.zeros(len(others))])
+        return float(np.linalg.norm(b - A @ least_squares(A, b)))
 
-        shift = {name: change(r.values) for name, r in self.rivals.items()}
-        own = {name: slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
-        base = slopes(self.base, {}, np.zeros(count))
-
-        def distance(truth: str, adapted: str) -> float:
-            """Return what remains after fitting the free parameters of one hypothesis and of the base."""
-            names = {f.name for f in self.rivals[adapted].free}
-            others = [k for k, f in enumerate(self.base) if f.name not in names]
-            design = np.vstack([own[adapted], base[others]]).T
-            # one row per prior, δ in units of the parameter's size
-            priors = np.zeros((len(others), design.shape[1]))
-            for row, k in enumerate(others):
-                if prior := self.base[k].prior:
-                    priors[row, len(own[adapted]) + row] = self.base[k].size / prior[1]
-            A = np.vstack([design, priors])
-            b = np.concatenate([shift[truth] - shift[adapted], np.zeros(len(others))])
-            return float(np.linalg.norm(b - A @ least_squares(A, b)))
-
-        # Only the hypothesis with fewer free parameters is adapted: one with more could imitate the other.
-        counts = {name: len(r.free) for name, r in self.rivals.items()}
-        return {
-            (a, b): min(distance(*way) for way in ((a, b), (b, a)) if counts[way[0]] >= counts[way[1]])
-            for a, b in self.pairs
-        }
+    # Only the hypothesis with fewer free parameters is adapted: one with more could imitate the other.
+    return {
+        (a, b): min(distance(*way) for way in ((a, b), (b, a)) if len(own[way[0]]) >= len(own[way[1]]))
+        for a, b in pairs
+    }

@@ -34,23 +34,10 @@ def check_study(path: Path, checking: Checking) -> list[str]:
             "checked"
         ]
     study = read_study(path)
-    return [
-        *(f"warning: {text}" for text in study.warnings),
-        *(text if isinstance(text, Note) else f"warning: {text}" for text in outlook(study)),
-    ]
-
-
-def outlook(study: Study) -> list[str]:
-    """Return plans and blind spots of a refinement: interface, places and number of candidates."""
-    subject = study.subject
-    if not isinstance(subject, FmuSubject):
-        return []
-    structure, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
-    return [
-        Note(f"`cosim refine` will use {subject.source.removeprefix(f'{structure.fmu}, ')}"),
-        Note(f"`cosim refine` will try {count} terms and parameters: {'; '.join(_places(structure))}"),
-        *_blind_spots(study, subject),
-    ]
+    found = [f"warning: {text}" for text in study.warnings]
+    if isinstance(study.subject, FmuSubject):
+        found += (text if isinstance(text, Note) else f"warning: {text}" for text in _outlook(study, study.subject))
+    return found
 
 
 def _places(s: Structure) -> Iterator[str]:
@@ -72,9 +59,12 @@ def _places(s: Structure) -> Iterator[str]:
             yield f"{text} {join_names(names)}"
 
 
-def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
-    """Yield what these logs, or this interface, cannot show."""
+def _outlook(study: Study, subject: FmuSubject) -> Iterator[str]:
+    """Yield interface, number of candidates and their places, and what these logs, or this interface, cannot show."""
     s, logs, names, is_stepped = subject.structure, study.logs, subject.names, subject.structure.way == "co-simulation"
+    count = len(subject.candidates([q.name for q in subject.inputs]))
+    yield Note(f"`cosim refine` will use {subject.source.removeprefix(f'{s.fmu}, ')}")
+    yield Note(f"`cosim refine` will try {count} terms and parameters: {'; '.join(_places(s))}")
     logged = set().union(*(log.outputs for log in logs))
     one_way = []  # velocities that keep their sign in all logs
     for pair in s.pairs:

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
-from pydantic.json_schema import GenerateJsonSchema
 
 from cosim.core.arrays import Array
 from cosim.core.text import percent
@@ -21,7 +20,7 @@ from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict
 from cosim.refinement.proof.measure import Floor, ReplayedLogs, rmse
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -39,15 +38,7 @@ Floors = Mapping[Part, Floor]
 Replayed = Mapping[str, Mapping[Part, Mapping[float, ReplayedLogs]]]  # model → set of logs → horizon
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class _Open(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="allow")
-
-
-class Estimate(_Entry):
+class Estimate(BaseModel):
     """An estimated parameter with its 95 % confidence interval."""
 
     value: Finite
@@ -55,163 +46,249 @@ class Estimate(_Entry):
     ci95: tuple[Finite, Finite]
 
 
-class EffectEntry(_Entry):
-    """An effect, sensor error or base parameter in the claim; `value` names the only parameter of the last two."""
+class EffectEntry(BaseModel):
+    """An effect, sensor error or base parameter in the claim; `value` names the only parameter of the last two.
+
+    kind: `sensor`: an error of the readings, which model.yaml has and an FMU has not
+    probability: posterior probability that the part belongs to the model
+    """
 
     name: str
-    kind: Kind = Field(description="`sensor`: an error of the readings, which model.yaml has and an FMU has not")
+    kind: Kind
     parameters: dict[str, Estimate]
-    probability: Finite = Field(description="posterior probability that the part belongs to the model")
-
-
-class NotExcludedEntry(_Entry):
-    """An effect possible in place of a claimed special case."""
-
-    name: str
-    in_place_of: str = Field(description="name in `effects`")
     probability: Finite
 
 
-class ClassEntry(_Entry):
+class NotExcludedEntry(BaseModel):
+    """An effect possible in place of a claimed special case.
+
+    in_place_of: name in `effects`
+    """
+
+    name: str
+    in_place_of: str
+    probability: Finite
+
+
+class ClassEntry(BaseModel):
     """A class of hypotheses that the logs do not tell apart, named by its most probable member."""
 
     names: list[str]
     probability: Finite
 
 
-class Followed(_Entry):
-    """A parameter per log on a sealed log of no known group, filtered from past data."""
+class Followed(BaseModel):
+    """A parameter per log on a sealed log of no known group, filtered from past data.
 
-    value: Finite = Field(description="at the end of the log")
-    expected: Finite = Field(description="at its start")
-    spread: Finite = Field(description="standard deviation at its start")
+    value: at the end of the log
+    expected: at its start
+    spread: standard deviation at its start
+    """
+
+    value: Finite
+    expected: Finite
+    spread: Finite
 
 
-class PerLog(_Entry):
-    """A parameter with a separate value for each group of logs."""
+class PerLog(BaseModel):
+    """A parameter with a separate value for each group of logs.
+
+    groups: group, or file of a log that is in none → estimate
+    """
 
     unit: str
     mean: Finite
-    groups: dict[str, Estimate] = Field(description="group, or file of a log that is in none → estimate")
+    groups: dict[str, Estimate]
     followed: dict[str, Followed]
 
 
-class CandidateEntry(_Entry):
-    """A hypothesis on trial."""
+class CandidateEntry(BaseModel):
+    """A hypothesis on trial.
 
-    names: list[str] = Field(description="effects, sensor errors and base parameters it adds; none: the base model")
-    log_likelihood_gain: Likelihood = Field(description="over the recalibrated model; null where it diverged")
-    score_gain: Likelihood = Field(description="log posterior odds to the recalibrated model")
+    names: effects, sensor errors and base parameters it adds; none: the base model
+    log_likelihood_gain: over the recalibrated model; null where it diverged
+    score_gain: log posterior odds to the recalibrated model
+    parameters: `effect.parameter` or base parameter by name, in SI
+    why: `claimed`, `a rival: …`, or why it lost
+    """
+
+    names: list[str]
+    log_likelihood_gain: Likelihood
+    score_gain: Likelihood
     fitted: bool
-    parameters: dict[str, Finite] = Field(description="`effect.parameter` or base parameter by name, in SI")
-    why: str = Field(description="`claimed`, `a rival: …`, or why it lost")
+    parameters: dict[str, Finite]
+    why: str
 
 
-class Inputs(_Entry):
-    """Interpolation of inputs between two rows."""
+class Inputs(BaseModel):
+    """Interpolation of inputs between two rows.
+
+    gain_otherwise: log-likelihood gained with every input taken the other way
+    """
 
     taken: dict[str, Way]
-    gain_otherwise: Likelihood = Field(description="log-likelihood gained with every input taken the other way")
+    gain_otherwise: Likelihood
 
 
-class ProcessNoise(_Open):
-    """Process noise density of one state's equation, in the state's unit squared per second."""
+class ProcessNoise(BaseModel):
+    """Process noise density of one state's equation, in the state's unit squared per second.
 
-    before: Finite = Field(description="with the base model")
-    after: Finite = Field(description="with the best hypothesis")
-    inflated: bool = Field(description="the equation is deficient")
-    gain: Likelihood = Field(description="log-likelihood that this noise gains with the best hypothesis")
+    before: with the base model
+    after: with the best hypothesis
+    inflated: the equation is deficient
+    gain: log-likelihood that this noise gains with the best hypothesis
+    """
 
-
-class NamelessTerm(_Open):
-    """A term outside the catalogue with a further gain: coefficient · basis of one signal in one equation."""
-
-    equation: str = Field(description="the state")
-    signal: str = Field(description="the basis, such as `v·|v|`; `1`: a constant")
-    gain: Finite = Field(description="log-likelihood it gains")
-    coefficient: Finite = Field(description="in the state's unit per second, per unit of the basis")
-    place: Finite | None = Field(default=None, description="of a local shape")
-    width: Finite | None = Field(default=None, description="of a local shape")
-    local: dict[str, Any] | None = Field(default=None, description="the whole of a local shape")
-    like: str = Field(default="", description="the law that a local shape resembles")
+    before: Finite
+    after: Finite
+    inflated: bool
+    gain: Likelihood
 
 
-class Residual(_Open):
-    """Deficient equation and signals of the misfit, also if nothing in the catalogue fits."""
+class NamelessTerm(BaseModel):
+    """A term outside the catalogue with a further gain: coefficient · basis of one signal in one equation.
+
+    equation: the state
+    signal: the basis, such as `v·|v|`; `1`: a constant
+    gain: log-likelihood it gains
+    coefficient: in the state's unit per second, per unit of the basis
+    place: of a local shape
+    width: of a local shape
+    local: the whole of a local shape
+    like: the law that a local shape resembles
+    """
+
+    equation: str
+    signal: str
+    gain: Finite
+    coefficient: Finite
+    place: Finite | None = None
+    width: Finite | None = None
+    local: dict[str, Any] | None = None
+    like: str = ""
+
+
+class Residual(BaseModel):
+    """Deficient equation and signals of the misfit, also if nothing in the catalogue fits.
+
+    signals: what the misfit in that equation depends on, most important first
+    share: of the mean square missing input, explained by the first of `terms`
+    terms: most promising first
+    """
 
     equation: str | None
-    signals: list[str] = Field(description="what the misfit in that equation depends on, most important first")
-    share: Finite | None = Field(description="of the mean square missing input, explained by the first of `terms`")
+    signals: list[str]
+    share: Finite | None
     process_noise: dict[str, ProcessNoise]
-    terms: list[NamelessTerm] = Field(description="most promising first")
+    terms: list[NamelessTerm]
 
 
-class RungEntry(_Entry):
-    """Error of predictions of held-out logs by one model, each log predicted by a fit to the others."""
+class RungEntry(BaseModel):
+    """Error of predictions of held-out logs by one model, each log predicted by a fit to the others.
+
+    names: its candidates
+    ratio: error relative to `before`, geometric mean over outputs and logs
+    standard_error: of ln(error / least error of the ladder), over the logs
+    """
 
     model: Literal["before", "recalibrated", "candidates"]
-    names: list[str] = Field(description="its candidates")
-    ratio: Finite = Field(description="error relative to `before`, geometric mean over outputs and logs")
-    standard_error: Finite | None = Field(description="of ln(error / least error of the ladder), over the logs")
+    names: list[str]
+    ratio: Finite
+    standard_error: Finite | None
 
 
-class Errors(_Entry):
-    """RMSE of measured − model over FMU replays, pooled over the logs of each set."""
+class Errors(BaseModel):
+    """RMSE of measured − model over FMU replays, pooled over the logs of each set.
 
-    before: Parts = Field(description="the model named in the study")
-    recalibrated: Parts = Field(description="that model with its base parameters adjusted")
-    after: Parts = Field(description="model.yaml")
-    nearest: Parts | None = Field(default=None, description="nearest.yaml (for an FMU nearest.fmu), where there is one")
+    before: the model named in the study
+    recalibrated: that model with its base parameters adjusted
+    after: model.yaml
+    nearest: nearest.yaml (for an FMU nearest.fmu), where there is one
+    """
+
+    before: Parts
+    recalibrated: Parts
+    after: Parts
+    nearest: Parts | None = None
 
 
-class Replays(_Entry):
-    """FMUs used for the replays."""
+class Replays(BaseModel):
+    """FMUs used for the replays.
+
+    why: why not natively; empty where it was
+    log: the log that plant.fmu has replayed too
+    apart: relative difference of the two there
+    """
 
     through: Literal["native", "python", "own"]
-    why: str = Field(default="", description="why not natively; empty where it was")
-    log: str = Field(default="", description="the log that plant.fmu has replayed too")
-    apart: Finite | None = Field(default=None, description="relative difference of the two there")
+    why: str = ""
+    log: str = ""
+    apart: Finite | None = None
 
 
-class Record(_Entry):
-    """Result of `cosim refine` on a study."""
+class Record(BaseModel):
+    """Result of `cosim refine` on a study.
+
+    study: path of the study; empty of one that was written in Python
+    sentence: the verdict in plain words
+    posterior: highest probability first
+    inclusion: part → its probability, the sum over the classes with it
+    dispersion: κ, by which log-likelihoods are divided
+    reasons: what stands against a claim
+    effects: what is claimed, most important first
+    rivals: what the data cannot distinguish, where the verdict is `ambiguous`
+    experiment: the input that would separate rivals, else empty
+    alike: names that act alike for every input
+    nearest: what the nearest model has more than the given one
+    ladder: from the model of the study to more and more candidates
+    candidates: every hypothesis that was fitted, best first
+    hidden: effects that these logs would not show at their usual size, and did not
+    measured: outputs that some estimation log holds
+    warnings: what is doubtful about the study, in plain words
+    horizon: how long a replay in `error` is [s]
+    horizons: as `error`, over other horizons
+    noise_floor: on the validation logs where there are any
+    noise_floors: error of the refined model against itself, simulated with its noise
+    floor_scatters: standard deviation of the logarithm of each floor over the draws
+    seconds: time it took
+    """
 
     model_config = ConfigDict(title="refine.json")
 
     schema_version: Literal[1] = 1
     cosim_version: str = __version__
-    study: str = Field(description="path of the study; empty of one that was written in Python")
+    study: str
     verdict: Verdict
-    sentence: str = Field(description="the verdict in plain words")
+    sentence: str
     grade: Grade
-    posterior: list[ClassEntry] = Field(description="highest probability first")
-    inclusion: dict[str, Finite] = Field(description="part → its probability, the sum over the classes with it")
-    dispersion: Finite = Field(description="κ, by which log-likelihoods are divided")
-    reasons: list[str] = Field(description="what stands against a claim")
+    posterior: list[ClassEntry]
+    inclusion: dict[str, Finite]
+    dispersion: Finite
+    reasons: list[str]
     finished: Literal[True] = True
-    effects: list[EffectEntry] = Field(description="what is claimed, most important first")
-    rivals: list[str] = Field(description="what the data cannot distinguish, where the verdict is `ambiguous`")
-    experiment: str = Field(description="the input that would separate rivals, else empty")
-    alike: tuple[tuple[str, ...], ...] = Field(default=(), description="names that act alike for every input")
+    effects: list[EffectEntry]
+    rivals: list[str]
+    experiment: str
+    alike: tuple[tuple[str, ...], ...] = ()
     not_excluded: list[NotExcludedEntry] = []
-    nearest: list[str] = Field(description="what the nearest model has more than the given one")
-    ladder: list[RungEntry] = Field(description="from the model of the study to more and more candidates")
+    nearest: list[str]
+    ladder: list[RungEntry]
     per_log: dict[str, PerLog] = {}
-    candidates: list[CandidateEntry] = Field(description="every hypothesis that was fitted, best first")
-    hidden: list[str] = Field(description="effects that these logs would not show at their usual size, and did not")
-    measured: list[str] = Field(description="outputs that some estimation log holds")
+    candidates: list[CandidateEntry]
+    hidden: list[str]
+    measured: list[str]
     sensor_noise: Channels
     inputs: Inputs
-    warnings: list[str] = Field(description="what is doubtful about the study, in plain words")
+    warnings: list[str]
     residual: Residual
     replays: Replays
-    horizon: Finite | Literal["free run"] = Field(description="how long a replay in `error` is [s]")
+    horizon: Finite | Literal["free run"]
     error: Errors
-    horizons: dict[Literal["0.5 s", "free run"], Errors] = Field(description="as `error`, over other horizons")
-    noise_floor: Channels = Field(description="on the validation logs where there are any")
-    noise_floors: Parts = Field(description="error of the refined model against itself, simulated with its noise")
-    floor_scatters: Parts = Field(description="standard deviation of the logarithm of each floor over the draws")
-    seconds: Finite = Field(description="time it took")
+    horizons: dict[Literal["0.5 s", "free run"], Errors]
+    noise_floor: Channels
+    noise_floors: Parts
+    floor_scatters: Parts
+    seconds: Finite
 
 
 def record(
@@ -308,24 +385,13 @@ def unfinished(study: Study, tried: Sequence[Hypothesis]) -> dict[str, Any]:
     return {**shared, "finished": False, "candidates": candidates}
 
 
-def schema() -> dict[str, Any]:
-    """Return the JSON schema of refine.json."""
-
-    class Untitled(GenerateJsonSchema):  # titles would only repeat the keys
-        def field_title_should_be_set(self, schema: Any) -> bool:
-            return False
-
-    body = Record.model_json_schema(mode="serialization", schema_generator=Untitled)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
-
-
 def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
     """Return the channels with finite values."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
 
 def _values(h: Hypothesis) -> dict[str, float]:
-    return {n: float(h.fit.values[n]) for c in h.candidates for n in c.parameters}
+    return {n: float(h.fit.values[n]) for n in h.parameters}
 
 
 def _estimate(f: Fit, name: str, unit: str) -> Estimate:

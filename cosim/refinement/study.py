@@ -8,7 +8,7 @@ import os.path
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -37,7 +37,6 @@ from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.probing.places import probe_places
-from cosim.refinement.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
 
@@ -45,6 +44,7 @@ FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
+Setting = TypeVar("Setting")
 ROUNDING = float(np.finfo(np.float64).eps)
 WIDEST = 2.0  # share of a parameter: a tolerance without information
 
@@ -59,9 +59,26 @@ def _check_share(value: Any) -> Any:
     return value
 
 
-ONE_OR_BY_NAME = Discriminator(lambda value: "«by name»" if isinstance(value, dict) else "«all»")
+OneOrByName = Annotated[
+    Annotated[Setting, Tag("«all»")] | Annotated[dict[str, Setting], Tag("«by name»")],
+    Discriminator(lambda value: "«by name»" if isinstance(value, dict) else "«all»"),
+]
 Share = Annotated[float, BeforeValidator(_check_share)]
 FileName = Annotated[str, Field(pattern=r"^[^\x00]*$")]
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Places of faults in a study written in Python; `path` names the subject."""
+
+    path: Path
+
+    def fault(self, location: Sequence[str | int], message: str, *, key: bool = False) -> Fault:
+        """Return a fault of an argument."""
+        return Fault(self.path, 0, 0, with_prefix(f"{'.'.join(map(str, location))}: ", message))
+
+
+Places = YamlFile | Arguments  # of faults in a study's keys
 
 
 class LogLists(BaseModel):
@@ -101,12 +118,8 @@ class StudyFile(BaseModel):
     logs: LogLists
     noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     start_noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
-    tolerance: Annotated[
-        Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], ONE_OR_BY_NAME
-    ] = {}
-    inputs: Annotated[
-        Annotated[Interpolation, Tag("«all»")] | Annotated[dict[str, Interpolation], Tag("«by name»")], ONE_OR_BY_NAME
-    ] = "held"
+    tolerance: OneOrByName[Share] = {}
+    inputs: OneOrByName[Interpolation] = "held"
     candidates: list[str] | None = None
     columns: dict[str, str] = {}
     per_log: list[str] | None = None
@@ -142,7 +155,7 @@ class Study:
     @property
     def files(self) -> tuple[Path, ...]:
         """Return the files of study, model and logs."""
-        logs = tuple(self.folder / name for _, name in _entries(self.content.logs))
+        logs = tuple(self.folder / name for *_, name in _entries(self.content.logs))
         if self.path is None:
             return logs
         model = self.content.model.rpartition(":")[0] or self.content.model
@@ -163,7 +176,7 @@ class Study:
         """Return the settings of the logs for the fits."""
         subject, content = self.subject, self.content
         per_log = tuple(full_name(subject, n) for n in content.per_log or ())
-        files = [name for _, name in _entries(content.logs)]
+        files = [name for *_, name in _entries(content.logs)]
         groups = group_of(self.folder, files, content.groups) if per_log else {}
         ways, tolerance = content.inputs, content.tolerance
         if not isinstance(ways, dict):
@@ -205,24 +218,19 @@ def read_study(path: Path, limits: str = "") -> Study:
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
-        raise InputError([*faults, *_repeated_logs(yaml, content.logs, {}), *error.faults]) from None
+        raise InputError([*faults, *error.faults]) from None
     except NotExecuted:
-        refuse([*faults, *_repeated_logs(yaml, content.logs, {})])
+        refuse(faults)
         raise
     subject = ModelSubject(loaded)
-    _refuse_without_states(yaml, subject)
-    content, unit_faults = _in_units(yaml, content, subject)
-    subject = content.judged(subject)
-    faults += [*unit_faults, *_key_faults(yaml, content, subject)]
     try:
-        stepping = content.judged(ModelSubject(with_substep(loaded)[0]))
+        subject = ModelSubject(with_substep(loaded)[0])
     except InputError as error:
-        faults, stepping = [*faults, *error.faults], subject
-    logs, warnings, log_faults = _read_logs(yaml, content, stepping)
-    refuse([*faults, *log_faults])
-    loaded, notes = with_substep(loaded, logs["estimation"])
-    warnings += [with_prefix(f"{content.model}: ", text) for text in notes]
-    return Study(path, content, content.judged(ModelSubject(loaded)), tuple(logs["estimation"]), tuple(warnings))
+        faults += error.faults
+    study = _checked(yaml, content, subject, faults)
+    loaded, notes = with_substep(loaded, study.logs)
+    warnings = (*study.warnings, *(with_prefix(f"{content.model}: ", text) for text in notes))
+    return replace(study, path=path, subject=study.content.judged(ModelSubject(loaded)), warnings=warnings)
 
 
 def keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
@@ -249,9 +257,9 @@ def read_parts_of_fmu(
         message = f"{content.model}: no such file; model names the FMU, relative to the study"
         raise InputError([*faults, yaml.fault(("model",), message)])
     logs, terms = list[Log](), list[type[Any]]()
-    for part, name in _entries(content.logs):
+    for part, k, name in _entries(content.logs):
         try:
-            _check_exists(yaml, content, part, name)
+            _check_exists(yaml, part, k, name)
             log = log_of_fmu(folder / name, fmu, content.columns, alone=False)
         except InputError as error:
             faults += error.faults
@@ -297,34 +305,9 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
             update[key] = {names.get(n, n): value for n, value in setting.items()}
         elif isinstance(setting, list):
             update[key] = [names.get(n, n) for n in setting]
-    content, unit_faults = _in_units(yaml, content.model_copy(update=update), subject)
-    subject = content.judged(subject)
-    faults += [*unit_faults, *_key_faults(yaml, content, subject)]
-    read, warnings, log_faults = _read_logs(yaml, content, subject)
-    refuse([*faults, *log_faults])
+    study = _checked(yaml, content.model_copy(update=update), subject, faults)
     found = [f"{content.model}: {probed.own_step.finding}"] if probed.own_step else []
-    return Study(yaml.path, content, subject, tuple(read["estimation"]), (*found, *warnings))
-
-
-def _in_units(yaml: YamlFile, content: StudyFile, subject: Subject) -> tuple[StudyFile, list[Fault]]:
-    """Return the study with standard deviations in the units of the subject, and faults."""
-    faults = list[Fault]()
-    for key, signals in (("noise", subject.outputs), ("start_noise", subject.states)):
-        content, wrong = yaml.in_units(content, key, {q.name: q.unit for q in signals}, difference=True)
-        faults += wrong
-    return content, faults
-
-
-@dataclass(frozen=True)
-class _Arguments:
-    """Places of faults in a study written in Python; `path` names the subject."""
-
-    path: Path
-
-    def fault(self, location: Sequence[str | int], message: str, *, key: bool = False) -> Fault:
-        """Return a fault of an argument."""
-        text = with_prefix(f"{'.'.join(map(str, location))}: ", message)
-        return Fault(self.path, 0, 0, text)
+    return replace(study, path=yaml.path, warnings=(*found, *study.warnings))
 
 
 def study_of(
@@ -341,7 +324,7 @@ def study_of(
     Raises:
         InputError: Every fault of the study and its logs.
     """
-    places = _Arguments(Path(subject.title))
+    places = Arguments(Path(subject.title))
     lists = {
         name: [str(Path(f).absolute()) for f in ([files] if isinstance(files, (str, os.PathLike)) else files)]
         for name, files in (("estimation", logs), ("validation", validation))
@@ -352,31 +335,32 @@ def study_of(
         raise InputError(
             [places.fault(e["loc"], f"{e['msg']}; give a value as in a study file") for e in error.errors()]
         ) from None
-    _refuse_without_states(places, subject)
-    subject = content.judged(copy(subject))
-    usable, warnings, log_faults = _read_logs(places, content, subject)
-    refuse([*_key_faults(places, content, subject), *log_faults])
-    return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
+    return _checked(places, content, copy(subject), [])
 
 
-def _refuse_without_states(places: Places, subject: Subject) -> None:
-    """Raise InputError for a model without states, whose rows over time say nothing more than any table."""
-    if not subject.states:
+def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[Fault]) -> Study:
+    """Return the study of a subject with the usable stretches of its logs.
+
+    Args:
+        faults: Those found before.
+
+    Raises:
+        InputError: Every fault of the study and its logs.
+    """
+    if not subject.states:  # rows over time would say nothing more than any table
         cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or give it the state that it lacks"
         raise InputError([places.fault(("model",), f"{subject.title} has no states, so it cannot be refined; {cure}")])
-
-
-def _read_logs(
-    places: Places, content: StudyFile, subject: Subject
-) -> tuple[dict[str, list[Log]], list[str], list[Fault]]:
-    """Return the usable stretches of the logs, warnings and faults."""
-    logs: dict[str, list[Log]] = {"estimation": [], "validation": []}
-    digests: dict[str, str] = {}
-    warnings: list[str] = []
-    faults: list[Fault] = []
-    for part, name in _entries(content.logs):
+    for key, signals in (("noise", subject.outputs), ("start_noise", subject.states)):
+        if isinstance(places, YamlFile):
+            units = {q.name: q.unit for q in signals}
+            content, wrong = places.in_units(content, key, units, difference=True)
+            faults += wrong
+    subject = content.judged(subject)
+    faults += _key_faults(places, content, subject)
+    logs, warnings, first = list[Log](), list[str](), dict[str, tuple[str, str]]()
+    for part, k, name in _entries(content.logs):
         try:
-            _check_exists(places, content, part, name)
+            _check_exists(places, part, k, name)
             log = _read(places.path.parent / name, content, subject)
         except InputError as error:
             faults += error.faults
@@ -384,7 +368,12 @@ def _read_logs(
         content_of = hashlib.sha256(log.time.tobytes())
         for signal, values in sorted({**log.inputs, **log.outputs}.items()):
             content_of.update(signal.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
-        digests[name] = content_of.hexdigest()
+        if earlier := first.get(content_of.hexdigest()):
+            other, purpose = earlier
+            message = f"{name} holds the same as {other}, which is listed for {purpose}"
+            message += "; keep one" if purpose == part else "; a validation log is never fitted on"
+            faults.append(places.fault(("logs", part, k), message))
+        first.setdefault(content_of.hexdigest(), (name, part))
         spikes = find_spikes(log, subject.prediction(log))
         findings = gate(log, subject.rate, traits=subject.traits, spikes=spikes)
         faults += gate_faults(log, findings)
@@ -410,22 +399,22 @@ def _read_logs(
         ]
         if count := len(parts) - len(usable):
             warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
-        logs[part] += usable
-    faults += _repeated_logs(places, content.logs, digests)
-    return logs, warnings, faults
+        logs += usable if part == "estimation" else []
+    refuse(faults)
+    return Study(None, content, subject, tuple(logs), tuple(warnings))
 
 
-def _entries(logs: LogLists) -> list[tuple[str, str]]:
-    """Return each log with the name of its list."""
-    return [*(("estimation", name) for name in logs.estimation), *(("validation", name) for name in logs.validation)]
+def _entries(logs: LogLists) -> list[tuple[str, int, str]]:
+    """Return list, place and name of each log."""
+    lists = {"estimation": logs.estimation, "validation": logs.validation}
+    return [(part, k, name) for part, names in lists.items() for k, name in enumerate(names)]
 
 
-def _check_exists(places: Places, content: StudyFile, part: str, name: str) -> None:
+def _check_exists(places: Places, part: str, k: int, name: str) -> None:
     """Raise InputError for a log that is missing."""
     if not os.path.exists(places.path.parent / name):
-        place = ("logs", part, getattr(content.logs, part).index(name))
         message = f"{name}: no such file beside the study; its logs are named from there"
-        raise InputError([places.fault(place, message)])
+        raise InputError([places.fault(("logs", part, k), message)])
 
 
 def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
@@ -434,24 +423,6 @@ def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
         log = log_of_fmu(path, subject.structure.fmu, content.columns, alone=False)
         return rename_signals(log, subject.names)
     return read_log(path, subject.inputs, subject.outputs, columns=content.columns)
-
-
-def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
-    """Yield faults of files listed twice, by name or by content."""
-    first: dict[str, tuple[str, str]] = {}
-    for n, (part, name) in enumerate(_entries(logs)):
-        path = os.path.realpath(places.path.parent / name)
-        keys = [path, *([digests[name]] if name in digests else [])]
-        if earlier := next((first[key] for key in keys if key in first), None):
-            other, purpose = earlier
-            if path in first:
-                message = f"{name} is listed for {purpose} {'twice' if purpose == part else 'too'}"
-            else:
-                message = f"{name} holds the same as {other}, which is listed for {purpose}"
-            message += "; keep one" if purpose == part else "; a validation log is never fitted on"
-            yield places.fault(("logs", part, n if part == "estimation" else n - len(logs.estimation)), message)
-        for key in keys:
-            first.setdefault(key, (name, part))
 
 
 def _usable_stretches(log: Log, horizon: float) -> tuple[list[Log], float]:
@@ -481,10 +452,87 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterato
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
             yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')
-    logs = content.logs.model_dump()
-    yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
+    yield from _group_faults(places, content)
+    yield from _per_log_faults(places, content, subject)
     if not content.logs.estimation:
         message = "no log is listed; list one"
         if content.logs.validation:
             message = "every log is sealed, and none is left to learn from; move one to estimation"
         yield places.fault(("logs", "estimation"), message)
+
+
+def full_name(subject: Subject, name: str) -> str:
+    """Return the full name of a parameter."""
+    return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
+
+
+def group_of(folder: Path, files: Sequence[str], groups: Mapping[str, Sequence[str]]) -> dict[Path, str]:
+    """Return file → group of each log."""
+    group = {os.path.realpath(folder / f): name for name, members in groups.items() for f in members}
+    return {folder / f: group.get(os.path.realpath(folder / f), f) for f in files}
+
+
+def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
+    """Yield faults of parameters per log."""
+    names, logs, folder = content.per_log, content.logs, places.path.parent
+    if names is None:
+        if content.groups:
+            message = "groups, but no parameter per log; say with per_log which parameters differ between them, or "
+            yield places.fault(("groups",), f"{message}leave the groups out", key=True)
+        return
+    if not names:
+        yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
+    group = group_of(folder, [*logs.estimation, *logs.validation], content.groups)
+    estimated = {group[folder / f] for f in logs.estimation}
+    alone = [f for f in logs.validation if group[folder / f] not in estimated]
+    base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
+    of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
+    allowed, full_names = [*base, *of_effects, *subject.sensor_parameters], set[str]()
+    for k, name in enumerate(names):
+        place, full = ("per_log", k), full_name(subject, name)
+        if full not in allowed:
+            own = [n for n in allowed if n.startswith(f"{name}.")]
+            hint = did_you_mean(name, [*allowed, *(kind.name for kind in subject.sensors)])
+            hint = f"; name its parameters: {', '.join(own)}" if own else hint
+            message = f'no parameter "{name}" of the model or of its sensors{hint}'
+            if name in subject.declared and not isinstance(subject.declared[name].default, bool):
+                message = (
+                    f"{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave "
+                    f"{name.partition('.')[0]} out"
+                )
+            yield places.fault(place, message)
+            continue
+        if full in full_names:
+            yield places.fault(place, f"{name} stands there twice; keep one")
+        elif alone and full in subject.inestimable:
+            message = f"{name} needs a value for {alone[0]}, which no log of estimation gives, and the filter cannot "
+            message += f"estimate it during a run; put {alone[0]} in a group with a log of estimation"
+            yield places.fault(place, message)
+        full_names.add(full)
+    for k, name in enumerate(content.candidates or ()):
+        if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
+            yield places.fault(
+                ("candidates", k),
+                f"{name} is per log too; one per log is free in every hypothesis; name it in one place",
+            )
+
+
+def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
+    """Yield faults of unknown, repeated or misnamed groups."""
+    folder, owner, files = places.path.parent, dict[str, str](), [name for *_, name in _entries(content.logs)]
+    paths = {os.path.realpath(folder / f) for f in files}
+    for group, members in content.groups.items():
+        if group in files:
+            yield places.fault(
+                ("groups", group), f'a group with the name of the log "{group}"; call it otherwise', key=True
+            )
+        if not members:
+            yield places.fault(("groups", group), f"{group} holds no log; name some, or leave it out", key=True)
+        for k, name in enumerate(members):
+            path, place = os.path.realpath(folder / name), ("groups", group, k)
+            if path not in paths:
+                yield places.fault(place, f"{name} is not listed under logs{did_you_mean(name, files)}")
+            elif path in owner:
+                where = "twice" if owner[path] == group else f"in {owner[path]} too"
+                yield places.fault(place, f"{name} stands {where}; a log has one group, keep one")
+            owner.setdefault(path, group)

@@ -42,24 +42,32 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
-from cosim.refinement.decision.claims import Claims
+from cosim.refinement.decision.claims import Claims, floor_warning, sentence
 from cosim.refinement.decision.deciding import claims_of
 from cosim.refinement.decision.scatter import fit_given_model
-from cosim.refinement.decision.sentences import floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
-from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
+from cosim.refinement.proof.measure import (
+    FLOOR_SEED,
+    Variant,
+    final_log_parameters,
+    find_rises,
+    log_noise,
+    noise_floor,
+    refined_subject,
+    remaining_on_sealed_logs,
+    rmse,
+    variant_of,
+)
 from cosim.refinement.proof.proof_replays import LogSets, replay_variants
-from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of
-from cosim.refinement.proof.sealed import find_rises, remaining_on_sealed_logs
 from cosim.refinement.record import Floors, Replayed, Replays, record, unfinished
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
+from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
-RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
 
 
@@ -95,7 +103,7 @@ def refine(
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study), limits)
     limited = _Limited(progress, study.content.limits, start)
-    check_writable(folder, (*RESULTS, "report.html"), study.files)
+    check_writable(folder, (*REFINED, *NEAREST, ANSWER, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
@@ -132,8 +140,9 @@ def refine(
         sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
         played, way = replay_variants(variants, problem, sets, place)
         progress("measuring the noise floor", 0.0)
-        best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
-        quiet = replace(best, noise=log_noise((claims.delivered or claims.base).fit.noise, result.free_noise))
+        delivered = "after" if claims.claimed is not None else "nearest"
+        best = variants.get(delivered, variants["after"])
+        quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, result.free_noise))
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         ends = final_log_parameters(variants["after"], problem, sealed)
@@ -142,14 +151,19 @@ def refine(
         study = replace(study, warnings=(*study.warnings, *warnings))
         risen: dict[str, tuple[float, float]] = {}
         remaining: dict[str, float] = {}
-        delivered = "after" if claims.claimed is not None else "nearest"
         if sealed and delivered in played:
             before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
             risen = find_rises(before, after)
             remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-        inputs, is_restricted = between.line, bool(study.content.candidates)
-        told = {"is_restricted": is_restricted, "is_written": bool(files)}
-        text = sentence(claims, subject, risen, remaining, inputs, **told)
+        text = sentence(
+            claims,
+            subject,
+            risen,
+            remaining,
+            between.line,
+            is_restricted=bool(study.content.candidates),
+            is_written=bool(files),
+        )
         written = record(
             study,
             claims,
@@ -168,10 +182,7 @@ def refine(
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():
             remove_earlier(folder, read=study.files)
-            results = [*files, scratch / ANSWER]
-            for name in {"report.html", *RESULTS} - {path.name for path in results}:
-                (folder / name).unlink(missing_ok=True)  # from an earlier study
-            for path in results:
+            for path in (*files, scratch / ANSWER):
                 path.replace(folder / path.name)
         release_stops()
     searched, horizon = result.search.problem, subject.horizon
@@ -233,10 +244,9 @@ def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
         return study
     subject = copy(study.subject)
     subject.horizon = shorter
-    name = f"{plain(horizon)} s" if math.isfinite(horizon) else "free run"
     warning = (
         "errors of the start state grow exponentially in these logs. Predictions therefore last "
-        f"{plain(shorter, 2)} s, in which these errors grow tenfold, and not the model's {name}"
+        f"{plain(shorter, 2)} s, in which these errors grow tenfold, and not the model's {horizon_name(horizon)}"
     )
     return replace(study, subject=subject, warnings=(*study.warnings, warning))
 
@@ -245,12 +255,11 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
     """Yield a fault for each log on which the filter of the unfitted model diverges."""
     noise = initial_fit(problem).noise
     for index, (log, data) in enumerate(zip(study.logs, problem.logs, strict=False)):
-        by_log = problem.score(problem.values, noise, [index]).by_log
-        if np.isfinite(by_log).all():
-            continue
         errors, variances = problem.innovations(problem.values, noise, index)
         with np.errstate(over="ignore", invalid="ignore"):
             diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
+        if not diverged.any():
+            continue
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
         message = (
             f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:g} s; check its "
@@ -280,12 +289,10 @@ def _variants(study: Study, claims: Claims, unfitted: Fit, free_noise: Noise | N
     subject, settings = study.subject, study.settings
     named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
     named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
-    given = variant_of(subject, settings, unfitted, free_noise)
-    made = {id(None): given}  # one that stands twice is replayed once
-    for h in named.values():
-        if h is not None and id(h) not in made:
-            made[id(h)] = variant_of(refined_subject(subject, settings, h), settings, h.fit, free_noise)
-    return {"before": given, **{name: made[id(h)] for name, h in named.items()}}
+    made = {id(None): variant_of(subject, settings, unfitted, free_noise)}  # one that stands twice is replayed once
+    for h in filter(None, named.values()):
+        made[id(h)] = variant_of(refined_subject(subject, settings, h), settings, h.fit, free_noise)
+    return {"before": made[id(None)], **{name: made[id(h)] for name, h in named.items()}}
 
 
 def failure_warnings(problem: Problem) -> Iterator[str]:

@@ -86,7 +86,7 @@ def command(
     Example: cosim refine study.yaml --out results/refine
     """
     from cosim.probing.fmu_structure import Structure
-    from cosim.refinement.report.errors import error_tables, second_sentence
+    from cosim.refinement.report.refine_page import error_tables, second_sentence
     from cosim.refinement.stages import stage_number
 
     study = Path(given["study"])
@@ -128,7 +128,7 @@ def command(
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     show(place / "report.html", open and given["report"])
     if refined.verdict == "ambiguous":
-        from cosim.experiment.ranges import inputs_to_limit
+        from cosim.experiment.rigs import inputs_to_limit
 
         ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
         say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *ranges])}")

@@ -1,4 +1,4 @@
-"""`cosim schema`: JSON schemas of hand-written files, for editors."""
+"""`cosim schema`: JSON schemas of hand-written files, for editors, and of results."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-RESULTS = {  # kind of result → function that returns its schema
-    "refine_result": "cosim.refinement.record:schema",
-    "fit_result": "cosim.calibration.fit_record:schema",
+RESULTS = {  # kind of result → class of its content
+    "refine_result": "cosim.refinement.record:Record",
+    "fit_result": "cosim.calibration.fit_record:Record",
 }
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
@@ -30,18 +30,19 @@ def command(kind: str) -> None:
 
     Example: cosim schema scenario
     """
-    say_json(resolve(RESULTS[kind])() if kind in RESULTS else schema_of(kind))
+    say_json(schema_of(kind))
 
 
 def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
     kinds = {a.schema_name: a for a in artefacts() if a.schema}
-    if name not in kinds:
+    places = {**{kind: a.schema for kind, a in kinds.items()}, **RESULTS}
+    if name not in places:
         raise InputError.at(
-            Path(name), f"is no kind of file that has a schema; give one of {', '.join(sorted((*kinds, *RESULTS)))}"
+            Path(name), f"is no kind of file that has a schema; give one of {', '.join(sorted(places))}"
         )
-    model: type[BaseModel] = resolve(kinds[name].schema)
-    schema = model.model_json_schema(by_alias=True)
+    model: type[BaseModel] = resolve(places[name])
+    schema = model.model_json_schema(mode="serialization" if name in RESULTS else "validation")
     for part in (schema, *schema.get("$defs", {}).values()):
         keys: dict[str, Any] = part.get("properties", {})
         rest, last = [], ""
@@ -56,6 +57,10 @@ def schema_of(name: str) -> dict[str, Any]:
                 rest.append(line)
         if rest:
             part["description"] = "\n".join(rest).strip()
+        for content in keys.values() if name in RESULTS else ():
+            content.pop("title", None)  # repeats the key
+    if name in RESULTS:
+        return {"$schema": DIALECT, **schema}
     limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
     for key, content in limits.items():  # 10 s, 2 GB
         limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}

@@ -35,8 +35,7 @@ from cosim.refinement.decision.posterior import (
     posterior,
 )
 from cosim.refinement.decision.scatter import blocks_of_time, steadiness
-from cosim.refinement.search.fits import Search
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.unnamed import Leftover
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.terms.alike import contains

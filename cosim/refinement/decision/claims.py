@@ -1,19 +1,33 @@
-"""`Claims`: what a study claims, and what its sentence and report are written from."""
+"""`Claims`: what a study claims, what its report is written from, and its sentence.
+
+Each sentence names at most three things; refine.json and the report list all of them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
-from cosim.estimation.subject.candidates import Candidate
+from cosim.core.text import MOST_NAMED, amount, append_unit, finer, join_names, percent, plain, written
+from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free, kind_within
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import Bundle, Decision, Grade, Names, Verdict
-from cosim.refinement.search.hypotheses import TOGETHER, Hypothesis
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision.posterior import LITTLE, MISFIT, Bundle, Decision, Grade, Names, Verdict
+from cosim.refinement.search.fits import TOGETHER, Hypothesis
+from cosim.refinement.search.shapes import Shape
+from cosim.residuals.residual_statistics import COUNTS_FROM
 
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 NO_EFFECT = "no_effect"
+NOTHING = "Nothing is missing: the model, recalibrated, explains these logs down to the sensors' noise."
+DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
+REFUSALS = {
+    "interval": "Probable but not claimed, since intervals hold the values without effect: {}.",
+    "held out": "Fits to some of the logs predict the others worse with {} than without.",
+}
+OPENINGS = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +64,9 @@ class Claims:
         return next(h for h, _ in self.tried if frozenset(h.names) == self.decision.nearest)
 
     @property
-    def delivered(self) -> Hypothesis | None:
-        """Return the hypothesis that predicts best of what may be delivered; None for the given model."""
-        return self.claimed or self.nearest
+    def delivered(self) -> Hypothesis:
+        """Return the hypothesis that predicts best of what may be delivered, else the recalibrated model."""
+        return self.claimed or self.nearest or self.base
 
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:
@@ -76,8 +90,7 @@ def text_of(parts: Names) -> str:
 
 def experiment_for(subject: Subject, rivals: Sequence[Names]) -> str:
     """Return the experiment that separates rivals; parts common to all of them need none."""
-    common = frozenset[str].intersection(*rivals) if rivals else frozenset[str]()
-    names = frozenset[str]().union(*rivals) - common
+    names = frozenset[str]().union(*rivals) - frozenset[str].intersection(*rivals)
     experiments = [(len(row & names), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(experiments, default=(0, ""))
     return text if shared > 1 else DEFAULT_EXPERIMENT
@@ -90,3 +103,243 @@ def equivalent_groups(pairs: Sequence[tuple[Names, Names]]) -> list[list[str]]:
         first, second = text_of(one - other), text_of(other - one)
         groups.setdefault(first, [first]).append(second)
     return list(groups.values())
+
+
+def sentence(
+    c: Claims,
+    subject: Subject,
+    risen: Mapping[str, tuple[float, float]],
+    remaining: Mapping[str, float],
+    inputs: str,
+    *,
+    is_restricted: bool,
+    is_written: bool,
+) -> str:
+    """Return the verdict in words: a rise on sealed logs, the answer, what remains, the nearest model, remarks.
+
+    Args:
+        risen: Channel → error before and after, if it rises significantly on sealed logs.
+        remaining: Channel → share of the squared error above the noise floor that remains on sealed logs.
+        inputs: Line of a study that takes inputs between rows the other way, if that is clearly likelier.
+        is_restricted: Whether the study limits the candidates.
+        is_written: Whether files of the delivered subject are written.
+    """
+    name: Literal["refined", "nearest"] = "nearest" if c.claimed is None else "refined"
+    file, nearest = subject.main_file(name), subject.main_file("nearest")
+    if not is_written:
+        file, nearest = f"the {name} object", "The nearest object"
+    texts = (
+        _rise_text(risen, subject, file),  # a reader must know it before the answer
+        *_answer_texts(c, subject),
+        *_remaining_texts(c, remaining, file),
+        *_remark_texts(c, inputs, nearest),
+        "Only the candidates that the study names were tried." if is_restricted else "",
+    )
+    return " ".join(filter(None, texts))
+
+
+def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
+    """Yield the verdict."""
+    reasons, rivals = c.decision.reasons, c.decision.rivals
+    if c.claimed is not None:
+        yield _claim_text(c, c.claimed, subject)
+    if c.name == "ambiguous" and "nothing would show" in reasons:
+        opening = "Nothing moves in these logs" if c.still else "These logs excite too little"
+        yield f"{opening}: {join_names(c.hidden)} would not show in them, present or not."
+        yield f"An experiment that shows more: {c.experiment}."
+    elif c.name == "ambiguous":
+        for reason, text in REFUSALS.items():
+            if parts := [name for kind, _, name in (r.partition(": ") for r in reasons) if kind == reason]:
+                yield text.format(join_names(parts))
+        if sum(p > 0.0 for p in rivals.values()) > 1:
+            yield _rivals_text(c)
+    elif c.name == NO_EFFECT:
+        sizes = [f"{percent(share)} of the derivative of {name}" for name, share in c.moves.items()]
+        yield f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING
+        if c.hidden:
+            yield f"These logs would not show {join_names(c.hidden)}."
+        moved = [
+            f"{f.name} {plain(f.prior[0])} → {plain(c.base.fit.values[f.name])}"
+            for f in c.base.fit.free
+            if f.prior and abs(c.base.fit.values[f.name] - f.prior[0]) > WIDTHS * f.prior[1]
+        ]
+        if moved:
+            yield f"That holds with base parameters beyond their tolerances: {join_names(moved)}."
+    elif c.name == "unexplained":
+        something = "Something that was not tried" if subject.untried else "Something outside the catalogue"
+        yield _unexplained_text(c, something)
+        if c.decision.nearest:
+            yield f"Most probable, but not claimed: {join_names(sorted(c.decision.nearest))}."
+        yield subject.untried
+    chances = [f"{n} ({percent(p)})" for n, p in c.decision.uncertain.items()]
+    if c.claimed is not None and c.name != "ambiguous" and chances:
+        yield f"Possible beside this, with its probability: {join_names(chances)}."
+
+
+def _claim_text(c: Claims, best: Hypothesis, subject: Subject) -> str:
+    """Return sentences on claimed candidates with values and intervals."""
+    values = {k.name: [_estimate_text(best, f, subject) for f in k.free] for k in c.claimed_candidates}
+    is_long = sum(map(len, values.values())) > MOST_NAMED
+    parts = []
+    for kind, opening in OPENINGS.items():
+        names = [k.name for k in c.claimed_candidates if kind_within(k, subject) == kind]
+        texts = names if is_long else [f"{name} ({', '.join(values[name])})" for name in names]
+        parts += [f"{opening} {join_names(texts)}"] if names else []
+    text = "; ".join(parts)
+    each = [f" {name}: {', '.join(estimates)}." for name, estimates in values.items()] if is_long else []
+    moving = "" if best.fit.converged else " The fit was still moving when it ended: these intervals are too narrow."
+    return f"{text[:1].upper()}{text[1:]}.{''.join(each)}{moving}"
+
+
+def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
+    """Return a parameter with its 95 % interval, unless the interval is wider than the allowed range."""
+    name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
+    unit = written(subject.declared[f.name].unit)
+    if half > f.high - f.low:
+        return f"{name} not identified by these logs"
+    if region := best.fit.regions.get(f.name):
+        low, high = (f"{limit:.2g} {unit}".rstrip() for limit in region)
+        if region[0] <= f.low:
+            return f"{name} at most {high}"
+        return f"{name} at least {low}" if region[1] >= f.high else f"{name} between {low} and {high}"
+    decimals = 1 - math.floor(math.log10(half)) if 0.0 < half < math.inf else 0
+    width = f"{half:.{decimals}f}" if 0 < decimals < 7 else f"{half:.2g}"
+    return f"{name} = {rounded(value, half)} ± {width} {unit}".rstrip()
+
+
+def rounded(value: float, half: float) -> str:
+    """Return a number with two digits of the half-width of its interval."""
+    if not (value and half and math.isfinite(half)):
+        return f"{value:g}"
+    return f"{value:.{max(2, math.ceil(math.log10(abs(value) / half)) + 2)}g}"
+
+
+def _rivals_text(c: Claims) -> str:
+    """Return sentences on undecided rivals and an experiment."""
+    rivals = c.decision.rivals
+    common = frozenset[str].intersection(*rivals)
+    names = {parts: join_names(sorted(parts - common)) or "nothing more" for parts in rivals}
+    chances = [f"{name} ({percent(rivals[parts])})" for parts, name in names.items()]
+    apart = f"cannot decide between {join_names(chances)}"
+    if len(names) == 2:
+        apart = f"cannot tell {chances[0]} from {chances[1]}"
+        if common in rivals:
+            (doubtful,) = (chance for chance, parts in zip(chances, names, strict=True) if parts != common)
+            apart = f"decide neither for nor against {doubtful}"
+    opening = "Beside this, these logs" if c.claimed is not None else "These logs"
+    text = f"{opening} {apart}. An experiment that may decide: {c.experiment}."
+    return f"{text} `cosim excite` designs it, and says whether any would."
+
+
+def _unexplained_text(c: Claims, something: str) -> str:
+    """Return the verdict on what has no name: its equation and signals, or the reason."""
+    where, over = c.residual["equation"], c.decision.misfit.over_floor
+    if c.residual["signals"]:
+        return f"{something} {f'acts on {where}; it ' if where else ''}{_dependence_text(c)}."
+    if "unknown inputs" in c.decision.reasons:
+        name = max(c.moves, key=lambda n: c.moves[n])
+        text = f"{something} acts on {name}: an unknown input of {percent(c.moves[name])} of its derivative remains"
+        return f"{text}, which follows no signal."
+    channel = max(over, key=lambda n: over[n], default="")
+    if over.get(channel, 0.0) <= COUNTS_FROM:
+        return f"{something} is missing: terms without a name improve the fit, but show no stable pattern."
+    return (
+        f"Replays with the most probable hypothesis miss {channel} by {plain(over[channel], 2)} times the noise floor."
+    )
+
+
+def _dependence_text(c: Claims) -> str:
+    """Return a phrase on the dependence of the residual on a signal, from its first term."""
+    signal: str = c.residual["signals"][0]
+    first: Mapping[str, Any] = next(iter(c.residual["terms"]), {})
+    if not first.get("local"):
+        return "is constant" if signal == "1" else f"depends on {signal}"
+    if first.get("like"):
+        return f"depends on {signal}, like {first['like']}"
+    shape = Shape.of_entry(first["equation"], first["local"])
+    place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
+    if shape.kind == "spline":
+        return f"depends on {signal}, by no simple law"
+    ways = {"step": f", changing at {place}", "wave": f" and repeats every {width}"}
+    how = ways.get(shape.kind, f", most near {place} (width {width})")
+    by = f", times {shape.factor}" if shape.factor else ""
+    return f"depends on {signal}{how}{by}"
+
+
+def _remaining_texts(c: Claims, remaining: Mapping[str, float], file: str) -> Iterator[str]:
+    """Yield sentences on the error that a claim or the nearest model leaves."""
+    misfit = c.decision.misfit
+    if c.decision.disputed:
+        names = join_names(sorted(c.decision.disputed))
+        yield f"Not claimed, since a term without a name may take its place: {names}."
+    if c.claimed is not None and c.residual["signals"] and misfit.probability < MISFIT:
+        where = f" in the equation of {c.residual['equation']}" if c.residual["equation"] else ""
+        yield f"Something remains{where}; it {_dependence_text(c)}."
+    if c.grade == "part" and c.name != "ambiguous" and misfit.remains > LITTLE:
+        channel = max(misfit.remaining, key=lambda n: misfit.remaining[n])
+        rest = percent(misfit.remaining[channel])
+        yield f"This explains only a part of the error: {rest} of the excess error of {channel} remains in replays."
+    if remaining:
+        share = sum(remaining.values()) / len(remaining)
+        who = f"{file}, the recalibrated model," if c.name == NO_EFFECT else file
+        if c.claimed is not None:
+            who = "The most probable of these" if c.name == "ambiguous" else "The claim"
+        removes = percent(1.0 - share) if share < 1.0 else "nothing"
+        yield f"{who} removes {removes} of the given model's squared error above the noise floor on sealed logs."
+        if len(remaining) > 1 and LITTLE < share < 1.0:
+            yield f"Most of the rest is in {max(remaining, key=lambda n: remaining[n])}."
+
+
+def _remark_texts(c: Claims, inputs: str, nearest: str) -> Iterator[str]:
+    """Yield sentences that follow the verdict."""
+    if inputs and c.name == "unexplained":
+        yield f"Inputs between rows may be the reason: with {inputs} these logs are likelier."
+    for names in c.equivalent:
+        yield f"{' or '.join(names)}: these {'two' if len(names) == 2 else len(names)} act alike for every input."
+    for (rich, simple), probability in c.decision.not_excluded.items():
+        yield f"These logs do not exclude {rich} in place of {simple} ({percent(probability)})."
+    if c.grade != "claimed" and c.name != NO_EFFECT:
+        more = "" if c.nearest is None else ", recalibrated"
+        if c.nearest is not None and c.nearest.names:
+            more = f" with {join_names(c.nearest.names)}"
+        told = "is the most probable model that predicts held-out logs no worse than the given one"
+        yield f"{nearest} {told}: the given one{more}."
+
+
+def error_text(subject: Subject, channel: str, error: float, like: float) -> str:
+    """Return an error of a channel in a unit for size `like`."""
+    unit, factor = finer(next((q.unit for q in subject.outputs if q.name == channel), ""), like)
+    return append_unit(plain(error * factor), unit)
+
+
+def _sizes(channels: Mapping[str, tuple[float, float]], subject: Subject) -> dict[str, list[str]]:
+    """Return channel → two errors as text, in a unit for the second one."""
+    return {name: [error_text(subject, name, e, pair[1]) for e in pair] for name, pair in channels.items()}
+
+
+def _rise_text(errors: Mapping[str, tuple[float, float]], subject: Subject, file: str) -> str:
+    """Return a sentence on channels whose error rises on sealed logs; "" if no rise shows in the rounded values."""
+    changes = {
+        name: f"of {name} rises from {before} to {after}"
+        for name, (before, after) in _sizes(errors, subject).items()
+        if before != after
+    }
+    if not changes:
+        return ""
+    first, *others = changes
+    also = f" So does the error of {join_names(others)}." if others else ""
+    return f"On the sealed logs the error {changes[first]} with {file}.{also}"
+
+
+def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], subject: Subject) -> str:
+    """Return a warning of a noise floor above the error.
+
+    Args:
+        channels: Channel → floor and error.
+    """
+    pairs = [f"{name} {error} under {floor}" for name, (floor, error) in _sizes(channels, subject).items()]
+    logs = "sealed" if part == "validation" else "estimation"
+    return (
+        f"on the {logs} logs the error is below its noise floor ({', '.join(pairs)}). These logs hold less noise "
+        "and disturbance than was estimated, so the floor does not apply to them"
+    )

@@ -26,10 +26,15 @@ from cosim.refinement.decision.scatter import (
     unknown_input_gain,
     with_intervals,
 )
-from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
-from cosim.refinement.proof.refined_models import log_noise, refined_subject, variant_of
-from cosim.refinement.search.fits import Progress, Search, SearchResult
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.proof.measure import (
+    FLOOR_SEED,
+    log_noise,
+    noise_floor,
+    predicted_errors,
+    refined_subject,
+    variant_of,
+)
+from cosim.refinement.search.fits import Hypothesis, Progress, Search, SearchResult
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study

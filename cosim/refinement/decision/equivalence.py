@@ -20,8 +20,7 @@ from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import WIDTHS
 from cosim.refinement.decision.posterior import MIXTURE
-from cosim.refinement.search.fits import Search
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.missing import MOST_ROWS
 
 EQUIVALENT = 1e-3  # share of an effect's response below which a difference is that of rounding and integration
@@ -34,18 +33,13 @@ def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
     The hypothesis with fewer parameters adapts, because one with more could imitate the other.
     """
     problem = search.problem
-    if not problem.late.keys().isdisjoint(_own(one) + _own(other)):
+    if not problem.late.keys().isdisjoint(one.parameters + other.parameters):
         return False
-    truth, adapted = sorted((one, other), key=lambda h: -len(_own(h)))
+    truth, adapted = sorted((one, other), key=lambda h: -len(h.parameters))
     free = [f for c in truth.candidates if c.kind != "parameter" for f in c.free if f.neutral is not None]
     distances = ((f, abs(truth.fit.values[f.name] - problem.values[f.name])) for f in free)
     usual = min((f.size / distance for f, distance in distances if distance), default=ENLARGED)
     return all(_is_imitated(search, truth, adapted, times) for times in (1.0, max(ENLARGED, usual)))
-
-
-def _own(h: Hypothesis) -> tuple[str, ...]:
-    """Return the parameters of a hypothesis' candidates."""
-    return tuple(n for c in h.candidates for n in c.parameters)
 
 
 def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: float) -> bool:
@@ -54,14 +48,12 @@ def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: 
     Base parameters adapt within one tolerance beyond those of the fit.
     """
     problem = search.problem
-    given = {**truth.fit.values, **{n: problem.values[n] for n in _own(truth)}}
+    given = {**truth.fit.values, **{n: problem.values[n] for n in truth.parameters}}
     sigma = np.exp(0.5 * problem.plain.sensors)
     for both_signs in (True, False):  # an FMU may fail with inputs of a sign that it never gets
         data = _exciting(problem, min(times, ENLARGED), both_signs=both_signs)
-        wanted, without = (
-            _outputs(problem, data, given | _enlarged(truth, problem, times)),
-            _outputs(problem, data, given),
-        )
+        wanted = _outputs(problem, data, given | _enlarged(truth, problem, times))
+        without = _outputs(problem, data, given)
         if np.isfinite([wanted, without]).all():
             break
     scale = EQUIVALENT * float(np.linalg.norm((wanted - without) / sigma)) * sigma

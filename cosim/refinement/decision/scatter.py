@@ -12,7 +12,7 @@ prior. Each hypothesis predicts in open loop from its own filtered state.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -27,13 +27,11 @@ from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.per_log import fit_for_held_out
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
-from cosim.estimation.subject.candidates import Free
-from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.proof.measure import PARTS
+from cosim.refinement.search.fits import SCREEN_ITERATIONS, Hypothesis, Search
 from cosim.refinement.search.missing import rows_of_delay
 
 BLOCKS = 20  # blocks of time of a study
-PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 
 def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
@@ -88,16 +86,6 @@ def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float 
     return gain / spread if spread else math.copysign(math.inf, gain) if gain else 0.0
 
 
-def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Iterable[int] | None = None) -> float:
-    """Return the logarithm of the open-loop RMSE, mean over the outputs, with a fit for each log, by default all."""
-    logs = range(len(problem.logs)) if logs is None else logs
-    errors = [replay_errors(problem, horizon, f, k) for f, k in zip(fits, logs, strict=False)]
-    rows = np.concatenate([e.reshape(-1, e.shape[-1]) for e in errors])
-    sums, counts = np.nansum(rows**2, axis=0), np.isfinite(rows).sum(axis=0)
-    seen = (counts > 0) & (sums > 0.0)  # not an output without readings in these logs
-    return float(np.mean(0.5 * np.log(sums[seen] / counts[seen]))) if seen.any() else math.inf
-
-
 def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fit:
     """Return the fit of a hypothesis to all logs except `log`, from the cache if possible."""
     key = (h.names, log)
@@ -109,16 +97,23 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
 
 
 def held_out_errors(search: Search, h: Hypothesis | None, given: Fit) -> Array:
-    """Return the log error of predictions of each log, by fits to the other logs; a single log is halved.
+    """Return ln of the open-loop RMSE of each log, mean over the outputs, by fits to the other logs.
+
+    A single log is halved.
 
     Args:
         h: The hypothesis; None for the given model.
         given: Fit of the base model, for the parameters per log of the given one.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
-    logs = range(len(problem.logs))
-    fits = [fit_without(search, problem, h, k) if h else fit_given_model(problem, given, k) for k in logs]
-    return np.array([log_error(problem, search.subject.horizon, [f], [k]) for k, f in zip(logs, fits, strict=True)])
+    found = []
+    for k in range(len(problem.logs)):
+        f = fit_without(search, problem, h, k) if h else fit_given_model(problem, given, k)
+        errors = replay_errors(problem, search.subject.horizon, f, k)
+        sums, counts = np.nansum(errors**2, axis=(0, 1)), np.isfinite(errors).sum(axis=(0, 1))
+        seen = (counts > 0) & (sums > 0.0)  # not an output without readings in this log
+        found.append(float(np.mean(0.5 * np.log(sums[seen] / counts[seen]))) if seen.any() else math.inf)
+    return np.array(found)
 
 
 def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
@@ -131,7 +126,7 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
     raise_if_cancelled()
     data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
     every = len(data.u)
-    length = every // PREDICTED if math.isinf(horizon) else round(horizon / data.step)
+    length = every // PARTS if math.isinf(horizon) else round(horizon / data.step)
     length = max(2, min(length, (every - first) // 2))
     run, p = problem.run(f.values, f.noise, index, states=True), problem.numbers(problem.of_log(f.values, index))
     rows = range(first, every - length, length)
@@ -188,38 +183,30 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     equally much this is the jackknife; a log that says nothing of a parameter does not widen its interval. A single log
     is halved.
     """
-    f = with_flat_directions(search.problem, with_sandwich_covariance(search.problem, h.fit))
+    at_fit = slopes(search.problem, h.fit)
+    block, _ = blocks_of_time(at_fit.scored.of_each_log(at_fit.scored.rows))
+    sums = np.stack([np.bincount(block, row) for row in at_fit.gradients])
+    inside, count = inverse(at_fit.information), len(h.fit.free)
+    covariance = (inside @ (sums @ sums.T) @ inside)[:count, :count]
+    f = with_flat_directions(search.problem, replace(h.fit, scattered=covariance))
     if f.scattered is None:
         return replace(h, fit=f)
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     logs = range(len(problem.logs))
     white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, problem, h), logs)
-    variances = np.array([_variance_with_logs(white, fits, x) for x in f.free])
+    variances = np.array([0.0 if x.group else _variance_with_logs(white, fits, x.name) for x in f.free])
     within = np.diag(f.scattered)
     wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
     return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))
 
 
-def _variance_with_logs(f: Fit, fits: Sequence[Fit], x: Free) -> float:
+def _variance_with_logs(f: Fit, fits: Sequence[Fit], name: str) -> float:
     """Return the variance of an estimate from its differences to the estimates without each log.
 
     If the information of n logs adds up, the expectation is least for equal logs, σ²·n/(n − 1). An expectation below
     that is a matter of the noise that each fit estimates for itself; the variance is at most that of the jackknife.
     """
-    if x.group:  # A fit without its log says nothing of a parameter per log.
-        return 0.0
-    variance, n = f.sigma(x.name) ** 2, len(fits)
-    expected = max(variance * n / (n - 1), sum(max(0.0, other.sigma(x.name) ** 2 - variance) for other in fits))
-    moved = sum((other.values[x.name] - f.values[x.name]) ** 2 for other in fits)
+    variance, n = f.sigma(name) ** 2, len(fits)
+    expected = max(variance * n / (n - 1), sum(max(0.0, other.sigma(name) ** 2 - variance) for other in fits))
+    moved = sum((other.values[name] - f.values[name]) ** 2 for other in fits)
     return variance * moved / expected if expected > 0.0 else 0.0
-
-
-def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
-    """Return the fit with White's sandwich covariance."""
-    at_fit = slopes(problem, f)
-    block, _ = blocks_of_time(at_fit.scored.of_each_log(at_fit.scored.rows))
-    sums = np.stack([np.bincount(block, row) for row in at_fit.gradients])
-    inside = inverse(at_fit.information)
-    covariance = inside @ (sums @ sums.T) @ inside
-    count = len(f.free)
-    return replace(f, scattered=np.asarray(covariance[:count, :count]))

@@ -20,8 +20,7 @@ from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.scatter import held_out_errors, noise_gains, unknown_input_gain
 from cosim.refinement.search.attribution import Attributor
-from cosim.refinement.search.fits import Progress, Search, SearchResult
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Progress, Search, SearchResult
 
 CLEARLY = 0.05  # difference of the log errors of predictions from which one way is better
 

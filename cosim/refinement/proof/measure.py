@@ -1,8 +1,9 @@
-"""Replay errors of a model on logs, and the noise floor of these errors.
+"""Replay errors of a model on logs, the noise floor of these errors, and significant rises of them.
 
-Each replay starts from the filtered state and effect memory of the replayed model, from past data only, at the time of
-its first row, and lasts the model's horizon (2 s, or a free run). Errors are measured through the FMU. The noise floor
-needs dozens of runs and is measured through the kernel, which gives the same results.
+Variants of a subject are compared: before, recalibrated, refined, nearest. Each replay starts from the filtered state
+and effect memory of the replayed model, from past data only, at the time of its first row, and lasts the model's
+horizon (2 s, or a free run). Errors are measured through the FMU. The noise floor needs dozens of runs and is measured
+through the kernel, which gives the same results.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -18,28 +20,81 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.linear_algebra import square_roots
 from cosim.estimation.data import data_of, readings_of, start_state
+from cosim.estimation.fit import Fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, Filtered, simulate_all
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.past_readings import past_reading, replayed
-from cosim.estimation.per_log import own, spread
+from cosim.estimation.per_log import group_values, means, own, spread
 from cosim.estimation.posing import origins, start_covariance
-from cosim.estimation.problem import Problem
+from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.subject.interface import Replayer, Start, Subject
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
-from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.search.fits import Hypothesis
 from cosim.residuals.drive import StoppedReplay
-from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
+from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
 from cosim.residuals.windows import Replay, window_rows
 
 FLOOR_SEED = 20121
-
 DRAWS = 20
 PARTS = 8  # parts of a free run, each counted as one replay
-
+CHANCE = 0.01  # probability of a false alarm for a rise on any channel
 
 ReplayedLogs = list[tuple[Log, Replay]]
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A subject with parameter values and noise, for filters and replays.
+
+    Attributes:
+        values: All parameters of the kernel, including sensor errors and parameters per log.
+        free_noise: Noise with which a filter follows the readings, where that of the fit does not.
+    """
+
+    subject: Subject
+    values: Mapping[str, float]
+    noise: Noise
+    free_noise: Noise | None = None
+
+    def noise_of_starts(self, horizon: float) -> Noise:
+        """Return the noise of the filter from which replays over a horizon start.
+
+        A fit that trusts the equations has a filter that hardly follows the readings; replays within a log begin where
+        one that does follow them has arrived. A free run begins with the log.
+        """
+        return self.noise if self.free_noise is None or horizon == FREE_RUN else self.free_noise
+
+
+def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis) -> Subject:
+    """Return the subject with the fitted values of a claim.
+
+    A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
+    per log takes its mean.
+    """
+    fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
+    stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
+    if {c.kind for c in claimed.candidates} == {"sensor"}:
+        fitted = {n: v for n, v in fitted.items() if n in subject.sensor_parameters or n in stated}
+    refined = subject.refined(fitted)
+    refined.horizon = subject.horizon
+    return refined
+
+
+def log_noise(fitted: Noise, free: Noise | None) -> Noise:
+    """Return noise estimated from the logs.
+
+    Args:
+        free: Noise of a fit with free unknown inputs, if the fitted sensor noise includes model errors.
+    """
+    return fitted if free is None else replace(fitted, sensors=free.sensors)
+
+
+def variant_of(subject: Subject, settings: Settings, f: Fit, free_noise: Noise | None) -> Variant:
+    """Return a subject with the noise and the parameters per log of a fit."""
+    return Variant(subject, {**subject.values, **group_values(f, settings.groups.values())}, f.noise, free_noise)
 
 
 def _posed(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
@@ -172,9 +227,7 @@ def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, ro
 def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
     """Return the RMSE of each channel in kernel replays."""
     problem = _begun(variant, problem, logs)
-    return _root_mean_squares(
-        problem, [_KernelReplays(variant, problem, log, k).errors() for k, log in enumerate(logs)]
-    )
+    return pool_errors(_KernelReplays(variant, problem, log, k).errors() for k, log in enumerate(logs))
 
 
 @dataclass(frozen=True)
@@ -197,14 +250,14 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     covariance, and so stays near the motion of the log. A floor above the standard deviation of its channel is omitted.
     """
     problem = _begun(variant, problem, logs)
-    draws: list[list[Array]] = [[] for _ in range(-(-DRAWS // len(logs)))]
+    draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
         replays = _KernelReplays(variant, problem, log, index)
         for draw in draws:
             draw.append(replays.random_errors(rng))
-    each = [_root_mean_squares(problem, draw) for draw in draws]
+    each = [*map(pool_errors, draws)]
     level, scatter = {}, {}
-    for name, size in _root_mean_squares(problem, [errors for draw in draws for errors in draw]).items():
+    for name, size in pool_errors(chain.from_iterable(draws)).items():
         readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         readings = readings[np.isfinite(readings)]
         if readings.size > 1 and size > float(np.std(readings)):
@@ -251,11 +304,14 @@ class _KernelReplays:
         starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
         return self._simulate(self.variant.values, starts)
 
-    def errors(self) -> Array:
-        """Return corrected measurement − model, shape (rows, outputs)."""
-        return np.asarray((self.data.y - self.predicted) / self.gains)
+    def errors(self) -> dict[str, Array]:
+        """Return channel → corrected measurement − model."""
+        return self._by_channel(self.data.y - self.predicted)
 
-    def random_errors(self, rng: np.random.Generator) -> Array:
+    def _by_channel(self, errors: Array) -> dict[str, Array]:
+        return dict(zip(self.problem.layout.outputs, (errors / self.gains).T, strict=True))
+
+    def random_errors(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return the errors against a simulation with random noise and random deviations of the starts."""
         problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
@@ -275,7 +331,7 @@ class _KernelReplays:
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
             memory = {LASTS: math.exp(noise.memory)}
             errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
-        return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
+        return self._by_channel(np.where(np.isnan(data.y), np.nan, errors))
 
     def _random_deviations(self, rng: np.random.Generator) -> Array:
         """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
@@ -312,10 +368,48 @@ class _KernelReplays:
         return outputs
 
 
-def _root_mean_squares(problem: Problem, errors: Sequence[Array]) -> dict[str, float]:
-    whole = np.vstack(errors)
-    sums, counts = np.nansum(whole**2, axis=0), np.isfinite(whole).sum(axis=0)
-    return {
-        name: float(np.sqrt(s / c)) if c else float("nan")
-        for name, s, c in zip(problem.layout.outputs, sums, counts, strict=True)
+def find_rises(before: ReplayedLogs, after: ReplayedLogs) -> dict[str, tuple[float, float]]:
+    """Return channel → error before and after, if significantly risen.
+
+    Student's t test is for the mean of ln(Σe² after / Σe² before) over the replays, so that every replay has the same
+    weight, also with large errors. The channels share the false-alarm probability (Bonferroni).
+    """
+    old, new = rmse(before), rmse(after)
+    rises = {
+        name: (old[name], new[name])
+        for name in old.keys() & new.keys()
+        if new[name] > old[name] and is_significant_rise(_log_ratios(before, after, name), CHANCE / len(old))
     }
+    return dict(sorted(rises.items(), key=lambda item: item[1][0] / item[1][1]))  # largest ratio first
+
+
+def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
+    """Return True if the mean rise is significantly positive."""
+    from scipy.stats import ttest_1samp  # only here: it takes a second to import
+
+    return len(rises) > 1 and bool(ttest_1samp(rises, 0.0, alternative="greater").pvalue < chance)
+
+
+def remaining_on_sealed_logs(before: ReplayedLogs, after: ReplayedLogs, floor: Mapping[str, float]) -> dict[str, float]:
+    """Return channel with excess error before → share of it that remains after."""
+    old, new = rmse(before), rmse(after)
+    shares = {n: remaining_excess(old[n], new[n], f) for n, f in floor.items() if n in old and n in new}
+    return {n: max(0.0, share) for n, share in shares.items() if math.isfinite(share)}
+
+
+def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[float]:
+    """Return ln(Σe² after / Σe² before) of each replay."""
+    ratios: list[float] = []
+    for (log, first), (corrected, second) in zip(before, after, strict=True):
+        if name not in log.outputs:
+            continue
+        with np.errstate(over="ignore"):  # A diverging model overflows.
+            a, b = ((x.outputs[name] - replay.outputs[name]) ** 2 for x, replay in ((log, first), (corrected, second)))
+        both = np.isfinite(a) & np.isfinite(b)
+        edges = [*(k + 1 for k in sorted(first.starts)), first.time.size]  # a start row belongs to the previous replay
+        if math.isinf(first.horizon):
+            edges = [round(k * first.time.size / PARTS) for k in range(PARTS + 1)]
+        parts = [slice(x, y) for x, y in pairwise(edges)]
+        sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
+        ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
+    return ratios

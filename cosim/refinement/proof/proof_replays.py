@@ -16,8 +16,7 @@ from cosim.core.text import plain
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Replayer, Subject, Workplace
 from cosim.logs.log import Log
-from cosim.refinement.proof.measure import ReplayedLogs, replay_logs
-from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.proof.measure import ReplayedLogs, Variant, replay_logs
 from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
 from cosim.residuals.windows import Replay
 
@@ -44,13 +43,14 @@ def replay_variants(
 
     after = variants["after"]
     own = after.subject.replayer(place)
+    ways, why = dict[int, Replayer](), ""
+    subjects = {id(v.subject): v.subject for v in variants.values()}
     try:
-        quick = {id(v.subject): v.subject.quick_replayer(place) for v in variants.values()}
+        ways = {key: way for key, s in subjects.items() if (way := s.quick_replayer(place)) is not None}
     except InputError as error:
-        return replay_delivered(), Replays(through=own.through, why=error.faults[0].message)
-    ways = {key: way for key, way in quick.items() if way is not None}
-    if len(ways) < len(quick):
-        return replay_delivered(), Replays(through=own.through)
+        why = error.faults[0].message
+    if len(ways) < len(subjects):
+        return replay_delivered(), Replays(through=own.through, why=why)
     played = replay_all(lambda subject: ways[id(subject)])
     part: Part = "validation" if "validation" in sets else "estimation"
     k, log = min(enumerate(sets[part]), key=lambda entry: entry[1].rows)

@@ -1,23 +1,44 @@
-"""Plots of logs and innovations on the page of a refinement."""
+"""Plots on the page of a refinement: logs, innovations, and the missing input with the claimed term of each effect."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.core.text import MISSING, display, finer, plain
+from cosim.core.arrays import Array, Rows
+from cosim.core.text import MISSING, counted, display, finer, percent, plain
+from cosim.core.units import unit_of_rate
 from cosim.estimation.data import count_unscored
+from cosim.estimation.fit import Fit
+from cosim.estimation.past_readings import past_reading
+from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.proof.measure import ReplayedLogs
 from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
+from cosim.refinement.search.missing import (
+    MOST_ROWS,
+    Smoothed,
+    Steps,
+    contributions,
+    loosen_noise,
+    smooth_logs,
+    smooth_unknown_inputs,
+    smoothed_logs,
+)
+from cosim.refinement.search.shapes import Shape, signals_of, values_of
 from cosim.report.charts import Abscissa, Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.report import neighbours
 from cosim.residuals.residual_statistics import COUNTS_FROM, lags_of, rmse, whiteness
+
+TIMES = " · "  # between the signals of a product
 
 
 def runs(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
@@ -124,3 +145,240 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
 def modes(r: Refinement) -> tuple[str, str]:
     """Return the labels of the compared models, or of the compared filters without a claim."""
     return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
+
+
+class Regressor(NamedTuple):
+    """A signal as horizontal axis of a missing derivative, with the rows of some logs in sequence."""
+
+    name: str
+    unit: str
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class EffectComparison:
+    """A missing quantity, estimated from the logs, and the claimed term.
+
+    Attributes:
+        where: State or channel of the missing quantity.
+        unit: Unit of the missing quantity.
+        estimated: Estimate without the claim, row by row; `sigma`: its standard deviation.
+        term: Claimed value; None without a claim.
+        first: Number of rows of the first log.
+        share: Mean square share explained by the term.
+    """
+
+    effect: str
+    kind: str
+    where: str
+    unit: str
+    against: Regressor
+    time: Array
+    estimated: Array
+    sigma: Array
+    term: Array | None
+    first: int
+    share: float
+
+    @property
+    def quantity(self) -> str:
+        """Return the missing quantity in words."""
+        return f"error of {self.where}" if self.kind == "sensor" else f"missing derivative of {self.where}"
+
+
+def _explained(values: Array, term: Array | None) -> float:
+    """Return the share of a mean square that a term explains, at least 0; NaN without a term."""
+    power = float(np.mean(values**2))
+    return max(0.0, 1.0 - float(np.mean((values - term) ** 2)) / power) if term is not None and power else math.nan
+
+
+def compare_effects(r: Refinement) -> list[EffectComparison]:
+    """Return a comparison for each claimed effect; without a claim, for an unexplained residual."""
+    claim, subject, problem = r.verdict.claimed, r.study.subject, r.problem
+    if claim is None:
+        return [_compare_residual(r)] if r.verdict.name == "unexplained" else []
+    compared = []
+    for c in claim.candidates:
+        without = r.verdict.base.fit
+        if len(claim.candidates) > 1:  # the other candidates stay, so that only this term is missing
+            neutral = {n: problem.values[n] for n in c.parameters}
+            without = replace(without, values={**claim.fit.values, **neutral})
+        compare = _compare_sensor if c.kind == "sensor" else _compare_term
+        compared.append(compare(subject, problem, c, without, claim.fit))
+    return compared
+
+
+def _compare_term(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_it: Fit) -> EffectComparison:
+    """Compare an effect's term with the derivative that the model lacks.
+
+    The comparison is for the equation whose term is largest relative to the uncertainty.
+    """
+    parts, _, sigma = smooth_logs(problem, without)
+    terms = np.vstack([contributions(problem, without, with_it, k) for k, _ in parts])
+    column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
+    against = _choose(subject, signals_of(problem, parts), subject.drawn_against.get(c.name, ()), terms[:, column])
+    return _of_equation(subject, parts, column, against, effect=c.name, kind=c.kind, term=terms[:, column])
+
+
+def _compare_residual(r: Refinement) -> EffectComparison:
+    """Compare the missing derivative beside the best hypothesis with the most promising unnamed term."""
+    subject, problem, best, residual = r.study.subject, r.problem, r.verdict.best.fit, r.verdict.residual
+    parts, value, sigma = smooth_unknown_inputs(problem, best)
+    equations, signals = parts[0][1].equations, signals_of(problem, parts)
+    column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
+    if residual["equation"] in equations:
+        column = equations.index(residual["equation"])
+    first = next((term for term in residual["terms"] if term["equation"] == equations[column]), None)
+    basis = subject.nameless(first["signal"]) if first else None
+    if first and first.get("local"):
+        shape = Shape.of_entry(first["equation"], first["local"])
+        term = shape.columns(signals) @ np.array(first["local"]["sizes"])
+        against = Regressor(shape.signal, shape.unit, values_of(signals, shape.of))
+    elif first and basis:
+        evaluate, units = basis
+        term = first["coefficient"] * np.broadcast_to(
+            evaluate(*(signals[name] for name in units)), signals["time"].shape
+        )
+        chosen = next(iter(units), "time")
+        against = Regressor(chosen, units.get(chosen, "s"), signals[chosen])
+    else:
+        return _of_equation(subject, parts, column, _choose(subject, signals, (), value[:, column]))
+    power = float(term @ term)
+    term = term * max(0.0, float(value[:, column] @ term) / power if power else 0.0)
+    return _of_equation(subject, parts, column, against, effect=first["signal"], term=term, share=residual["share"])
+
+
+def _of_equation(
+    subject: Subject,
+    parts: Smoothed,
+    column: int,
+    against: Regressor,
+    *,
+    effect: str = "",
+    kind: str = "nameless",
+    term: Array | None = None,
+    share: float | None = None,
+) -> EffectComparison:
+    """Return the comparison of an equation's missing input with a term."""
+    where, logs = parts[0][1].equations[column], [m for _, m in parts]
+    value, sigma = (np.concatenate([getattr(m, of)[:, column] for m in logs]) for of in ("value", "sigma"))
+    unit = next((unit_of_rate(q.unit) for q in subject.states if q.name == where), "")
+    time, share = np.concatenate([m.time for m in logs]), _explained(value, term) if share is None else share
+    first = len(logs[0].time)
+    return EffectComparison(effect, kind, where, unit, against, time, value, sigma, term, first, share)
+
+
+def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, _: Fit, with_it: Fit) -> EffectComparison:
+    """Compare estimated and claimed error of a sensor, along the filtered states of the refined model.
+
+    The comparison is for the output with the largest error.
+    """
+    kind: Any = next(k for k in subject.sensors if k.name == c.name)
+    names, parts = problem.layout.outputs, []
+    for index in smoothed_logs(problem):
+        data, noise = problem.logs[index], loosen_noise(problem, with_it.noise)
+        run = problem.run({**problem.values, **with_it.values}, noise, index, states=True)
+        count = min(len(data.u), MOST_ROWS) - 1
+        neutral = {n: problem.values[n] for n in c.parameters}
+        clean = Steps(problem, index, {**with_it.values, **neutral}).outputs_along(run, count)
+        wrong, times = Steps(problem, index, with_it.values).outputs_along(run, count), data.times[:count]
+        if kind.depends_on_past():
+            sensor = kind(value=with_it.values[c.parameters[0]])
+            wrong = np.column_stack([past_reading(sensor, times, column) for column in clean.T])
+        rate = np.gradient(clean, data.step, axis=0)
+        scored = slice(min(count_unscored(data), count - 1), count)
+        parts.append([rows[scored] for rows in (times, clean, wrong, data.y[:count], rate)])
+    time, clean, wrong, y, rate = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    sizes = np.sqrt(np.nanmean((wrong - clean) ** 2, axis=0) / problem.r)
+    channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
+    rows = np.isfinite(y[:, channel]) & np.isfinite(wrong[:, channel])
+    name, missing, term = names[channel], (y - clean)[rows, channel], (wrong - clean)[rows, channel]
+    signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
+    signals[f"rate of {name}"] = rate[rows, channel]
+    against = _choose(subject, signals, subject.drawn_against.get(c.name, ()), term)
+    unit = next(q.unit for q in subject.outputs if q.name == name)
+    sigma, first = np.full(len(term), float(np.sqrt(problem.r[channel]))), int(rows[: len(parts[0][0])].sum())
+    share = _explained(missing, term)
+    return EffectComparison(c.name, "sensor", name, unit, against, time[rows], missing, sigma, term, first, share)
+
+
+def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
+    """Return the signal whose bins explain most of the variance of `values`; suggested signals have precedence."""
+    units = {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}}
+    units |= {q.name: q.unit for q in (*subject.states, *subject.outputs)}
+    units |= {f"rate of {q.name}": unit_of_rate(q.unit) for q in subject.outputs}
+    names = [n for n in suggested if all(one in signals for one in n.split(TIMES))]
+    found = []
+    for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:
+        parts = name.split(TIMES)
+        x = np.prod([signals[one] for one in parts], axis=0)
+        if units.get(name) == "rad" and np.ptp(x) > 2.0 * np.pi:  # a turning angle, wrapped into one turn
+            x = np.mod(x, 2.0 * np.pi)
+        found.append(Regressor(name, TIMES.join(units[one] for one in parts), x))
+    return min(found, key=lambda s: sum(float(np.var(values[rows])) * rows.size for rows in _bins(s.values)))
+
+
+def _bins(x: Array) -> list[Rows]:
+    """Return the rows in intervals of x with √n rows each."""
+    return np.array_split(np.argsort(x, kind="stable"), max(1, round(math.sqrt(x.size))))
+
+
+# -- page -------------------------------------------------------------------------------------
+
+
+def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
+    """Return title, sentence and plots of each comparison."""
+    return [
+        {
+            "title": s.effect or s.where,
+            "sentence": f"{_sentence(s)} ({counted(s.estimated.size, 'row')} of the estimation logs).",
+            "plots": _plots(s, charts),
+        }
+        for s in compare_effects(r)
+    ]
+
+
+def _sentence(s: EffectComparison) -> str:
+    """Return a sentence on a term's share."""
+    if s.term is None:
+        return f"The {s.quantity} is drawn against {s.against.name}, which it follows most"
+    if not np.any(s.term):  # the effect acts elsewhere, for example behind a sensor
+        return f"{s.effect} adds nothing to the {s.quantity}: it acts on another equation"
+    who = s.effect if s.kind != "nameless" else "a constant" if s.effect == "1" else f"the term in {s.effect}"
+    text = f"Of the mean square {s.quantity}, {who} explains {percent(s.share)}"
+    if s.kind == "sensor":
+        return f"{text}; the rest is the noise of the sensor"
+    estimated, term = (np.array([v[rows].mean() for rows in _bins(s.against.values)]) for v in (s.estimated, s.term))
+    return f"{text} row by row, and {percent(_explained(estimated, term))} of means over {s.against.name}"
+
+
+def _plots(s: EffectComparison, charts: Charts) -> list[Any]:
+    """Draw the missing quantity and the claimed term: means over a signal, and the first log over time.
+
+    Estimates of neighbouring rows are correlated, so that each pass of the signal through an interval counts once.
+    """
+    (unit, factor), x = display(s.unit), s.against.values * display(s.against.unit)[1]
+    label, title = s.effect or "unnamed term", f"{s.quantity[0].upper()}{s.quantity[1:]}"
+    bins = _bins(x)
+    passes = np.array([1 + np.count_nonzero(np.diff(np.sort(rows)) > 1) for rows in bins])
+    places, mean = (np.array([v[rows].mean() for rows in bins]) for v in (x, s.estimated))
+    variance = np.array([s.estimated[rows].var() + np.mean(s.sigma[rows] ** 2) for rows in bins])
+    around = NORMAL_95 * np.sqrt(variance / passes)
+    means = [
+        Trace("data, with 95 %", (mean - around) * factor, "warm", x=places, upper=(mean + around) * factor),
+        Trace("mean", mean * factor, "s1 dots", x=places),
+    ]
+    estimated, width = (factor * of[: s.first] for of in (s.estimated, 2.0 * s.sigma))
+    course = [Trace("data", estimated, "estimate")]
+    if s.term is not None:
+        term = factor * s.term
+        means.append(Trace(label, np.array([term[rows].mean() for rows in bins]), "true", x=places))
+        course.append(Trace(label, term[: s.first], "true"))
+    over = s.against.name, TIMES.join(display(u)[0] or u for u in s.against.unit.split(TIMES)) or "1"
+    against = Panel(f"{title} against {s.against.name}", unit or "1", means)
+    band = Band("±2σ", estimated - width, estimated + width)
+    time = Panel(f"{title} over time", unit or "1", course, band)
+    return [
+        charts.alone(against, extent([x]) or (0.0, 1.0), over),
+        *charts.over(s.time[: s.first]).plots([time]),
+    ]

@@ -1,44 +1,46 @@
-"""The page of a refinement: missing effect, evidence and improvement."""
+"""The page of a refinement, missing effect, evidence and improvement, and its errors before and after in words."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from statistics import geometric_mean
+from typing import Any, Literal
 
 import numpy as np
 
-from cosim.core.text import counted, join_names, percent, plain, split_sentence
+from cosim.core.text import (
+    MISSING,
+    amount,
+    append_unit,
+    counted,
+    display,
+    finer,
+    join_names,
+    percent,
+    plain,
+    split_sentence,
+)
 from cosim.core.version import __version__
+from cosim.estimation.subject.candidates import Free
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
+from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision.claims import error_text, rounded
 from cosim.refinement.decision.posterior import CERTAIN
+from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.effect_plots import shown_effects
-from cosim.refinement.report.errors import (
-    error_tables,
-    has_unknown_input,
-    horizon,
-    horizon_table,
-    leading_channel,
-    second_sentence,
-)
-from cosim.refinement.report.plots import innovations, modes, runs
-from cosim.refinement.report.tables import (
-    inclusion_rows,
-    ladder,
-    noise_rows,
-    parameter_tables,
-    per_log_rows,
-    posterior_rows,
-    ranking,
-)
+from cosim.refinement.report.plots import innovations, modes, runs, shown_effects
+from cosim.refinement.search.fits import Hypothesis
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
+from cosim.residuals.replay_sentences import horizon_name
+from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 from cosim.residuals.windows import SKIPPED
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
@@ -50,7 +52,21 @@ TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
     "ambiguous": ("ambiguous", "warn"),
     "unexplained": ("unexplained", "warn"),
 }
-DISPERSED = 2.0  # dispersion κ from which a page says that no hypothesis fits
+INTERVALS = "Bar: 95 % interval; dashed line: the value before. Of one log, intervals do not show how logs differ."
+TOLERANCE = (
+    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance. "
+    "Beside sensor errors alone, the model keeps its values."
+)
+WITHDRAWN = {  # reason → why a part is not claimed
+    "held out": "held-out logs are predicted no better with it",
+    "interval": "its interval holds the value without it",
+}
+Rows = list[dict[str, Any]]
+PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
+NOTES: Mapping[Part, str] = {
+    "estimation": "Estimation logs.",
+    "validation": "Opened once, at the end, to test the chosen model.",
+}
 
 
 def write_refine_report(path: Path, r: Refinement) -> None:
@@ -84,11 +100,10 @@ def write_refine_report(path: Path, r: Refinement) -> None:
             Badge(f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted"),
             Badge(f"{record['seconds']:.0f} s elapsed"),
         ],
-        "verdict": r.verdict,
+        "r": r,
+        "record": record,
         "claimed": claimed is not None,
         "shared": join_names([c.name for c in r.verdict.claimed_candidates]),
-        "unchanged": r.study.subject.main_file("refined"),
-        "warnings": record["warnings"],
         "tables": tables,
         "skipped": f"{SKIPPED:g}\u00a0s",
         "unknown_input": has_unknown_input(r),
@@ -96,7 +111,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "lead": lead,
         "horizons": horizon_table(r),
         "horizon": horizon(r),
-        "windowed": horizon(r) != "a whole run",
         "terms": terms,
         "beside": join_names(r.verdict.best.names),
         "runs": [run for run in plots if run["channels"] or run["quiet"]],
@@ -105,14 +119,11 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "quiet": [w for w in white if not w["tells"]] if coloured else [],
         "modes": modes(r),
         **ranking(r),
-        **ladder(r),
         "posterior": posterior_rows(r),
         "inclusion": inclusion_rows(r),
         "certain": CERTAIN,
-        "certain_text": percent(CERTAIN),
         "percent": percent,
-        "dispersion": plain(record["dispersion"]) if record["dispersion"] > 1.0 else "",
-        "dispersed": record["dispersion"] > DISPERSED,
+        "plain": plain,
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
@@ -171,3 +182,245 @@ def _provenance(r: Refinement) -> list[Row]:
 def _digest(path: Path) -> str:
     with path.open("rb") as stream:
         return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()}"
+
+
+def ranking(r: Refinement) -> dict[str, Rows]:
+    """Return the rows of fitted and of screened single candidates, and of several candidates together."""
+    claim, declared = r.verdict.claimed, r.study.subject.declared
+    entries = [e for e in r.record["candidates"] if e["names"]]
+    best = max((e["score_gain"] or 0.0 for e in entries), default=0.0)
+    tables: dict[str, Rows] = {"singles": [], "more": [], "pairs": []}
+    for e in entries:
+        names, gain, values = e["names"], -math.inf if e["score_gain"] is None else e["score_gain"], []
+        for n, value in e["parameters"].items():
+            short = n.removesuffix(".value") if len(names) > 1 else n.partition(".")[2] or "value"
+            values.append(f"{short} = {amount(value, declared[n].unit if n in declared else '')}")
+        row = {
+            "names": " + ".join(names),
+            "gain": plain(gain),
+            "fitted": ", ".join(values),
+            "why": e["why"],
+            "share": max(0.0, gain) / best if best > 0.0 else 0.0,
+            "claimed": claim is not None and tuple(names) == claim.names,
+        }
+        tables["pairs" if len(names) > 1 else "singles" if e["fitted"] else "more"].append(row)
+    return tables
+
+
+def posterior_rows(r: Refinement) -> Rows:
+    """Return the probable sets of parts, the recalibrated model and the delivered set; what remains is one row."""
+    record, claim, near, rows = r.record, r.verdict.claimed, r.verdict.nearest, list[dict[str, Any]]()
+    held_out = {
+        frozenset[str](e["names"]): percent(e["ratio"])
+        + (f" ± {percent(e['ratio'] * e['standard_error'])}" if e["standard_error"] else "")
+        for e in record["ladder"]
+        if e["model"] != "before"
+    }
+    claimed = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # of rivals, the whole set is no claim
+    delivered = {frozenset(h.names): outcome for h, outcome in ((near, "nearest model"), (claim, claimed)) if h}
+    sealed = {frozenset[str](): "recalibrated"} | ({frozenset(near.names): "nearest"} if near else {})
+    sealed |= {frozenset(claim.names): "after"} if claim else {}
+    others = []
+    for entry in record["posterior"]:
+        names, probability = frozenset[str](entry["names"]), entry["probability"]
+        if names and names not in delivered and probability < 1.0 - CERTAIN:
+            others.append(probability)
+            continue
+        rival = "rival" if r.verdict.decision.is_rival(names) else ""
+        row = {
+            "names": " + ".join(entry["names"]) or "nothing: the model recalibrated",
+            "share": probability,
+            "why": ", ".join(filter(None, (rival, delivered.get(names, "")))),
+            "error": held_out.get(names, MISSING),
+            "sealed": percent(_sealed_ratio(record["error"], sealed.get(names, ""))),
+            "claimed": delivered.get(names) == "claimed",
+        }
+        rows.append(row)
+    if others:
+        row = {"names": f"{counted(len(others), 'other set')} together", "share": sum(others), "why": ""}
+        rows.append({**row, "error": MISSING, "sealed": MISSING, "claimed": False})
+    return rows
+
+
+def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
+    """Return the error on sealed logs relative to the given model, geometric mean over outputs; NaN without any."""
+    before, after = ((errors.get(name) or {}).get("validation") or {} for name in ("before", variant))
+    ratios = [after[n] / error for n, error in before.items() if error > 0.0 and after.get(n, 0.0) > 0.0]
+    return geometric_mean(ratios) if ratios else math.nan
+
+
+def inclusion_rows(r: Refinement) -> Rows:
+    """Return the probable parts, most probable first, with what became of them."""
+    decision, rows = r.verdict.decision, list[dict[str, Any]]()
+    withdrawn = {name: WITHDRAWN.get(why, "") for why, _, name in (r.partition(": ") for r in decision.reasons)}
+    withdrawn |= dict.fromkeys(decision.disputed, "a term without a name may take its place")
+    for name, probability in sorted(decision.inclusion.items(), key=lambda item: -item[1]):
+        why = "uncertain" if name in decision.uncertain else ""
+        if name in withdrawn or probability >= CERTAIN:
+            why = f"withdrawn: {withdrawn.get(name, 'the logs are not explained')}"
+        claimed = name in decision.claimed
+        row = {"name": name, "share": probability, "why": "claimed" if claimed else why, "claimed": claimed}
+        rows += [row] if probability >= 1.0 - CERTAIN else []
+    return rows
+
+
+def parameter_tables(r: Refinement) -> Rows:
+    """Return the tables of added and of base parameters, of the claim or the recalibrated and the nearest model."""
+    near, found = r.verdict.nearest, []
+    shown = [(r.verdict.claimed or r.verdict.base, "")]
+    if r.verdict.claimed is None and near is not None and near.candidates:
+        shown.append((near, " of the nearest model, not claimed"))
+    for h, of in shown:
+        for title, note, added in (("Added parameters", INTERVALS, True), ("Base parameters", TOLERANCE, False)):
+            rows = [_parameter_row(r, f, h) for f in h.fit.free if not f.group and (f.name in h.parameters) == added]
+            found += [{"title": title + of, "note": note, "rows": rows}] if rows else []
+    return found
+
+
+def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
+    """Return an estimate with its interval, and the places of both between the value before and the interval."""
+    declared, fit, start = r.study.subject.declared[free.name], h.fit, r.problem.values[free.name]
+    (unit, factor), value, (low, high) = display(declared.unit), fit.values[free.name], fit.interval(free.name)
+    ends, places = (min(start, low), max(start, high)), {"neutral": start, "low": low, "high": high, "estimate": value}
+    half = NORMAL_95 * fit.sigma(free.name)
+    estimate, lower, upper = (rounded(x * factor, half * factor) for x in (value, low, high))
+    neutral = amount(start, declared.unit, None)
+    if free.prior:  # the tolerance is the half-width of the 95 % interval of the prior
+        tolerance = amount(NORMAL_95 * free.prior[1], declared.unit, 2)
+        neutral = f"{plain(start * factor, None)} ± {tolerance}"
+    return {
+        "name": free.name,
+        "neutral": neutral,
+        "value": append_unit(estimate, unit),
+        "interval": f"{lower} … {append_unit(upper, unit)}",
+        "bounds": f"{plain(free.low * factor, None)} … {amount(free.high, declared.unit, None)}",
+        "at": {key: np.interp(x, ends, (0.0, 1.0)) for key, x in places.items()},
+        "meaning": declared.doc,
+    }
+
+
+def per_log_rows(r: Refinement) -> Rows:
+    """Return a row for each parameter per log and group, fitted values first."""
+    rows = []
+    for name, entry in r.record["per_log"].items():
+        unit = entry["unit"]
+        for group, e in (entry["groups"] | entry["followed"]).items():
+            interval, how = MISSING, "fitted"
+            if "ci95" in e:
+                interval = " … ".join(amount(bound, unit) for bound in e["ci95"])
+            else:
+                start = f"{amount(e['expected'], unit)} ± {amount(e['spread'], unit, 2)}"
+                how = f"by the filter at the end of the log, from {start} (one standard deviation)"
+            value = amount(e["value"], unit, None)
+            rows.append({"name": name, "group": group, "value": value, "interval": interval, "how": how})
+    return rows
+
+
+def noise_rows(r: Refinement) -> Rows:
+    """Return the process noise of each equation; none if the fit trusted the equations.
+
+    √q is the drift of a state in a second that its equation does not explain, in the unit of the state per √s.
+    """
+    units, rows = {q.name: q.unit for q in r.study.subject.states}, []
+    for name, q in ({} if r.problem.trusted else r.record["residual"]["process_noise"]).items():
+        sizes = {key: math.sqrt(q[key]) for key in ("before", "after")}
+        unit, factor = finer(units.get(name, ""), max(sizes.values()))
+        row: dict[str, Any] = {"equation": name, "words": "incomplete" if q["inflated"] else "complete"}
+        for key, size in sizes.items():
+            row[key] = append_unit(plain(size * factor, 2), f"{unit} per √s".lstrip())
+            row[f"{key}_share"] = size / max(*sizes.values(), math.ulp(0.0))
+        rows.append(row)
+    return rows
+
+
+def horizon(r: Refinement) -> str:
+    """Return the horizon as text: `2 s`, `a whole run`."""
+    judged = r.study.subject.horizon
+    return "a whole run" if judged == FREE_RUN else horizon_name(judged)
+
+
+def has_unknown_input(r: Refinement) -> bool:
+    """Return whether the noise floor contains an unknown input."""
+    return bool(np.any(r.verdict.delivered.fit.noise.power > r.problem.noise.quiet))
+
+
+def decisive_part(r: Refinement) -> Part:
+    """Return the sealed logs, else the estimation logs."""
+    return "validation" if "validation" in r.record["error"]["before"] else "estimation"
+
+
+def _numbers(r: Refinement, part: str, name: str) -> dict[str, float]:
+    """Return the errors of a channel by model, and its noise floor; NaN if missing."""
+    error = r.record["error"]
+    found = {v: (error.get(v) or {}).get(part, {}) for v in ("before", "recalibrated", "after", "nearest")}
+    found["floor"] = r.record["noise_floors"].get(part, {})
+    return {key: float(of.get(name, math.nan)) for key, of in found.items()}
+
+
+def error_tables(r: Refinement) -> list[dict[str, Any]]:
+    """Return a table for each set of logs, its rows with the errors of a channel as texts."""
+    tables = []
+    for part, title in PARTS.items():
+        rows = []
+        for name in r.record["error"]["before"].get(part, {}):
+            sizes = _numbers(r, part, name)
+            after, floor = sizes["after"], sizes["floor"]
+            drawn = {key: sizes[key] for key in ("before", "after", "floor")}
+            row: dict[str, Any] = {key: error_text(r.study.subject, name, size, after) for key, size in sizes.items()}
+            row["sensor_noise"] = error_text(r.study.subject, name, r.record["sensor_noise"].get(name, math.nan), after)
+            for key, model in (("excess", "before"), ("of_recalibrated", "recalibrated")):
+                row[key] = percent(max(0.0, remaining_excess(sizes[model], after, floor)))
+            largest = max(drawn.values()) if all(map(math.isfinite, drawn.values())) else 0.0
+            marks = {key: size / largest for key, size in drawn.items()} if largest else None
+            rows.append({**row, "channel": name, "marks": marks})
+        has_nearest = any(row["nearest"] not in (MISSING, row["after"]) for row in rows)
+        tables += [{"title": title, "note": NOTES[part], "rows": rows, "nearest": has_nearest}] if rows else []
+    return tables
+
+
+def horizon_table(r: Refinement) -> dict[str, Any]:
+    """Return the errors over each horizon, shortest first; horizons shorter than a log's step are omitted."""
+    part, subject, models, words = decisive_part(r), r.study.subject, ["after"], ""
+    if r.verdict.claimed:
+        models, words = ["before", "after"], "Before → refined, over"
+    elif r.record["error"].get("nearest"):
+        models, words = ["before", "nearest"], "The model → the nearest one, over"
+    errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
+    errors[subject.horizon] = r.record["error"]
+    ordered, rows = sorted(h for h in errors if errors[h]["before"][part]), []
+    for channel in r.record["error"]["before"][part]:
+        sizes = [[errors[h][model].get(part, {}).get(channel, math.nan) for model in models] for h in ordered]
+        rows.append(
+            (channel, [" → ".join(error_text(r.study.subject, channel, size, of[-1]) for size in of) for of in sizes])
+        )
+    horizons = [*map(horizon_name, ordered)]
+    return {"title": PARTS[part], "heading": words or "Over", "horizons": horizons, "rows": rows}
+
+
+def leading_channel(r: Refinement) -> str:
+    """Return the channel with the largest error of the given model relative to the noise floor, or ""."""
+    part = decisive_part(r)
+    numbers = {name: _numbers(r, part, name) for name in r.record["error"]["before"][part]}
+    ratios = {name: n["before"] / n["floor"] for name, n in numbers.items() if n["floor"] > 0.0}
+    return max(ratios, key=lambda name: ratios[name], default=next(iter(numbers), ""))
+
+
+def second_sentence(r: Refinement) -> str:
+    """Return a sentence on the error farthest above its noise floor, on sealed logs if available."""
+    part, name = decisive_part(r), leading_channel(r)
+    where = "On sealed logs"
+    if part == "estimation":
+        where = "On the logs used for the fits (no log was kept for a test at the end)"
+    if not name:
+        return ""
+    sizes = _numbers(r, part, name)
+    shown = {key: error_text(r.study.subject, name, size, sizes["after"]) for key, size in sizes.items()}
+    verb = "fell" if sizes["after"] < sizes["before"] else "changed"
+    text = f"{where} the error of {name} over {horizon(r)} {verb} from {shown['before']} to {shown['after']}"
+    if r.verdict.claimed is None:
+        text = f"{where} the unchanged model misses {name} by {shown['after']} over {horizon(r)}"
+        text += f", the nearest model by {shown['nearest']}" if sizes["nearest"] < sizes["after"] else ""
+    if math.isnan(sizes["floor"]):
+        return f"{text}."
+    cause = "sensor noise and the estimated unknown input" if has_unknown_input(r) else "sensor noise alone"
+    return f"{text}; the noise floor (the error by {cause}) is {shown['floor']}."

@@ -9,36 +9,56 @@ sign, or in place of another effect.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
 
-from cosim.estimation.fit import NOISE_DIFFERENCE, Fit
+from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen, with_finer_steps
 from cosim.estimation.problem import Problem
-from cosim.estimation.screen import Choice, ScoreTest, Terms
+from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.bundle import evidence
-from cosim.refinement.decision.posterior import MISFIT, dispersion
-from cosim.refinement.search.around import fit_neighbours
-from cosim.refinement.search.fits import HOPE, Parts, Progress, Search, SearchResult, Trial, key_of
-from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
+from cosim.refinement.decision.bundle import evidence, optima
+from cosim.refinement.decision.posterior import CERTAIN, MISFIT, POSSIBLE, dispersion, folded, log_prior, posterior
+from cosim.refinement.search.fits import (
+    HOPE,
+    NEAR,
+    Hypothesis,
+    Parts,
+    Progress,
+    Search,
+    SearchResult,
+    Trial,
+    best_hypothesis,
+    key_of,
+)
 from cosim.refinement.search.periods import with_likely_periods
 
 FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
 DONE = 1.0  # nats by which a round must improve the score
 USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
+BREADTH = 4  # most probable sets whose neighbours are tried in a round, additions to one, replacements of its parts
+EXPANSIONS = 4  # rounds of neighbours
+Start = tuple[Parts, Fit]
 
 
-class Attributor:
-    """Search for missing effects: fit of the base model, rounds of promising sets, final fit of the best sets."""
+class Attributor(Search):
+    """Search for missing effects: fit of the base model, rounds of promising sets, final fit of the best sets.
+
+    Attributes:
+        fine: The problem with all substeps; `problem` has as few as the likelihood allows.
+        usual: Candidates with their usual periods; `candidates` have likely ones.
+        identifiable: Candidate → largest χ² of its terms at their usual size.
+    """
 
     def __init__(
         self,
@@ -47,49 +67,48 @@ class Attributor:
         candidates: Sequence[Candidate],
         progress: Progress = lambda stage, share: None,
     ) -> None:
-        self.candidates, self.usual, self.progress = [*candidates], tuple(candidates), progress
-        self.fine = problem
-        self.search = Search(subject, coarsen(problem), len(candidates), progress)
+        super().__init__(subject, coarsen(problem), len(candidates), progress)
+        self.candidates, self.usual, self.fine = [*candidates], tuple(candidates), problem
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> SearchResult:
         """Fit the base model, promising sets of candidates in rounds, then the finalists; return the result."""
-        search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = self._with_likely_starts(search.from_the_prior(search.hypothesis((), None)))
+        base = self._with_likely_starts(self.from_the_prior(self.hypothesis((), None)))
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
-        search.tried = {(): base}
-        search.problem = replace(search.problem, sensing=base.fit.noise)
+        self.tried = {(): base}
+        self.problem = replace(self.problem, sensing=base.fit.noise)
         self._rescore()
-        best = search.tried[()]
+        best = self.tried[()]
         while proposed := self._proposals(best):
-            is_first = len(search.tried) == 1
+            is_first = len(self.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
-            fitted = search.fit_all(proposed, best, stage, search.near)
-            search.fit_all(self._reductions(fitted), best, "leaving out what does nothing", search.near)
+            fitted = self.fit_all(proposed, best, stage)
+            self.fit_all(self._reductions(fitted), best, "leaving out what does nothing")
             self._rescore()
-            before, best = search.tried[best.names].score, best_hypothesis(search.tried.values())
-            if best.score > before - DONE * search.problem.scatter:
+            before, best = self.tried[best.names].score, best_hypothesis(self.tried.values())
+            if best.score > before - DONE * self.problem.scatter:
                 break
-            (settled,) = search.fit_to_the_end([(best.candidates, best.fit)])
+            (settled,) = self.fit_to_the_end([(best.candidates, best.fit)])
             settled = self._with_stamp_errors(settled)
             further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
-            search.tried = {n: replace(o, score=o.score - further) for n, o in search.tried.items()}
-            search.tried[settled.names] = settled
+            self.tried = {n: replace(o, score=o.score - further) for n, o in self.tried.items()}
+            self.tried[settled.names] = settled
             self._rescore()
-            best = best_hypothesis(search.tried.values())
+            best = best_hypothesis(self.tried.values())
         return self._finish(base, best)
+
+    def _pose(self, **changes: Any) -> None:
+        """Change the problem."""
+        self.fine, self.problem = (replace(p, **changes) for p in (self.fine, self.problem))
 
     def _rescore(self) -> None:
         """Update all scores for a non-white residual of trusted equations."""
-        search = self.search
-        if not search.problem.trusted:
+        if not self.problem.trusted:
             return
-        likeliest = min(search.tried.values(), key=lambda h: h.fit.nll)
-        search.problem = replace(search.problem, scatter=dispersion(evidence(search, likeliest)))
-        search.tried = {
-            n: replace(o, score=o.fit.objective + search.cost(o.candidates)) for n, o in search.tried.items()
-        }
+        likeliest = min(self.tried.values(), key=lambda h: h.fit.nll)
+        self.problem = replace(self.problem, scatter=dispersion(evidence(self, likeliest)))
+        self.tried = {n: replace(o, score=o.fit.objective + self.cost(o.candidates)) for n, o in self.tried.items()}
 
     def _with_likely_starts(self, base: Hypothesis) -> Hypothesis:
         """Return the base model, fitted in turn with start states.
@@ -97,10 +116,9 @@ class Attributor:
         The filter of free runs is linear in start states. Those that suit the given parameters may be far from those
         of the fit.
         """
-        search = self.search
-        while (posed := with_likely_starts(search.problem, base.fit.values, base.fit.noise)) is not search.problem:
-            self.fine, search.problem = (replace(p, x0=posed.x0) for p in (self.fine, search.problem))
-            before, base = base, search.hypothesis((), base.fit, loosen=False)
+        while (posed := with_likely_starts(self.problem, base.fit.values, base.fit.noise)) is not self.problem:
+            self._pose(x0=posed.x0)
+            before, base = base, self.hypothesis((), base.fit, loosen=False)
             if base.fit.objective > before.fit.objective - DONE:
                 break
         return base
@@ -111,52 +129,47 @@ class Attributor:
         The stated noise may include errors that these logs do not contain. A limit above the stated noise is that of
         quantisation, and stays.
         """
-        search, problem = self.search, self.search.problem
+        problem = self.problem
         low, stated = base.fit.noise.like(problem.limits.low).sensors, np.log(problem.r)
         silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + NOISE_DIFFERENCE) & (low < stated)
         if not silent.any():
             return base
         sensors = np.where(silent, stated, base.fit.noise.sensors)
-        adjusted = problem.adjusted & ~silent
-        self.fine, search.problem = (replace(p, adjusted=adjusted) for p in (self.fine, problem))
+        self._pose(adjusted=problem.adjusted & ~silent)
         start = replace(base.fit, noise=replace(base.fit.noise, sensors=sensors))
-        return search.hypothesis((), start)
+        return self.hypothesis((), start)
 
     def _with_enough_substeps(self, h: Hypothesis) -> Hypothesis:
         """Return a hypothesis, refitted with more substeps while the likelihood at its fit depends on them.
 
         With too few, an integrator may imitate what the model lacks; the fit begins at the given values too.
         """
-        search = self.search
-        while (posed := with_finer_steps(search.problem, h.fit.values, h.fit.noise)) is not search.problem:
-            self.fine, search.problem = with_finer_steps(self.fine, h.fit.values, h.fit.noise), posed
-            h = best_hypothesis(search.hypothesis(h.candidates, start, loosen=False) for start in (h.fit, None))
+        while (posed := with_finer_steps(self.problem, h.fit.values, h.fit.noise)) is not self.problem:
+            self.fine, self.problem = with_finer_steps(self.fine, h.fit.values, h.fit.noise), posed
+            h = best_hypothesis(self.hypothesis(h.candidates, start, loosen=False) for start in (h.fit, None))
         return h
 
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
         """Refit with errors of time stamps, if indicated."""
-        search = self.search
-        problem, noise = search.problem, h.fit.noise
+        problem, noise = self.problem, h.fit.noise
         late = erring_stamps(problem, h.fit)
         if not late.any():
             return h
         usual = 2.0 * np.log(USUAL_STAMP * max(d.step for d in problem.logs))
         noise = replace(noise, timing=np.where(late, usual, noise.timing))
-        self.fine, search.problem = (replace(p, sensing=noise) for p in (self.fine, problem))
+        self._pose(sensing=noise)
         start = replace(h.fit, noise=noise)
-        timed = search.hypothesis(h.candidates, start, loosen=False)
+        timed = self.hypothesis(h.candidates, start, loosen=False)
         return timed if timed.fit.objective < h.fit.objective else h
 
     def _proposals(self, best: Hypothesis) -> list[Trial]:
         """Return promising untried sets of candidates with start values."""
-        test = ScoreTest(self.search.problem, best.fit, best.candidates)
-        search, chosen = self.search, {c.name: c for c in self.candidates if c.name in best.names}
+        test = ScoreTest(self.problem, best.fit, best.candidates)
+        chosen = {c.name: c for c in self.candidates if c.name in best.names}
         every = [chosen.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
         self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
-            self.fine, search.problem = (
-                replace(p, values={**p.values, **periods}) for p in (self.fine, search.problem)
-            )
+            self._pose(values={**self.problem.values, **periods})
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
         for t in terms:
@@ -164,19 +177,15 @@ class Attributor:
             self.identifiable[name] = max(t.identifiable, self.identifiable.get(name, 0.0))
         switched = {t.candidate.name: t.candidate for t in terms if t.switched and t.candidate.name not in best.names}
         grown = [t for t in terms if t.candidate.name not in switched]
-        choice, named = (
-            Choice(test, grown, best.candidates, search.problem.values),
-            {c.name: c for c in self.candidates},
-        )
+        choice = Choice(test, grown, best.candidates, self.problem.values)
+        named = {c.name: c for c in self.candidates}
         ranking: list[tuple[float, Trial]] = []
         for names in self._sets(choice, best):
-            if tuple(sorted(names)) in search.tried:
+            if tuple(sorted(names)) in self.tried:
                 continue
             promise, parts = choice.promise(names), tuple(named[n] for n in names)
-            dearer = search.cost(parts) - search.cost(best.candidates)
-            if promise.within and (
-                HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - search.near
-            ):
+            dearer = self.cost(parts) - self.cost(best.candidates)
+            if promise.within and (HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - self.near):
                 ranking.append((dearer - promise.gain, (parts, promise.values)))
         ranking.sort(key=lambda entry: entry[0])
         whole = [] if best.candidates else [*self._complete_errors()]
@@ -189,12 +198,12 @@ class Attributor:
 
         With a sensor that shows the magnitude, it follows one direction only.
         """
-        problem = self.search.problem
-        untried = [c for c in self.candidates if c.complete and (c.name,) not in self.search.tried]
+        problem = self.problem
+        untried = [c for c in self.candidates if c.complete and (c.name,) not in self.tried]
         plain = problem.score(problem.values, problem.plain).nll if untried else 0.0
         for c in untried:
             if problem.score({**problem.values, **c.complete}, problem.plain).nll != plain:  # it acts on these logs
-                given = {f.name: problem.values[f.name] for f in self.search.free((c,))}
+                given = {f.name: problem.values[f.name] for f in self.free((c,))}
                 yield (c,), {**given, **c.complete}
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
@@ -215,38 +224,37 @@ class Attributor:
         """Return each fit's candidates without ineffective parts."""
         sets: dict[tuple[str, ...], Trial] = {}
         for h in fitted:
-            neutral = self.search.problem.values
-            parts = tuple(c for c in h.candidates if h.loss_without(c, neutral) > self.search.cost([c]))
+            neutral = self.problem.values
+            parts = tuple(c for c in h.candidates if h.loss_without(c, neutral) > self.cost([c]))
             if parts and len(parts) < len(h.candidates):
                 sets[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
         return list(sets.values())
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> SearchResult:
         """Fit the best hypotheses, and those around them, to convergence with full substeps."""
-        search = self.search
         self.progress("fitting the best to the end", 0.0)
-        enough = zip(search.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
+        enough = zip(self.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
         logs = [replace(log, substeps=max(base.substeps, other.substeps)) for base, other, log in enough]
-        search.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=search.problem.scatter)
-        search.tried = {n: replace(h, ended=False) for n, h in search.tried.items()}
-        best = search.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
+        self.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=self.problem.scatter)
+        self.tried = {n: replace(h, ended=False) for n, h in self.tried.items()}
+        best = self.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
         best = self._with_enough_substeps(best)
-        search.tried[best.names] = best
+        self.tried[best.names] = best
         self._rescore()
-        best = search.tried[best.names]
+        best = self.tried[best.names]
         # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
-        from_best: list[tuple[Parts, Fit]] = [((), best.fit)] if best.candidates else []
-        search.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
-        fit_neighbours(search, self.candidates)
-        best = best_hypothesis(h for h in search.tried.values() if h.ended)
+        from_best: list[Start] = [((), best.fit)] if best.candidates else []
+        self.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
+        self._fit_neighbours()
+        best = best_hypothesis(h for h in self.tried.values() if h.ended)
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
         hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
-        return SearchResult(search, best, hidden, tuple(self.candidates))
+        return SearchResult(self, best, hidden, tuple(self.candidates))
 
-    def _beyond_special_cases(self, best: Hypothesis) -> list[tuple[Parts, Fit]]:
+    def _beyond_special_cases(self, best: Hypothesis) -> list[Start]:
         """Return sets near the best with an effect in place of its special case, starting from the values of that."""
-        search, starts = self.search, dict[tuple[str, ...], tuple[Parts, Fit]]()
-        near = sorted((h for h in search.tried.values() if h.score - best.score < search.near), key=lambda h: h.score)
+        starts = dict[tuple[str, ...], Start]()
+        near = sorted((h for h in self.tried.values() if h.score - best.score < self.near), key=lambda h: h.score)
         for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
             values = values_of_special_case(rich, simple, h.fit.values)
             if values and rich.name not in h.names:
@@ -254,3 +262,77 @@ class Attributor:
                 free = (*h.fit.free, *rich.free)
                 starts.setdefault(key_of(parts), (parts, replace(h.fit, values={**h.fit.values, **values}, free=free)))
         return [*starts.values()]
+
+    def _fit_neighbours(self) -> None:
+        """Fit what may be as probable as the most probable sets: removals, additions, other parts in the place of each.
+
+        A posterior needs every such set. A score test predicts the gain; what would be probable is fitted to the end,
+        until nothing probable is untried.
+        """
+        asked = set[frozenset[str]]()
+        for _ in range(EXPANSIONS):
+            ended = {frozenset(h.names): h for h in optima(self)}
+            sets, kappa = posterior([evidence(self, h) for h in ended.values()], len(self.candidates))
+            classes = folded(sets, ())
+            ranked = [*classes]
+            starts: dict[tuple[str, ...], Start] = {}
+            mass = np.cumsum([*classes.values()])
+            leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
+            probable = [parts for parts in leading if parts not in asked]
+            asked.update(probable)
+            stage = "fitting the most probable again from other starts"
+            for h in self.fit_each(stage, self.from_the_prior, [ended[parts] for parts in probable]):
+                for start in self._neighbours(h, kappa):
+                    starts.setdefault(key_of(start[0]), start)
+            best = ended[ranked[0]]
+            near = [h for h in self.tried.values() if not h.ended and h.score - best.score < NEAR * kappa]
+            for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
+                starts[h.names] = h.candidates, h.fit
+            untried = [s for names, s in starts.items() if not (names in self.tried and self.tried[names].ended)]
+            untried += self._without_idle_parts(best.score + NEAR * kappa)
+            if not untried:
+                return
+            self.fit_to_the_end(untried)
+
+    def _without_idle_parts(self, limit: float) -> list[Start]:
+        """Return the sets without the parts that a fit has moved to neutral, where they have no fit as good as that.
+
+        Args:
+            limit: Score from which a set is too improbable.
+        """
+        starts, given = dict[tuple[str, ...], Start](), self.problem.values
+        for h in self.tried.values():
+            moved = {f.name for c in h.candidates for f in c.free if f.neutral is not None or c.kind == "parameter"}
+            moved = {name for name in moved if h.fit.values[name] != given[name]}
+            acting = tuple(c for c in h.candidates if moved.intersection(c.parameters))
+            known = self.tried.get(key_of(acting))
+            least = h.fit.objective + CONVERGED * self.problem.scatter
+            if h.ended and least + self.cost(acting) < limit and not (known and known.fit.objective <= least):
+                starts[key_of(acting)] = acting, h.fit
+        return [*starts.values()]
+
+    def _neighbours(self, h: Hypothesis, kappa: float) -> Iterator[Start]:
+        """Yield sets near a hypothesis with starts of their fits."""
+        for part in h.candidates:
+            rest = tuple(c for c in h.candidates if c is not part)
+            yield rest, h.fit
+            without = self.tried.get(key_of(rest)) or self.hypothesis(rest, h.fit, screen=True)
+            others = [c for c in self.candidates if c.name not in h.names and c.kind != "parameter"]
+            for c, promise in self._promises(without, others)[:BREADTH]:
+                yield (*rest, c), replace(without.fit, values={**without.fit.values, **promise.values})
+        others = [c for c in self.candidates if c.name not in h.names]
+        if not others:
+            return
+        count, size = len(self.candidates), len(h.candidates)
+        odds = log_prior(size + 1, count) - log_prior(size, count)
+        for c, promise in self._promises(h, others)[:BREADTH]:
+            if HOPE * promise.gain / kappa + odds > math.log(POSSIBLE):
+                yield (*h.candidates, c), replace(h.fit, values={**h.fit.values, **promise.values})
+
+    def _promises(self, h: Hypothesis, others: Sequence[Candidate]) -> list[tuple[Candidate, Promise]]:
+        """Return what each of other candidates promises beside a hypothesis, best first."""
+        test = ScoreTest(self.problem, h.fit, h.candidates)
+        terms = [t for t in in_parallel(test.terms, others) if not t.switched]
+        promises = Choice(test, terms, (), self.problem.values).extensions(())
+        named = {c.name: c for c in others}
+        return [(named[name], promise) for name, promise in promises.items()]

@@ -7,7 +7,7 @@ each parameter (half of BIC), and −ln of the prior of so many parts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from operator import attrgetter
@@ -23,7 +23,6 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import MIXTURE, Evidence, log_prior
-from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
@@ -31,6 +30,8 @@ HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predic
 NEAR = 10.0  # nats from the best within which a set is worth a fit, and a hypothesis is fitted to the end
 STARTS = 4  # draws of the prior from which a probable hypothesis is fitted again
 HALVINGS = 2  # of promised sizes, until the logs are no less likely
+
+TOGETHER = " + "  # separator between the names of a rival with several candidates
 
 Parts = tuple[Candidate, ...]
 Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
@@ -43,15 +44,38 @@ def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
     return tuple(sorted(c.name for c in parts))
 
 
-def starts_of(parts: Parts, moved: set[str]) -> list[dict[str, float]]:
-    """Return new candidates' start values, start by start.
+@dataclass(frozen=True)
+class Hypothesis:
+    """A fitted set of candidates.
 
-    Args:
-        moved: Parameters with values from an earlier fit.
+    Attributes:
+        ended: True if fitted with the model's own substeps and all noise free.
     """
-    starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
-    most = max([1, *(len(c.starts) for c in parts)])
-    return [dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)) for k in range(most)]
+
+    candidates: tuple[Candidate, ...]
+    fit: Fit
+    score: float
+    ended: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the sorted names of the candidates."""
+        return key_of(self.candidates)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the parameters of the candidates."""
+        return tuple(n for c in self.candidates for n in c.parameters)
+
+    def loss_without(self, c: Candidate, neutral: Mapping[str, float]) -> float:
+        """Return the estimated log-likelihood loss without a part."""
+        away = np.array([self.fit.values[f.name] - neutral[f.name] for f in c.free])
+        return 0.5 * float(away @ self.fit.marginal(c.parameters) @ away)
+
+
+def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
+    """Return the hypothesis with the best score."""
+    return min(hypotheses, key=lambda h: h.score)
 
 
 @dataclass(frozen=True)
@@ -69,11 +93,6 @@ class SearchResult:
     hidden: tuple[str, ...]
     candidates: tuple[Candidate, ...]
     free_noise: Noise | None = None
-
-    @property
-    def effects(self) -> int:
-        """Return the number of effects on trial."""
-        return sum(c.kind == "effect" for c in self.candidates)
 
 
 class Search:
@@ -117,7 +136,10 @@ class Search:
         # Only parameters free in this fit keep their start; parts of another hypothesis return to neutral.
         moved = {f.name for f in start.free} & {f.name for f in free}
         base = {**problem.values, **{name: start.values[name] for name in moved}}
-        begins = [{**base, **values} for values in starts_of(parts, moved)]
+        starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
+        begins = []
+        for k in range(max([1, *(len(c.starts) for c in parts)])):
+            begins.append(base | dict(chain.from_iterable(s[min(k, len(s) - 1)].items() for s in starts)))
         noise = start.noise
         if problem.trusted:
             noise = replace(problem.plain, sensors=noise.sensors, timing=noise.timing)
@@ -153,7 +175,7 @@ class Search:
             other = fit(problem, free, values, noise, goal=best.objective - CONVERGED * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
         if not problem.trusted and leaves_the_motion(problem, best):
-            own = {n: best.values[n] for c in h.candidates for n in c.parameters}
+            own = {n: best.values[n] for n in h.parameters}
             best = min(best, fit_growing(problem, free, {**problem.values, **own}), key=attrgetter("objective"))
         return replace(h, fit=best, score=best.objective + self.cost(h.candidates))
 
@@ -179,15 +201,15 @@ class Search:
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
-    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
-        """Fit sets of candidates; a fit ends early if it cannot reach a score within `margin` of `start`."""
+    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str) -> list[Hypothesis]:
+        """Fit sets of candidates; a fit ends early if it cannot come near the score of `start`."""
 
         def fit_trial(trial: Trial) -> Hypothesis:
             parts, promised = trial
-            goal = start.score + margin - self.cost(parts)
+            goal = start.score + self.near - self.cost(parts)
             return self.hypothesis(parts, start.fit, goal, promised=promised, screen=True)
 
-        return self._fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
+        return self.fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
 
     def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
         """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts.
@@ -212,13 +234,9 @@ class Search:
                 fitted = self.hypothesis(fitted.candidates, begin, loosen=False)
             return fitted
 
-        return self._fit_each("fitting what comes near the best", refit, starts)
+        return self.fit_each("fitting what comes near the best", refit, starts)
 
-    def fit_from_the_prior(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Fit hypotheses again from draws of their priors."""
-        return self._fit_each("fitting the most probable again from other starts", self.from_the_prior, hypotheses)
-
-    def _fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
+    def fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
         """Fit items in parallel and report progress."""
         done = count()
         self.progress(stage, 0.0)

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.special import logit
 from scipy.stats import norm
 
-from cosim.core.text import counted, plain
+from cosim.core.text import counted, join_names, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.posterior import CERTAIN, MISFIT
 from cosim.refinement.decision.scatter import steadiness
-from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.fits import Hypothesis
 
 Way = Literal["held", "interpolated"]
 
@@ -47,12 +47,9 @@ class Between:
         """Return a warning if the opposite choice is clearly likelier."""
         if not self.line:
             return ()
-        inputs = []
-        for way in dict.fromkeys(self.ways.values()):
-            names = [name for name in self.ways if self.ways[name] == way]
-            inputs.append(f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} taken as {way}")
+        inputs = join_names([f"{name} is taken as {way}" for name, way in self.ways.items()])
         return (
-            f"between rows {' and '.join(inputs)}; the other way raises the log-likelihood of the logs by "
+            f"between rows {inputs}; the other way raises the log-likelihood of the logs by "
             f"{plain(self.gain)}, {plain(self.steady, 2)} times its scatter: if the rig commands its inputs that way, "
             f"write {self.line} in the study",
         )
