@@ -16,7 +16,7 @@ from cosim.fmi.description import takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, outputs_along
 from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters
-from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
+from cosim.probing.prober import Prober, quantities, separate_pairs
 
 ROWS = 300  # rows of a simulation for responses
 FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter
@@ -63,16 +63,10 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         states=(),
         inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, good[0][1][0]),
-        state_in_rate=no_flags(0, 0),
-        input_in_rate=no_flags(0, len(inputs)),
-        state_in_output=no_flags(len(outputs), 0),
-        input_in_output=responses.flags(inputs),
+        depends=responses.flags(inputs),
         pairs=tuple(Pair(outputs[q], outputs[v], gain, ports[v]) for q, v, gain in chosen),
         storages=tuple(feeds),
         feeds=feeds,
-        shown={},
-        largest_rate=0.0,
-        slowest=0.0,
         scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
         parameters=_parameters(prober, short, size),
@@ -167,7 +161,7 @@ class Responses:
         """Return whether an input (column) changes an output (row) at any time."""
         differences = (self._response(name, STEPS[0], 1)[2] for name in inputs)
         columns = [(np.abs(difference) > self.noise).any(axis=0) for difference in differences]
-        return np.column_stack(columns) if columns else no_flags(self._size.size, 0)
+        return np.column_stack([np.zeros((self._size.size, 0), bool), *columns])
 
     def ports(
         self, inputs: Sequence[str], velocities: Sequence[int], least: float = 0.0
@@ -224,7 +218,7 @@ class Responses:
         variable = next(v for v in self._prober.description.modelVariables if v.name == name)
         held = course.inputs.get(name)
         if held is None:
-            held = np.full(course.time.size, float(self._prober.values.get(name, variable.start or 0.0)))
+            held = np.full(course.time.size, float(variable.start or 0.0))
         wanted = float(np.std(held)) or amplitude_of(variable, float(held[0]))
         changed = moved_within(held, wanted, limits_of(variable))
         size = float(changed[row] - held[row]) or wanted

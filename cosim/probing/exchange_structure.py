@@ -24,11 +24,10 @@ from cosim.probing.exchange_points import (
 )
 from cosim.probing.fmu_structure import Connection, Pair, Port, ProbedParameter, Structure
 from cosim.probing.force_trials import dampings, with_factors
-from cosim.probing.log_runs import SAME, Course, Run
+from cosim.probing.log_runs import SAME, Course, Run, nominal_of
 from cosim.probing.parameter_trials import tried_parameters
-from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
+from cosim.probing.prober import Prober, quantities, separate_pairs
 
-RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input
 
 
@@ -72,24 +71,18 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
     storages = [name for k, name in enumerate(states) if name not in paired and np.delete(depends[k], k).any()]
     matrices = [s[:n, :n] for s in points.slopes if n and np.isfinite(s[:n, :n]).all()]
-    sizes = np.abs(np.concatenate([np.linalg.eigvals(m) for m in matrices])) if matrices else np.zeros(1)
-    largest = float(sizes.max())
     return Structure(
         fmu=prober.path,
         way="model-exchange",
         states=quantities(prober.description, states, first_states),
         inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, first_outputs),
-        state_in_rate=depends[:n, :n],
-        input_in_rate=depends[:n, n:],
-        state_in_output=depends[n:, :n],
-        input_in_output=depends[n:, n:],
+        depends=depends,
         pairs=pairs,
         connections=with_factors(prober, courses[0], points, [*_connections(states, pairs, points, runs)], parameters),
         storages=tuple(storages),
         shown={states[k]: outputs[j] for k, j in found.items()},
-        largest_rate=largest,
-        slowest=float(sizes[sizes >= RATE_SHARE * largest].min()),
+        largest_rate=max((float(np.abs(np.linalg.eigvals(m)).max()) for m in matrices), default=0.0),
         scales=scales,
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
@@ -109,17 +102,14 @@ def _points(
     values = np.concatenate([run.values for run in good])
     spread, spreads = known.std(axis=0), values.std(axis=0)
     largest = np.abs(known).max(axis=0)
-    sizes = {
-        v.name: getattr(v, "nominal", None) or getattr(v.declaredType, "nominal", None)
-        for v in reversed(prober.description.modelVariables)
-    }
-    nominal = np.array([abs(float(sizes.get(name) or 1.0)) for name in (*states, *inputs)])
+    sizes = {v.name: nominal_of(v) for v in reversed(prober.description.modelVariables)}
+    nominal = np.array([abs(sizes.get(name, 0.0)) or 1.0 for name in (*states, *inputs)])
     unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
     scale = np.where(spread > SAME * largest, spread, unmoved)
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     signals = quantities(prober.description, (*states, *inputs), known[0])
     low, high = (np.array([q.bounds[end] for q in signals]) for end in (0, 1))
-    points = Points(scale, size, no_flags(values.shape[1], known.shape[1]), low, high)
+    points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool), low, high)
     reals_only = all(name in inputs for course in courses for name in course.inputs)
     share = max(2, POINTS // max(1, len(good)))
     for course, first, run in zip(courses, firsts, runs, strict=True):

@@ -106,7 +106,7 @@ def dampings(
     base, found = react({}), dict[str, Damping]()
     for parameter in able:
         name, (low, high) = parameter.name, parameter.quantity.bounds
-        value = float(prober.values.get(name, parameter.quantity.start))
+        value = parameter.quantity.start
         size = abs(value) or abs(parameter.tried)
         change = next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
         if not change:  # the bounds allow none
@@ -168,8 +168,7 @@ def with_factors(
     found: list[list[RatioFactor]] = [[] for _ in connections]
     with prober.hurry(time.monotonic() - begin):
         for p in parameters:
-            value = float(prober.values.get(p.name, p.quantity.start))
-            low, high = p.quantity.bounds
+            value, (low, high) = p.quantity.start, p.quantity.bounds
             tried = p.tried, value + 2.0 * (p.tried - value)
             if not p.acts or p.tried == value:
                 continue

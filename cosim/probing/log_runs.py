@@ -63,7 +63,7 @@ class Course:
         return replace(self, time=time, inputs=inputs, outputs={})
 
 
-def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
+def sine_course(description: Any) -> Course:
     """Return small sines of many periods about the start values of the inputs."""
     experiment = description.defaultExperiment
     begin = float(getattr(experiment, "startTime", None) or 0.0)
@@ -76,7 +76,7 @@ def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
     phase = 2.0 * np.pi * np.arange(rows + 1) / rows
     inputs = {}
     for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
-        start = float(values.get(variable.name, variable.start or 0.0))
+        start = float(variable.start or 0.0)
         waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
         size, (low, high) = amplitude_of(variable, start), limits_of(variable)
         centre = min(max(start, low + size), high - size)
@@ -89,8 +89,12 @@ def amplitude_of(variable: Any, start: float) -> float:
     low, high = limits_of(variable)
     if math.isfinite(high - low) and high > low:
         return SHARE * (high - low)
-    nominal = getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None)
-    return SHARE * (abs(start) or abs(float(nominal or 0.0)) or 1.0)
+    return SHARE * (abs(start) or abs(nominal_of(variable)) or 1.0)
+
+
+def nominal_of(variable: Any) -> float:
+    """Return the nominal value of a variable or of its type, 0 without one."""
+    return float(getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None) or 0.0)
 
 
 def limits_of(variable: Any) -> tuple[float, float]:

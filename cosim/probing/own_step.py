@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -70,26 +71,25 @@ def probe_own_step(
     with Prober(fmu, values, limits) as prober:
         if "co-simulation" not in ways(prober.description):
             return None
-        course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description, values))
+        course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description))
         states = frozenset(state_names(prober.description)) - {v.name for v in reals(prober.description, "output")}
         begin = time.monotonic()
         table, stop = prober.call(outputs_along, prober.fmu, course, "co-simulation", states)
         if len(table) < 2:
             raise stop or prober.fmu.too_short(course)
-        quick = prober.hurried(time.monotonic() - begin)
+        took = time.monotonic() - begin
 
         def steps(step: float, count: int) -> Array:
             """Return the outputs after each of `count` steps with the first inputs held."""
             times = np.asarray(course.time[0] + step * np.arange(count + 1), np.float64)
             inputs = {n: np.repeat(v[:1], count + 1) for n, v in course.inputs.items()}
             held = Course(course.name, times, inputs, {}, step)
-            result: Array = prober.call(outputs_along, prober.fmu, held, "co-simulation", states, limits=quick)[0]
+            result: Array = prober.call(outputs_along, prober.fmu, held, "co-simulation", states)[0]
             return result
 
-        try:
+        with prober.hurry(took), suppress(SimulationError, FmuError):
             return _own_step(table, course.step, steps)
-        except (SimulationError, FmuError):
-            return None
+    return None
 
 
 def excited_course(prober: Prober, course: Course) -> Course:

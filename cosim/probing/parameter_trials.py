@@ -12,7 +12,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import REALS
 from cosim.probing.fmu_structure import ProbedParameter, StartValue
-from cosim.probing.log_runs import SAME, Course, Fmu, outputs_along
+from cosim.probing.log_runs import SAME, Course, Fmu, nominal_of, outputs_along
 from cosim.probing.prober import Prober, quantities
 from cosim.scenario.start_values import settable
 
@@ -59,7 +59,7 @@ def tried_parameters(
     with prober.hurry(took):
         for variable in parameters:
             (quantity,) = quantities(prober.description, [variable.name])
-            value = float(prober.values.get(variable.name, variable.start))
+            value = quantity.start
             acts = starts = False
             failure, tried = "", value
             low, high = quantity.bounds
@@ -103,8 +103,8 @@ def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> t
     ]
     for variable in states[:MOST_STARTS]:
         (quantity,) = quantities(prober.description, [variable.name])
-        nominal, value = float(getattr(variable, "nominal", None) or 0.0), quantity.start
-        size = START_STEP * (abs(value) or abs(nominal) or 1.0)
+        value = quantity.start
+        size = START_STEP * (abs(value) or abs(nominal_of(variable)) or 1.0)
         moved = value + size if value + size <= quantity.bounds[1] else value - size
         try:
             table, _ = prober.call(outputs_along, prober.with_values({variable.name: moved}), course)

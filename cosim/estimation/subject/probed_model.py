@@ -62,9 +62,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
         (named, inputs, named_outputs),
         parameters,
         [*delay, *bound_terms([*places.every()], terms)],
-        dependencies=Dependencies(
-            np.vstack([s.state_in_rate, s.state_in_output]), np.vstack([s.input_in_rate, s.input_in_output])
-        ),
+        dependencies=Dependencies(s.depends[:, : len(s.states)], s.depends[:, len(s.states) :]),
         rates=rates,
         variables={
             with_place(q.name): q.name for q in (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))
