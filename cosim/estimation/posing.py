@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.estimation.data import data_of, first_measured, readings_of, start_state
-from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
+from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import WITHIN, Problem, Settings
@@ -41,18 +41,12 @@ def build_problem(
     logged = set().union(*(log.outputs for log in logs))
     measured = tuple(q.name for q in subject.outputs if q.name in logged)
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
-    layout = kernel.layout
-    data = [data_of(subject, log, layout, settings.interpolated) for log in logs]
-    readings = list(map(readings_of, data))
-    begins = origins(subject, layout, logs, data, settings)
-    values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
-    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
-    groups = [begin.group for begin in begins]
+    values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **subject.values}
+    values[MEMORY] = USUAL_MEMORY * max(slowness(log.step) for log in logs)
+    groups = [settings.groups[log.path] for log in logs] if settings.per_log else []
     own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
     values |= {f.name: values[f.parameter] for f in own}
-    x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
-    stated_noise = {n: s * s for n, s in noise.items()}
-    r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
+    variances = {**subject.sensor_variance, **{n: s * s for n, s in noise.items()}}
     late, lagging = (
         {
             f"{kind.name}.value": [measured.index(n) for n in kind.affected() if n in measured]
@@ -61,37 +55,32 @@ def build_problem(
         }
         for way in ("late", "lagging")
     )
-    stated, adjusted = np.isin(measured, [*subject.sensor_variance, *noise]), np.ones(len(measured), bool)
     problem = Problem(
         kernel,
-        data,
-        readings,
-        x0,
-        P0,
-        r,
-        values,
-        settings,
-        late,
-        lagging,
-        stated,
-        adjusted,
+        [],
+        r=np.array([variances.get(name, 1.0) for name in measured]),
+        values=values,
+        settings=settings,
+        late=late,
+        lagging=lagging,
+        stated=np.isin(measured, [*variances]),
+        adjusted=np.ones(len(measured), bool),
         own=own,
-        origins=begins,
     )
-    return replace(problem, P0=start_covariance(subject, problem))
+    return with_logs(subject, problem, logs)
 
 
-def origins(
-    subject: Subject, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
-) -> list[Origin]:
-    """Return the origin of each log: group and initial readings; empty without parameters per log."""
-    if not settings.per_log:
-        return []
-    states, outputs, begins = layout.states, layout.outputs, []
-    for log, d in zip(logs, data, strict=True):
+def with_logs(subject: Subject, problem: Problem, logs: Sequence[Log]) -> Problem:
+    """Return the problem of a subject on other logs."""
+    states, outputs, settings = problem.layout.states, problem.layout.outputs, problem.settings
+    data = [data_of(subject, log, problem.layout, settings.interpolated) for log in logs]
+    begins = []
+    for log, d in zip(logs, data, strict=True) if settings.per_log else ():
         initial = {states.index(n): outputs.index(n) for n in first_measured(subject, d, outputs) if n in states}
         begins.append(Origin(settings.groups[log.path], initial))
-    return begins
+    x0, readings = [start_state(subject, d, outputs, states) for d in data], list(map(readings_of, data))
+    posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
+    return replace(posed, P0=start_covariance(subject, posed))
 
 
 def start_covariance(subject: Subject, problem: Problem) -> Array:

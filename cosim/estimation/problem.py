@@ -93,9 +93,6 @@ class Problem:
 
     kernel: Kernel
     logs: Sequence[Data]
-    readings: Sequence[Readings]
-    x0: Sequence[Array]
-    P0: Array
     r: Array
     values: Mapping[str, float]
     settings: Settings
@@ -103,6 +100,9 @@ class Problem:
     lagging: Mapping[str, Sequence[int]]
     stated: Flags
     adjusted: Flags
+    readings: Sequence[Readings] = ()
+    x0: Sequence[Array] = ()
+    P0: Array = field(default_factory=lambda: np.empty((0, 0)))
     shown: Array | None = None
     sensing: Noise | None = None  # fitted sensor noise; None for stated noise
     trusted: bool = False  # equations are trusted: no unknown input is free
@@ -130,23 +130,20 @@ class Problem:
     def noise(self) -> NoiseRange:
         """Return the search range of process noise, that of the first problem which asks."""
         if not self.ranges:
-            self.ranges.append(self._noise_range())
+            short = self._short()
+
+            def variances(power: Array, longest: bool) -> Array:
+                noise = short.at(power)
+                noise = replace(noise, memory=float(np.log(self.longest_memory))) if longest else noise
+                return short.score(self.values, noise).variances
+
+            found = noise_range(variances, len(self.layout.noisy))
+            if self.layout.is_free_run:
+                # the error of a free run is as large as the motion, from row to row far more than the noise
+                fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
+                found = replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
+            self.ranges.append(found)
         return self.ranges[0]
-
-    def _noise_range(self) -> NoiseRange:
-        short = self._short()
-
-        def variances(power: Array, longest: bool) -> Array:
-            noise = short.at(power)
-            noise = replace(noise, memory=float(np.log(self.longest_memory))) if longest else noise
-            return short.score(self.values, noise).variances
-
-        found = noise_range(variances, len(self.layout.noisy))
-        if not self.layout.is_free_run:
-            return found
-        # the error of a free run is as large as the motion, from row to row far more than the noise
-        fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
-        return replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
 
     def _largest(self, property: str) -> Array:
         """Return a property of the readings of each output, the largest of all logs."""
@@ -199,8 +196,8 @@ class Problem:
     @cached_property
     def limits(self) -> NoiseLimits:
         """Return limits of the noise, with stated sensor noise as weak prior."""
-        now, steps, power = self.at(self.noise.plain), [d.step for d in self.logs], len(self.layout.noisy)
-        stated, decade, nothing = np.log(self.r), np.log(WITHIN), np.zeros(len(self.r))
+        now, steps = self.at(self.noise.plain), [d.step for d in self.logs]
+        stated, decade = np.log(self.r), np.log(WITHIN)
         least = np.where(self.stated, 1.0 / WITHIN, UNKNOWN) ** 2 * np.exp(stated)
         low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))
         high = np.maximum(np.log(np.maximum(self._largest("spread") ** 2, TINY)), stated + 2.0 * decade)
@@ -212,16 +209,15 @@ class Problem:
         shortest, longest = (
             np.where(timed, 2.0 * np.log(t), now.timing) for t in (UNEVEN * min(steps), 0.5 * max(steps))
         )
-        memory = np.log([2.0 * min(steps), self.longest_memory])
-        largest = self.noise.largest
-        if self.trusted or not power:
+        memory, largest = np.log([2.0 * min(steps), self.longest_memory]), self.noise.largest
+        if self.trusted or not len(largest):
             largest, memory = self.noise.smallest, np.full(2, now.memory)
         within = np.where(self.stated & self.adjusted, decade, np.inf)
         return NoiseLimits(
-            low=np.concatenate([self.noise.smallest, memory[:1], low, shortest]),
-            high=np.concatenate([largest, memory[1:], high, longest]),
-            mean=np.concatenate([np.zeros(power + 1), stated, nothing]),
-            sigma=np.concatenate([np.full(power + 1, np.inf), within, nothing + np.inf]),
+            low=Noise(self.noise.smallest, memory[0], low, shortest).vector,
+            high=Noise(largest, memory[1], high, longest).vector,
+            mean=Noise(0.0 * largest, 0.0, stated, 0.0 * stated).vector,
+            sigma=Noise(largest + np.inf, np.inf, within, stated + np.inf).vector,
         )
 
     def drop_unknown_inputs(self, state: Array) -> Array:

@@ -13,15 +13,14 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import Data, Filtered, Simulated
+from cosim.estimation.kernel.kernel import Data, Filtered, Simulated, no_filtered, no_simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
-from cosim.isolation.limits import Limits
+from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Remote, Worker
 from cosim.isolation.watch import Watch
+from cosim.probing.prober import SLOW
 
 MODULES = ("cosim.estimation.kernel.library_kernel", "fmpy.fmi2")
-LONGEST = 60.0  # default limit of a pass over a log [s]
-PATIENCE = 20.0  # after a hang, limit relative to the longest pass that succeeded
 
 # idle worker processes with their kernels; a thread takes one for each call
 _idle: queue.LifoQueue[tuple[Worker, dict[RemoteLibraryKernel, Remote]]] = queue.LifoQueue()
@@ -45,7 +44,7 @@ class RemoteLibraryKernel:
     def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
         self.layout = generated.layout
         self._recipe = generated, fmu._replace(path=fmu.path.resolve()), dict(parameters)
-        self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LONGEST})
+        self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LOADING})
         self.failures: list[SimulationError] = []
         self._longest, self._has_hung = 0.0, False  # processor time of a call that succeeded [s]
 
@@ -54,9 +53,9 @@ class RemoteLibraryKernel:
 
         An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
         """
-        most = (self.limits.load or LONGEST) * passes
+        most = (self.limits.load or LOADING) * passes
         if self._has_hung:
-            most = min(most, max(1.0, PATIENCE * self._longest))
+            most = min(most, max(1.0, SLOW * self._longest))
         return self.limits.model_copy(update={"load": most})
 
     def _call(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
@@ -92,15 +91,12 @@ class RemoteLibraryKernel:
 
     def _diverged(self, method: str, data: Data, *arguments: Any, states: bool = False) -> Any:
         """Return the outcome of a pass that failed."""
-        layout, (rows, ny) = self.layout, data.y.shape
-        outputs, nx, memory, random = len(layout.outputs), len(layout.states), layout.memory, len(layout.stochastic)
         if method == "run":
-            kept = rows if states else 0
-            shapes: list[tuple[int, ...]] = [(kept, nx), (kept, memory), (kept, random, random)]
-            return Filtered(np.full((rows, ny), np.inf), np.ones((rows, ny)), *(np.full(s, np.nan) for s in shapes))
+            return no_filtered(self.layout, data, states=states)
         if method == "simulate":
-            return Simulated(*(np.full((rows, count), np.nan) for count in (outputs, nx, memory)))
-        return tuple(np.full((len(arguments[1][0]), count), np.nan) for count in (nx, outputs))
+            return no_simulated(self.layout, data)
+        signals = self.layout.states, self.layout.outputs
+        return tuple(np.full((len(arguments[1][0]), len(names)), np.nan) for names in signals)
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
