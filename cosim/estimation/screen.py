@@ -23,8 +23,7 @@ from cosim.estimation.subject.candidates import Candidate
 
 SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
 TINY = 1e-3  # share at which a switched effect changes more than at SHARE
-NOTHING = 1e-12  # share of the squared residual below which a term is not detectable
-RANK = float(np.sqrt(np.finfo(float).eps))  # share of the largest singular value below which a direction counts as none
+RANK = float(np.sqrt(np.finfo(float).eps))  # share of the residual, or of a singular value, that counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +108,7 @@ class ScoreTest:
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
         """Return the predicted joint gain of terms, and the optimal multiples of their steps."""
-        detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
+        detected = np.array([r if r @ r > RANK**2 * (self.residual @ self.residual) else 0.0 * r for r in rows])
         multiples = -least_squares(detected.T, self.residual, rcond=RANK)
         fitted = detected.T @ multiples
         return 0.5 * float(fitted @ fitted), multiples

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -76,31 +75,22 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
 
 
 def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with what it changes; a longer simulation for those that change nothing.
-
-    Simulations are as short as the time allowed for all of them demands.
-    """
+    """Return each settable parameter with what it changes; rows are as few as the time allowed for all demands."""
     few = course.first(FEW_ROWS)
     begin = time.monotonic()
     prober.call(outputs_along, prober.fmu, few)
     per_row = (time.monotonic() - begin) / few.time.size
     count = max(1, len(settable_parameters(prober.description)))
-    rows = int(min(FEW_ROWS, max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
+    tried = course.first(int(max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
 
-    def react(rows: int, fmu: Fmu) -> tuple[Array, Array]:
+    def react(fmu: Fmu) -> tuple[Array, Array]:
         """Return initial and later outputs."""
-        table, stop = prober.call(outputs_along, fmu, course.first(rows))
+        table, stop = prober.call(outputs_along, fmu, tried)
         if not len(table):
             raise stop
         return table[0], table[1:]
 
-    quickly = tried_parameters(prober, partial(react, rows), size)
-    idle = {p.name for p in quickly if not p.acts and not p.starts and not p.failure}
-    longer = min(course.time.size, int(SECONDS / (TRIALS * max(1, len(idle)) * per_row)))
-    if not idle or longer <= rows:
-        return quickly
-    again = {p.name: p for p in tried_parameters(prober, partial(react, longer), size, idle)}
-    return tuple(again.get(p.name, p) for p in quickly)
+    return tried_parameters(prober, react, size)
 
 
 def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
@@ -159,8 +149,8 @@ class Responses:
 
     def flags(self, inputs: Sequence[str]) -> Flags:
         """Return whether an input (column) changes an output (row) at any time."""
-        differences = (self._response(name, STEPS[0], 1)[2] for name in inputs)
-        columns = [(np.abs(difference) > self.noise).any(axis=0) for difference in differences]
+        responses = (self._response(name, STEPS[0], 1)[0] for name in inputs)
+        columns = [(np.abs(response) > self.noise).any(axis=0) for response in responses]
         return np.column_stack([np.zeros((self._size.size, 0), bool), *columns])
 
     def ports(
@@ -197,18 +187,17 @@ class Responses:
         """Return the gain over a part of a step, the median over the places."""
         gains = []
         for share in STEPS:
-            row, course, difference, size = self._response(name, share, parts)
-            if len(difference) <= row + 2:
-                continue
-            once, twice = difference[row + 1 : row + 3, velocity]
-            if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < DIRECT * abs(once):
-                gains.append(float(once) / (size * float(course.time[row + 1] - course.time[row])))
+            response, scale = self._response(name, share, parts)
+            if len(response) > 2:
+                once, twice = response[1:3, velocity]
+                if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < DIRECT * abs(once):
+                    gains.append(float(once) / scale)
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 
-    def _response(self, name: str, share: float, parts: int) -> tuple[int, Course, Array, float]:
-        """Return the row of an input step, the course with the two steps after it divided into parts, and the response.
+    def _response(self, name: str, share: float, parts: int) -> tuple[Array, float]:
+        """Return the differences of all outputs from the row of an input step on, and its size times the row's length.
 
-        The response is the differences of all outputs, and the size of the input step.
+        The two steps after it are divided into parts.
         """
         row = int(share * (self._course.time.size - 3))
         course = self._course.parted(row, parts)
@@ -226,4 +215,4 @@ class Responses:
         moved = replace(course, inputs={**course.inputs, name: values})
         table, _ = self._prober.call(outputs_along, self._prober.fmu, moved)
         rows = min(len(table), len(self._bases[key]))
-        return row, course, table[:rows] - self._bases[key][:rows], size
+        return (table[:rows] - self._bases[key][:rows])[row:], size * float(course.time[row + 1] - course.time[row])

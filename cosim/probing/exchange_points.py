@@ -5,7 +5,7 @@ Runs in the worker process.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -129,15 +129,13 @@ def equal_columns(known: Array, values: Array) -> dict[int, int]:
     return equal
 
 
-def simulated(fmu: Fmu, course: Course, first: Mapping[int, float]) -> Run:
+def simulated(fmu: Fmu, course: Course) -> Run:
     """Return a simulation along a course."""
     with fmu.opened(course) as (block, row):
-        return simulate(block, row, course, first)
+        return simulate(block, row, course)
 
 
-def evaluated(
-    fmu: Fmu, course: Course, first: Mapping[int, float], rows: Sequence[int], points: Points, run: Run | None
-) -> Points:
+def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run: Run | None) -> Points:
     """Return points with evaluations at rows.
 
     Args:
@@ -145,7 +143,7 @@ def evaluated(
     """
     with fmu.opened(course) as (block, row):
         if run is None:
-            simulate(block, row, course, first, lambda t, x, u: points.add(block, t, x, u), rows)
+            simulate(block, row, course, lambda t, x, u: points.add(block, t, x, u), rows)
             return points
         block.start()
         for k in rows:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations
 
@@ -46,16 +46,11 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         )
     names = states, inputs, outputs = prober.fmu.names
     first_states, first_outputs, shown = prober.call(start_point, prober.fmu, courses[0])
-    firsts = []  # the initial states that the first row of each log measures
-    for course in courses:
-        columns = {k: course.outputs.get(outputs[j]) for k, j in shown.items()}
-        firsts.append({k: float(v[0]) for k, v in columns.items() if v is not None and np.isfinite(v[0])})
-    runs: list[Run] = [
-        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
-    ]
+    courses = [course.begun(shown, outputs) for course in courses]
+    runs: list[Run] = [prober.call(simulated, prober.fmu, course) for course in courses]
     if not any(run.time.size for run in runs):
         raise runs[0].stop or prober.fmu.too_short(courses[0])
-    points, scales = _points(prober, courses, firsts, runs)
+    points, scales = _points(prober, courses, runs)
     known, table = np.array(points.known), np.array(points.values)
     finite = np.isfinite(table).all(axis=1)
     known, table = known[finite], table[finite]
@@ -64,7 +59,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     depends = points.depends
     pairs = _pairs(names, known, table, points)
     has_events = any(run.events.total for run in runs)
-    parameters = _parameters(prober, courses[0], firsts[0], points, has_events)
+    parameters = _parameters(prober, courses[0], points, has_events)
     is_single = bool(getattr(prober.description.modelExchange, "canBeInstantiatedOnlyOncePerProcess", False))
     braking = dampings(prober, courses[0], points, pairs, parameters)
     # states in no pair with a rate that an input or another state changes
@@ -92,9 +87,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     )
 
 
-def _points(
-    prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]], runs: Sequence[Run]
-) -> tuple[Points, dict[str, float]]:
+def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> tuple[Points, dict[str, float]]:
     """Return evaluations about points of all simulations, and the spread of each signal."""
     states, inputs, outputs = prober.fmu.names
     good = [run for run in runs if run.time.size]
@@ -112,12 +105,12 @@ def _points(
     points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool), low, high)
     reals_only = all(name in inputs for course in courses for name in course.inputs)
     share = max(2, POINTS // max(1, len(good)))
-    for course, first, run in zip(courses, firsts, runs, strict=True):
+    for course, run in zip(courses, runs, strict=True):
         if not run.time.size:
             continue
         rows = sorted({int(k) for k in np.linspace(0, run.time.size - 1, share)})
         replayed = run if reals_only and not run.events.total else None
-        points = prober.call(evaluated, prober.fmu, course, first, rows, points, replayed)
+        points = prober.call(evaluated, prober.fmu, course, rows, points, replayed)
     rates = [f"der({name})" for name in states]
     columns = (*states, *inputs, *rates, *outputs)
     return points, dict(zip(columns, map(float, (*spread, *spreads)), strict=True))
@@ -170,20 +163,18 @@ def _connections(
         yield Connection(first, second, gear, gear * ratio, spring / gear, damper / gear, deflection, speed)
 
 
-def _parameters(
-    prober: Prober, course: Course, first: Mapping[int, float], points: Points, has_events: bool
-) -> tuple[ProbedParameter, ...]:
+def _parameters(prober: Prober, course: Course, points: Points, has_events: bool) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what it changes, at points or only through events."""
     places = points.places[:: points.spacing(PLACES)]
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
         return tried
-    base: Run = prober.call(simulated, prober.fmu, course, first)
+    base: Run = prober.call(simulated, prober.fmu, course)
     found = []
     for p in tried:
         if not (p.acts or p.starts):  # along a simulation with events, it may change more
             try:
-                run: Run = prober.call(simulated, prober.with_values({p.name: p.tried}), course, first)
+                run: Run = prober.call(simulated, prober.with_values({p.name: p.tried}), course)
                 same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, SAME, 0.0)
                 p = replace(p, acts=not same)
             except SimulationError as error:

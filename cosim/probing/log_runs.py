@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration withou
 SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
 SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
-Named = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]  # states, inputs, outputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +34,7 @@ class Course:
 
     Attributes:
         step: Usual step [s].
+        states: Initial values of states by number, instead of those of the FMU.
     """
 
     name: str
@@ -42,6 +42,7 @@ class Course:
     inputs: Mapping[str, Array]
     outputs: Mapping[str, Array]
     step: float
+    states: Mapping[int, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, log: Log) -> Course:
@@ -52,6 +53,16 @@ class Course:
         """Return the first rows."""
         inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
         return replace(self, time=self.time[:rows], inputs=inputs, outputs=outputs)
+
+    def begun(self, shown: Mapping[int, int], outputs: Sequence[str]) -> Course:
+        """Return the course with the initial states that its first row measures.
+
+        Args:
+            shown: Number of a state → number of the output that shows it.
+        """
+        columns = {k: self.outputs.get(outputs[j]) for k, j in shown.items()}
+        first = {k: float(y[0]) for k, y in columns.items() if y is not None and np.isfinite(y[0])}
+        return replace(self, states=first)
 
     def parted(self, row: int, parts: int) -> Course:
         """Return the course with two further rows in the step after a row, each a part of the step apart."""
@@ -99,11 +110,12 @@ def nominal_of(variable: Any) -> float:
 
 def limits_of(variable: Any) -> tuple[float, float]:
     """Return min and max of a variable or of its type, infinite without any."""
-    ends = []
-    for end, default in (("min", -math.inf), ("max", math.inf)):
-        values = getattr(variable, end, None), getattr(variable.declaredType, end, None)
-        ends.append(next((float(v) for v in values if v is not None), default))
-    return ends[0], ends[1]
+
+    def end(name: str, default: float) -> float:
+        values = getattr(variable, name, None), getattr(variable.declaredType, name, None)
+        return next((float(v) for v in values if v is not None), default)
+
+    return end("min", -math.inf), end("max", math.inf)
 
 
 def moved_within(values: Array, size: float, limits: tuple[float, float]) -> Array:
@@ -153,11 +165,10 @@ class Fmu:
         return self.path.name
 
     @property
-    def names(self) -> Named:
+    def names(self) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
         """Return names of continuous states, inputs and outputs."""
-        listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
-        states, inputs, outputs = (scalars(group) for group in listed)
-        return states, inputs, outputs
+        about = self.description
+        return scalars(states_of(about)), scalars(reals(about, "input")), scalars(reals(about, "output"))
 
     def too_short(self, course: Course) -> SimulationError:
         """Return the error of a course with too few rows."""
@@ -205,14 +216,12 @@ def simulate(
     block: DifferentiableFmu,
     row: Any,
     course: Course,
-    first: Mapping[int, float],
     visit: Callable[[float, Array, Array], None] = lambda t, x, u: None,
     rows: Collection[int] = (),
 ) -> Run:
     """Simulate an opened FMU for model exchange along a course with the solver.
 
     Args:
-        first: Initial values of states by number, instead of those of the FMU.
         visit: Function of time, states and inputs at each row of `rows`, which leaves the FMU as it was.
     """
     visited, last = frozenset(rows), course.time.size - 1
@@ -220,9 +229,9 @@ def simulate(
     stop: SimulationError | None = None
     try:
         block.start()
-        if first:
+        if course.states:
             x, u = block.current_point()
-            x[[*first]] = [*first.values()]
+            x[[*course.states]] = [*course.states.values()]
             block.move(float(course.time[0]), x, u)
             block.calls.solver.reset(float(course.time[0]))
         for k, t in enumerate(course.time.tolist()):
@@ -242,8 +251,8 @@ def simulate(
         stop = error
     counts, made = block.calls.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    tables = [np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made])]
-    return Run(course.time[:made], tables[0], tables[1], tables[2], events, stop)
+    tables = (np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made]))
+    return Run(course.time[:made], *tables, events, stop)
 
 
 def run_along(

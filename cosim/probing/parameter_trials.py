@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from cosim.probing.log_runs import SAME, Course, Fmu, nominal_of, outputs_along
 from cosim.probing.prober import Prober, quantities
 from cosim.scenario.start_values import settable
 
-START_STEP = 1e-2  # displacement of a start value, as a share of its size or nominal value
+START_STEP = 1e-2  # displacement of a start value, or of an input, as a share of its size, range or nominal value
 MOST_STARTS = 40  # start values tried
 
 
@@ -34,16 +34,15 @@ def _is_settable_real(v: Any) -> bool:
 
 
 def tried_parameters(
-    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array, only: Container[str] | None = None
+    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array
 ) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what other values of it change.
 
     Args:
         react: Function of the FMU that returns its states after initialization, and a table of reactions.
         size: Magnitude of each column of the table.
-        only: Names of the parameters to try; None for all.
     """
-    parameters = [v for v in settable_parameters(prober.description) if only is None or v.name in only]
+    parameters = settable_parameters(prober.description)
     if not parameters:
         return ()
     start, table = react(prober.fmu)

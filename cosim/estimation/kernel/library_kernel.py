@@ -24,12 +24,12 @@ from cosim.estimation.kernel.nameless import LOCAL, PREFIX
 from cosim.estimation.kernel.propagation import propagation
 from cosim.fmi.description import reals, takes_any_step
 from cosim.isolation.limits import Limits
+from cosim.probing.parameter_trials import START_STEP
 from cosim.terms.language import Direction
 
 NAME = "model"  # component name in messages
 KEPT = 32  # free runs and responses
 STEP = 1e-6  # step of differences, as a share of a state's usual size
-TRIED = 1e-2  # pulse of an input, as a share of its range; step of a start state, as a share of its usual size
 
 FUNCTIONS = ("set_time", "set_states", "get_rates", "complete", "step", "set_reals", "get_reals")
 
@@ -209,11 +209,11 @@ class LibraryKernel(CompiledKernel):
             plain, slopes, pulses = outputs(data, x0), list[Array](), list[Array]()
             for place, (_, size) in enumerate(self._fmu.starts, len(x0) - len(self._fmu.starts)):
                 moved = x0.copy()
-                moved[place] += TRIED * size
+                moved[place] += START_STEP * size
                 slopes.append((outputs(data, moved) - plain) / (moved[place] - x0[place]))
             for k in () if slopes else np.flatnonzero(np.ptp(data.u, axis=0)):
                 u = data.u.copy()
-                u[0, k] += TRIED * np.ptp(u[:, k])
+                u[0, k] += START_STEP * np.ptp(u[:, k])
                 pulses.append((outputs(replace(data, u=u), x0) - plain)[1:])
             of_starts, told = (
                 np.nan_to_num(np.stack(each, axis=2), posinf=0.0, neginf=0.0) if each else np.zeros((*plain.shape, 0))
