@@ -1,10 +1,7 @@
 """Parameters with a separate value for each group of logs: names, priors, filter starts, and values of other groups.
 
 In the filter, such a parameter is a constant state θ. A known group value starts with variance 0, an unknown one at the
-expected value with the expected spread. A state initialized from its first reading satisfies the sensor equation
-y = g(x, θ) at the start, so that x and θ are correlated,
-
-    x₀ ← x₀ + G⁻¹(y − g(x₀, θ))      δx = −G⁻¹ ∂g/∂θ · δθ      G = ∂g/∂x
+expected value with the expected spread.
 """
 
 from __future__ import annotations
@@ -16,9 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.core.arrays import Array
-from cosim.core.linear_algebra import pseudo_inverse
-from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate, Free, spread_of_base, usual_size
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
@@ -26,8 +20,6 @@ from cosim.logs.channel_noise import NORMAL_95
 if TYPE_CHECKING:
     from cosim.estimation.fit import Fit
     from cosim.estimation.problem import Problem
-
-STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)
@@ -75,40 +67,6 @@ def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -
         if free := tuple(f for f in c.free if f.name not in names):
             starts = tuple({n: v for n, v in s.items() if n not in names} for s in c.starts)
             yield replace(c, free=free, starts=starts)
-
-
-def start_of_log(
-    kernel: Kernel, data: Data, p: Array, x0: Array, own: Mapping[str, tuple[float, float]], initial: Mapping[int, int]
-) -> tuple[Array, Array]:
-    """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0.
-
-    L has shape (stochastic states, parameters per log).
-
-    Args:
-        own: Parameter → value and standard deviation.
-        initial: Index of a state with an initial reading → index of the output.
-    """
-    layout = kernel.layout
-    places = [layout.constants[name] for name in own]
-    x, spreads = x0.copy(), np.array([s for _, s in own.values()])
-    x[places] = [value for value, _ in own.values()]
-    factor = np.zeros((len(x), len(places)))
-    factor[places, range(len(places))] = spreads
-    if initial:
-        first, memory, outputs = data.rows(0, 1), np.zeros(layout.memory), list(initial.values())
-
-        def read(state: Array) -> Array:
-            return np.asarray(kernel.simulate(first, p, state, memory).outputs[0, outputs])
-
-        def slope(place: int) -> Array:
-            step = STEP * max(1.0, abs(float(x[place])))
-            return np.asarray((read(x + step * (np.arange(len(x)) == place)) - y) / step)
-
-        y, states = read(x), list(initial)
-        gain = pseudo_inverse(np.column_stack([*map(slope, states)]))
-        factor[states] = -gain @ np.column_stack([*map(slope, places)]) * spreads
-        x[states] += gain @ (x0[states] - y)
-    return x, factor[list(layout.stochastic)]
 
 
 # Expected values, for groups without an estimate, such as those of held-out and sealed logs

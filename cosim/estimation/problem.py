@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
-from cosim.estimation.per_log import Origin, own, spread, start_of_log
+from cosim.estimation.per_log import Origin, own, spread
 from cosim.estimation.subject.candidates import Free
 
 RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
@@ -22,6 +23,7 @@ UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
 LONGEST_MEMORY = 0.1  # share of a log
 WITHIN = 10.0  # factor between stated and actual noise: on the variance one standard deviation of the prior of its log
 TINY = float(np.finfo(float).tiny)
+STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)
@@ -238,12 +240,34 @@ class Problem:
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
     def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
-        """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0."""
-        own, x0 = self._own(values, index), self.x0[index]
-        if not own:
-            return x0, np.zeros((len(self.layout.stochastic), 0))
-        p = self.numbers(self.of_log(values, index))
-        return start_of_log(self.kernel, self.logs[index], p, x0, own, self.origins[index].initial)
+        """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0.
+
+        L has shape (stochastic states, parameters per log). A state initialized from its first reading satisfies the
+        sensor equation y = g(x, θ) at the start, so that x and θ are correlated,
+
+            x₀ ← x₀ + G⁻¹(y − g(x₀, θ))      δx = −G⁻¹ ∂g/∂θ · δθ      G = ∂g/∂x
+        """
+        layout, own, x0 = self.layout, self._own(values, index), self.x0[index]
+        places, spreads = [layout.constants[name] for name in own], np.array([s for _, s in own.values()])
+        x, factor = x0.copy(), np.zeros((len(x0), len(places)))
+        x[places] = [value for value, _ in own.values()]
+        factor[places, range(len(places))] = spreads
+        if own and (initial := self.origins[index].initial):
+            first, p = self.logs[index].rows(0, 1), self.numbers(self.of_log(values, index))
+
+            def read(state: Array) -> Array:
+                outputs = self.kernel.simulate(first, p, state, np.zeros(layout.memory)).outputs
+                return np.asarray(outputs[0, list(initial.values())])
+
+            def slope(place: int) -> Array:
+                step = STEP * max(1.0, abs(float(x[place])))
+                return np.asarray((read(x + step * (np.arange(len(x)) == place)) - y) / step)
+
+            y, states = read(x), list(initial)
+            gain = pseudo_inverse(np.column_stack([*map(slope, states)]))
+            factor[states] = -gain @ np.column_stack([*map(slope, places)]) * spreads
+            x[states] += gain @ (x0[states] - y)
+        return x, factor[list(layout.stochastic)]
 
     def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
         """Return the parameters with a separate value per log: name → (value, standard deviation) for this log."""

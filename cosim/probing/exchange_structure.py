@@ -60,8 +60,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     pairs = _pairs(names, known, table, points)
     has_events = any(run.events.total for run in runs)
     parameters = _parameters(prober, courses[0], points, has_events)
-    is_single = bool(getattr(prober.description.modelExchange, "canBeInstantiatedOnlyOncePerProcess", False))
-    braking = dampings(prober, courses[0], points, pairs, parameters)
+    is_single = prober.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
     # states in no pair with a rate that an input or another state changes
     paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
     storages = [name for k, name in enumerate(states) if name not in paired and np.delete(depends[k], k).any()]
@@ -82,7 +81,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
         parameters=parameters,
-        dampings=tuple(replace(damping, in_step=not has_events and not is_single) for damping in braking),
+        dampings=dampings(prober, courses[0], points, pairs, parameters, not has_events and not is_single),
         stops=tuple(str(run.stop) for run in runs if run.stop),
     )
 

@@ -90,7 +90,7 @@ class Damping:
     port: str
     change: float
     speed: float
-    in_step: bool = True
+    in_step: bool
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,12 @@ RATIO_PLACES = 4  # points at which ratios are measured
 
 
 def dampings(
-    prober: Prober, course: Course, points: Points, pairs: Sequence[Pair], parameters: Sequence[ProbedParameter]
+    prober: Prober,
+    course: Course,
+    points: Points,
+    pairs: Sequence[Pair],
+    parameters: Sequence[ProbedParameter],
+    in_step: bool,
 ) -> tuple[Damping, ...]:
     """Return the settable damping of each pair on which no input acts alone.
 
@@ -49,10 +54,7 @@ def dampings(
         elsewhere = [*(k for k in velocities if k != index), *range(n, n + len(inputs))]
         # each point with the velocity 0, V, 2·V, and V while other velocities and the inputs are elsewhere
         for number, (t, x, u) in enumerate(points.places[::every]):
-            for multiple in (0.0, 1.0, 2.0):
-                moved = x.copy()
-                moved[index] = multiple * speed
-                places.append((t, moved, u))
+            places += [(t, np.where(np.arange(n) == index, k * speed, x), u) for k in (0.0, 1.0, 2.0)]
             z, rng = np.concatenate([x, u]), np.random.default_rng(4 * number + 3)
             z[elsewhere] += LARGE * points.scale[elsewhere] * rng.uniform(-1.0, 1.0, len(elsewhere))
             z[index] = speed
@@ -101,7 +103,7 @@ def dampings(
             if np.abs(along - factor * direction).max() <= CONSTANT * np.abs(along).max():
                 port = name
                 break
-        return Damping(pair, parameter, gain, rates, is_constant, port, change, speed)
+        return Damping(pair, parameter, gain, rates, is_constant, port, change, speed, in_step)
 
     base, found = react({}), dict[str, Damping]()
     for parameter in able:
@@ -112,10 +114,7 @@ def dampings(
         if not change:  # the bounds allow none
             continue
         with suppress(SimulationError):
-            once = react({name: value + change}) - base
-            if not any(damping_of(pair, name, change, o, 2.0 * o) for pair, o in zip(trials, once, strict=True)):
-                continue
-            twice = react({name: value + 2.0 * change}) - base
+            once, twice = (react({name: value + share * change}) - base for share in (1.0, 2.0))
             for pair, o, t in zip(trials, once, twice, strict=True):
                 if (damping := damping_of(pair, name, change, o, t)) is not None:
                     found.setdefault(pair.velocity, damping)

@@ -16,7 +16,6 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.core.errors import InputError
-from cosim.estimation.data import data_of, start_state
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
@@ -255,27 +254,21 @@ class LibraryReplayer(Replayer):
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
         units = {q.name: q.unit for q in self.subject.outputs}
-        kernel, layout, grid = self.kernel, self.kernel.layout, np.asarray(log.grid, np.intp)
+        layout, grid = self.kernel.layout, np.asarray(log.grid, np.intp)
         clean = {n: float(p.default) for n, p in self.subject.sensor_parameters.items()}
         given = {**self.subject.values, **values, **clean}
         p = np.array([given.get(n, 1.0) for n in layout.parameters])
         for horizon, begins in starts.items():
             table = np.full((log.rows, len(units)), np.nan)
-            if not self.subject.is_stepped:
-                rows = sorted(begins)
-                ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
-                for k, last in zip(rows, ends, strict=False):
-                    state = begins[k].states
-                    known = [0.0 if n.startswith(DISTURBANCE) else state.get(n, 0.0) for n in layout.states]
-                    memory = np.asarray(begins[k].memory, float)[: layout.memory]
-                    runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
-                for k, last, run in zip(rows, ends, simulate_all(kernel, runs), strict=False):
-                    table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
-            elif math.isinf(horizon):  # a library begins at the start of a log only
-                x0 = start_state(self.subject, data_of(self.subject, log, layout), layout.outputs, layout.states)
-                estimated = begins[min(begins)].states
-                x0[layout.start_places] = [estimated[layout.states[k]] for k in layout.start_places]
-                first = min(begins) + 1
-                table[first:] = kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs[grid[first:]]
+            # a library in co-simulation begins at the start of a log only
+            rows = [] if self.subject.is_stepped and math.isfinite(horizon) else sorted(begins)
+            ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
+            for k, last in zip(rows, ends, strict=False):
+                state = begins[k].states
+                known = [0.0 if n.startswith(DISTURBANCE) else state.get(n, 0.0) for n in layout.states]
+                memory = np.asarray(begins[k].memory, float)[: layout.memory]
+                runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
+            for k, last, run in zip(rows, ends, simulate_all(self.kernel, runs), strict=False):
+                table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
             yield Replay(log.time, horizon, begun, dict(zip(units, table.T, strict=True)), units)
