@@ -100,13 +100,12 @@ class LibraryInstance:
     def _functions(self, block: FmuBlock) -> _Library:
         """Return the functions of the library."""
         fmu, version = block.instance.fmu, int(self._description.fmiVersion[0])
-        kind = "Real" if version == 2 else "Float64"
+        kind, state = ("Real", "") if version == 2 else ("Float64", "ContinuousState")
         names = {"set_reals": f"Set{kind}", "get_reals": f"Get{kind}"}
         if self._stepped:
             names["step"] = "DoStep"
         else:
-            derivatives = "GetDerivatives" if version == 2 else "GetContinuousStateDerivatives"
-            names |= {"set_time": "SetTime", "set_states": "SetContinuousStates", "get_rates": derivatives}
+            names |= {"set_time": "SetTime", "set_states": "SetContinuousStates", "get_rates": f"Get{state}Derivatives"}
             if self._description.modelExchange.needsCompletedIntegratorStep:
                 names["complete"] = "CompletedIntegratorStep"
         functions = {n: ctypes.cast(getattr(fmu.dll, f"fmi{version}{s}"), ctypes.c_void_p) for n, s in names.items()}

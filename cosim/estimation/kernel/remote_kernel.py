@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated
 from cosim.estimation.kernel.kernel import Data, Filtered, Simulated, no_filtered, no_simulated
@@ -89,7 +89,7 @@ class RemoteLibraryKernel:
             self.failures.append(error)
             return [self._diverged(method, *each, **options) for each in passes]
 
-    def _diverged(self, method: str, data: Data, *arguments: Any, states: bool = False) -> Any:
+    def _diverged(self, method: str, data: Data, *arguments: Any, states: bool = False, **_: Any) -> Any:
         """Return the outcome of a pass that failed."""
         if method == "run":
             return no_filtered(self.layout, data, states=states)
@@ -98,24 +98,22 @@ class RemoteLibraryKernel:
         signals = self.layout.states, self.layout.outputs
         return tuple(np.full((len(arguments[1][0]), len(names)), np.nan) for names in signals)
 
-    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+    def run(self, *arguments: Any, **options: Any) -> Filtered:
         """Filter one log, as `Kernel.run`."""
-        filtered: Filtered = self.call_all("run", [(data, p, x0, P0, q, r)], states=states)[0]
+        filtered: Filtered = self.call_all("run", [arguments], **options)[0]
         return filtered
 
-    def simulate(
-        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
-    ) -> Simulated:
+    def simulate(self, *arguments: Any, **options: Any) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
-        simulated: Simulated = self.call_all("simulate", [(data, p, x0, memory, kicks, first)])[0]
+        simulated: Simulated = self.call_all("simulate", [arguments], **options)[0]
         return simulated
 
-    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
+    def step(self, *arguments: Any) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
-        stepped: tuple[Array, Array] = self.call_all("step", [(data, p, points, back)])[0]
+        stepped: tuple[Array, Array] = self.call_all("step", [arguments])[0]
         return stepped
 
-    def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
+    def responses(self, *arguments: Any) -> tuple[Array, Array]:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""
-        ((slopes, propagation),) = self._call("responses", [(data, x0)])
-        return slopes, propagation
+        found: tuple[Array, Array] = self._call("responses", [arguments])[0]
+        return found
