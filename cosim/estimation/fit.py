@@ -256,16 +256,12 @@ class _Scoring:
         shape = (len(self.theta), len(self.scored.errors))
         de, dls = np.empty(shape), np.empty(shape)
 
-        def after_step(i: int, h: float) -> Scored:
-            theta = self.theta.copy()
-            theta[i] += h
-            return self._evaluate(theta)
-
         def row(i: int) -> None:
-            h = self.difference[i]
+            h, unit = self.difference[i], np.eye(len(self.theta))[i]
             h = h if self.theta[i] + h <= self.high[i] else -h
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
-            ahead, behind = after_step(i, h), after_step(i, -back) if back else self.scored
+            ahead = self._evaluate(self.theta + h * unit)
+            behind = self._evaluate(self.theta - back * unit) if back else self.scored
             with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # A diverged filter gives NaN.
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]

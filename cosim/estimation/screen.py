@@ -22,7 +22,6 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 
 SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
-TINY = 1e-3  # share at which a switched effect changes more than at SHARE
 RANK = float(np.sqrt(np.finfo(float).eps))  # share of the residual, or of a singular value, that counts as none
 
 
@@ -133,7 +132,7 @@ class ScoreTest:
             steps = np.diag(np.where(over, -1.0, 1.0) * sizes)
         rows = [scale * self.row(dict(zip(c.parameters, step, strict=True))) for step in steps]
         if is_absent:
-            jump = self.row(dict(zip(c.parameters, TINY * distances, strict=True)))
+            jump = self.row(dict(zip(c.parameters, DIFFERENCE * distances, strict=True)))
             # detectable, and more than half of what the large step does
             switched = float(jump @ jump) > max(1.0, 0.5 * float(rows[0] @ rows[0]))
         innovations = [r[: len(self.scored.errors)] for r in rows]

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -187,20 +188,23 @@ class Fmu:
         """
         about = self.name, self.path, self.description, self.values, frozenset(course.inputs)
         block = FmuBlock(*about, way=way, recorded=recorded) if way else DifferentiableFmu(*about)
-        here.progress.made[0], here.progress.doing[0] = 0, OTHER
+        here.progress.made[0] = 0
+        announce(OTHER)
         block.instance.place = self.place
         here.share_log(block)
         row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
         block.bind(row, 0, [None] * (len(block.exact_inputs) + len(block.exact_outputs)), 0)
-
-        def name_reading() -> None:
-            """Announce the reading of outputs after the initialization; loading has its own limit."""
-            here.progress.doing[0] = GET
-
-        block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=name_reading)
+        # loading has its own limit; outputs are read after the initialization
+        end = float(course.time[-1]) + course.step
+        block.load_and_begin(float(course.time[0]), end, loaded=partial(announce, GET))
         put_row(block, row, course, 0)
         with closing(block):
             yield block, row
+
+
+def announce(call: int) -> None:
+    """Tell the caller of the worker which call of an FMU comes next."""
+    here.progress.doing[0] = call
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -208,7 +212,7 @@ def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
     for number, signal in enumerate(block.inputs):
         if signal.name in course.inputs:
             row[number] = float(course.inputs[signal.name][k])
-    here.progress.doing[0] = PUT
+    announce(PUT)
     block.put()
 
 
@@ -244,7 +248,7 @@ def simulate(
                 visit(t, x, u)
                 block.rates(x, u)
             if k < last:
-                here.progress.doing[0] = ADVANCE
+                announce(ADVANCE)
                 block.advance(t, float(course.time[k + 1]) - t)
                 here.progress.made[0] += 1
     except SimulationError as error:
@@ -266,18 +270,18 @@ def run_along(
     table, stop = list[list[float]](), None
 
     def get() -> None:
-        here.progress.doing[0] = GET
+        announce(GET)
         block.get()
         table.append(row[len(block.inputs) : len(block.inputs) + len(block.outputs)])
 
     try:
         if first is None:
-            here.progress.doing[0] = OTHER
+            announce(OTHER)
             block.start()
         get()
         for k in range(first or 0, course.time.size - 1):
             put_row(block, row, course, k)
-            here.progress.doing[0] = ADVANCE
+            announce(ADVANCE)
             block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
             put_row(block, row, course, k + 1)
             get()

@@ -15,7 +15,7 @@ from cosim.core.errors import SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated
 from cosim.estimation.kernel.kernel import Data, Filtered, Simulated, no_filtered, no_simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
-from cosim.isolation.limits import LOADING, Limits
+from cosim.isolation.limits import LOADING
 from cosim.isolation.process import Remote, Worker
 from cosim.isolation.watch import Watch
 from cosim.probing.prober import SLOW
@@ -48,24 +48,17 @@ class RemoteLibraryKernel:
         self.failures: list[SimulationError] = []
         self._longest, self._has_hung = 0.0, False  # processor time of a call that succeeded [s]
 
-    def _limits_of(self, passes: int) -> Limits:
-        """Return the limits of a call for several passes.
-
-        An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
-        """
-        most = (self.limits.load or LOADING) * passes
-        if self._has_hung:
-            most = min(most, max(1.0, SLOW * self._longest))
-        return self.limits.model_copy(update={"load": most})
-
     def _call(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
         """Return the results of a method for each pass; raise SimulationError if the FMU fails, crashes or hangs."""
         try:
             worker, kernels = _idle.get_nowait()
         except queue.Empty:
             worker, kernels = Worker(*MODULES), {}
+        most = (self.limits.load or LOADING) * len(passes)
+        # An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
+        most = min(most, max(1.0, SLOW * self._longest)) if self._has_hung else most
         try:
-            watch = Watch((NAME,), limits=self._limits_of(len(passes)))
+            watch = Watch((NAME,), limits=self.limits.model_copy(update={"load": most}))
             remote = kernels.setdefault(self, Remote(worker, LibraryKernel, *self._recipe))
             results, spent = remote.call("call", method, passes, options, watch=watch)
             self._longest = max(self._longest, spent)
