@@ -129,22 +129,16 @@ def equal_columns(known: Array, values: Array) -> dict[int, int]:
     return equal
 
 
-def simulated(fmu: Fmu, course: Course) -> Run:
-    """Return a simulation along a course."""
-    with fmu.opened(course) as (block, row):
-        return simulate(block, row, course)
-
-
 def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run: Run | None) -> Points:
     """Return points with evaluations at rows.
 
     Args:
         run: The simulation, so that the FMU is moved to its points; None to simulate again, as events demand.
     """
-    with fmu.opened(course) as (block, row):
-        if run is None:
-            simulate(block, row, course, lambda t, x, u: points.add(block, t, x, u), rows)
-            return points
+    if run is None:
+        simulate(fmu, course, points.add, rows)
+        return points
+    with fmu.opened(course) as (block, _):
         block.start()
         for k in rows:
             x = block.move(float(run.time[k]), run.states[k], run.inputs[k])

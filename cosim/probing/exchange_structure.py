@@ -19,12 +19,11 @@ from cosim.probing.exchange_points import (
     equal_columns,
     evaluated,
     reactions,
-    simulated,
     start_point,
 )
 from cosim.probing.fmu_structure import Connection, Pair, Port, ProbedParameter, Structure
 from cosim.probing.force_trials import dampings, with_factors
-from cosim.probing.log_runs import SAME, Course, Run, nominal_of
+from cosim.probing.log_runs import SAME, Course, Run, nominal_of, simulate
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, quantities, separate_pairs
 
@@ -47,7 +46,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     names = states, inputs, outputs = prober.fmu.names
     first_states, first_outputs, shown = prober.call(start_point, prober.fmu, courses[0])
     courses = [course.begun(shown, outputs) for course in courses]
-    runs: list[Run] = [prober.call(simulated, prober.fmu, course) for course in courses]
+    runs: list[Run] = [prober.call(simulate, prober.fmu, course) for course in courses]
     if not any(run.time.size for run in runs):
         raise runs[0].stop or prober.fmu.too_short(courses[0])
     points, scales = _points(prober, courses, runs)
@@ -168,12 +167,12 @@ def _parameters(prober: Prober, course: Course, points: Points, has_events: bool
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
         return tried
-    base: Run = prober.call(simulated, prober.fmu, course)
+    base: Run = prober.call(simulate, prober.fmu, course)
     found = []
     for p in tried:
         if not (p.acts or p.starts):  # along a simulation with events, it may change more
             try:
-                run: Run = prober.call(simulated, prober.with_values({p.name: p.tried}), course)
+                run: Run = prober.call(simulate, prober.with_values({p.name: p.tried}), course)
                 same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, SAME, 0.0)
                 p = replace(p, acts=not same)
             except SimulationError as error:

@@ -217,46 +217,48 @@ def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
 
 
 def simulate(
-    block: DifferentiableFmu,
-    row: Any,
+    fmu: Fmu,
     course: Course,
-    visit: Callable[[float, Array, Array], None] = lambda t, x, u: None,
+    visit: Callable[[DifferentiableFmu, float, Array, Array], None] = lambda block, t, x, u: None,
     rows: Collection[int] = (),
 ) -> Run:
-    """Simulate an opened FMU for model exchange along a course with the solver.
+    """Simulate an FMU for model exchange along a course with the solver.
 
     Args:
-        visit: Function of time, states and inputs at each row of `rows`, which leaves the FMU as it was.
+        visit: Function of FMU, time, states and inputs at each row of `rows`, which leaves the FMU as it was.
     """
     visited, last = frozenset(rows), course.time.size - 1
     states, inputs, values = list[Array](), list[Array](), list[Array]()
     stop: SimulationError | None = None
-    try:
-        block.start()
-        if course.states:
-            x, u = block.current_point()
-            x[[*course.states]] = [*course.states.values()]
-            block.move(float(course.time[0]), x, u)
-            block.calls.solver.reset(float(course.time[0]))
-        for k, t in enumerate(course.time.tolist()):
-            put_row(block, row, course, k)
-            x, u = block.current_point()
-            values.append(block.rates(x, u))
-            states.append(x)
-            inputs.append(u)
-            if k in visited:
-                visit(t, x, u)
-                block.rates(x, u)
-            if k < last:
-                announce(ADVANCE)
-                block.advance(t, float(course.time[k + 1]) - t)
-                here.progress.made[0] += 1
-    except SimulationError as error:
-        stop = error
-    counts, made = block.calls.event_counts, len(inputs)
+    with fmu.opened(course) as (block, row):
+        try:
+            block.start()
+            if course.states:
+                x, u = block.current_point()
+                x[[*course.states]] = [*course.states.values()]
+                block.move(float(course.time[0]), x, u)
+                block.calls.solver.reset(float(course.time[0]))
+            for k, t in enumerate(course.time.tolist()):
+                put_row(block, row, course, k)
+                x, u = block.current_point()
+                values.append(block.rates(x, u))
+                states.append(x)
+                inputs.append(u)
+                if k in visited:
+                    visit(block, t, x, u)
+                    block.rates(x, u)
+                if k < last:
+                    announce(ADVANCE)
+                    block.advance(t, float(course.time[k + 1]) - t)
+                    here.progress.made[0] += 1
+        except SimulationError as error:
+            stop = error
+        counts, made = block.calls.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    tables = (np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made]))
-    return Run(course.time[:made], *tables, events, stop)
+    known, u, rates = (
+        np.array(each, float).reshape(made, -1 if made else 0) for each in (states, inputs, values[:made])
+    )
+    return Run(course.time[:made], known, u, rates, events, stop)
 
 
 def run_along(

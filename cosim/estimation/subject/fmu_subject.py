@@ -185,7 +185,7 @@ class FmuSubject(ModelSubject):
 
     def replayer(self, place: Workplace) -> Replayer:
         """Return a replayer of the delivered FMU, or of the model if the FMU cannot be built."""
-        delivered = self._delivered(place.folder) if self._can_begin_anywhere else None
+        delivered = self._replayed(place.folder)
         outputs = [q.name for q in self.outputs]
         if delivered is None:
             return LibraryReplayer(self, self.kernel(outputs), "own")
@@ -199,14 +199,14 @@ class FmuSubject(ModelSubject):
 
     def quick_replayer(self, place: Workplace) -> LibraryReplayer | None:
         """Return a replayer of the model."""
-        if not self._can_begin_anywhere or self._delivered(place.folder) is None:
+        if self._replayed(place.folder) is None:
             return None
         return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
 
-    @property
-    def _can_begin_anywhere(self) -> bool:
-        """Return True if a replay through the delivered FMU begins wherever one of the model does."""
-        return self.is_stepped or not any(e.memory or e.delay for e in self.model.awake)
+    def _replayed(self, folder: Path) -> Path | None:
+        """Return the FMU with the terms if it is there and its replays begin wherever those of the model do."""
+        has_memory = not self.is_stepped and any(e.memory or e.delay for e in self.model.awake)
+        return None if has_memory else self._delivered(folder)
 
     def _delivered(self, folder: Path) -> Path | None:
         """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
