@@ -35,7 +35,7 @@ PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit i
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit: parameter values, noise, NLL by log, and information matrix of free parameters and noise.
+    """Result of a fit: parameter values, noise, NLL of all logs, and information matrix of free parameters and noise.
 
     Attributes:
         scattered: Covariance of the free parameters by scatter over blocks of time.
@@ -45,18 +45,13 @@ class Fit:
     values: Mapping[str, float]
     noise: Noise
     free: tuple[Free, ...]
-    nll_by_log: tuple[float, ...]
+    nll: float
     penalty: float
     information: Array
     iterations: int
     converged: bool
     scattered: Array | None = None
     regions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    @property
-    def nll(self) -> float:
-        """Return the negative log-likelihood of all logs."""
-        return sum(self.nll_by_log)
 
     @property
     def objective(self) -> float:
@@ -98,7 +93,7 @@ def initial_fit(problem: Problem) -> Fit:
         span = problem.noise.largest - noise.power
         levels = [replace(noise, power=noise.power + share * span) for share in np.linspace(0.0, 1.0, LEVELS)]
         noise = min(levels, key=lambda level: problem.score(problem.values, level).nll)
-    return Fit(problem.values, noise, (), (), 0.0, np.zeros((0, 0)), 0, False)
+    return Fit(problem.values, noise, (), 0.0, 0.0, np.zeros((0, 0)), 0, False)
 
 
 def inverse(information: Array) -> Array:
@@ -221,8 +216,7 @@ class _Scoring:
             is_kept = not is_kept and pace > max(enough, 0.5 * expected)  # where a step keeps its promise
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
-        reached = *self._unpack(self.theta), self.free, self.scored.by_log
-        return Fit(*reached, penalty, unscaled, done, converged)
+        return Fit(*self._unpack(self.theta), self.free, self.scored.nll, penalty, unscaled, done, converged)
 
     def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
         values = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}

@@ -175,20 +175,19 @@ def halve_log(problem: Problem) -> Problem:
     Free runs last the whole log, of which each half has its readings only.
     """
     (log,), (x0,) = problem.logs, problem.x0
-    half = len(log.u) // 2
+    half, reached = len(log.u) // 2, x0
     if problem.layout.is_free_run:
         early = np.arange(len(log.u))[:, None] < half
-        parts = [replace(log, y=np.where(rows, log.y, np.nan)) for rows in (early, ~early)]
-        readings = list(map(readings_of, parts))
-        return replace(problem, logs=parts, readings=readings, x0=[x0, x0], origins=[*problem.origins] * 2)
-    halves = [log.rows(0, half), log.rows(half, len(log.u))]
-    following = replace(problem, trusted=False, sensing=None)
-    run = following.run(problem.values, following.plain, 0, states=True)
-    reached = problem.drop_unknown_inputs(run.states[half])
+        halves = [replace(log, y=np.where(rows, log.y, np.nan)) for rows in (early, ~early)]
+    else:
+        halves = [log.rows(0, half), log.rows(half, len(log.u))]
+        following = replace(problem, trusted=False, sensing=None)
+        run = following.run(problem.values, following.plain, 0, states=True)
+        reached = problem.drop_unknown_inputs(run.states[half])
+        for origin in problem.origins:
+            # A start from a reading depends on the group's parameter value.
+            p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
+            read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
+            reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
     readings = list(map(readings_of, halves))
-    for origin in problem.origins:
-        # A start from a reading depends on the group's parameter value.
-        p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
-        read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
-        reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
     return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=[*problem.origins] * 2)

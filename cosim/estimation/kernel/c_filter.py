@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,25 +96,20 @@ def _address(a: Any) -> ctypes.c_void_p:
 
 def _source(generated: Generated) -> str:
     """Return the C source of the filter: sizes, generated functions and hand-written code."""
-    layout, before = generated.layout, list[Path]()
-    stepped = layout.is_free_run
+    layout, before, stepped = generated.layout, list[Path](), generated.layout.is_free_run
     groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
-    numbers = {name: len(group) for name, group in groups.items()} | {"NM": layout.memory, "DELAY": layout.delay}
-    sizes = {name: f"({number})" for name, number in numbers.items()}
-    sizes["STOCHASTIC"] = f"{{{', '.join(map(str, layout.stochastic or (0,)))}}}"
-    sizes |= {"STIFF": str(int(generated.stiff)), "STEPPED": str(int(stepped))}
+    sizes: dict[str, Any] = {name: len(group) for name, group in groups.items()}
+    sizes |= {"NM": layout.memory, "DELAY": f"({layout.delay})", "STIFF": int(generated.stiff), "STEPPED": int(stepped)}
+    places: dict[str, Sequence[int]] = {"STOCHASTIC": layout.stochastic}
     if generated.library is not None:
-        sizes |= {name: f"({count})" for name, count in zip(("NB", "NL"), generated.library, strict=True)}
+        sizes |= zip(("NB", "NL"), generated.library, strict=True)
         before = [FOLDER / "library_calls.c", FOLDER / ("stepped_library.c" if stepped else "library.c")]
     if stepped:
-        sizes["UNNAMED"] = str(int(generated.unnamed))
-        sizes["LASTING"] = f"({layout.parameters.index(MEMORY)})"
-        sizes["POSITIONS"] = f"({len(layout.positions)})"
-        places = {
-            "READ_PLACES": layout.positions,
-            "RUN_PLACES": [layout.states.index(layout.outputs[k]) for k in layout.positions],
-        }
-        sizes |= {name: f"{{{', '.join(map(str, each or (0,)))}}}" for name, each in places.items()}
+        sizes |= {"UNNAMED": int(generated.unnamed), "LASTING": layout.parameters.index(MEMORY)}
+        sizes["POSITIONS"] = len(layout.positions)
+        places["READ_PLACES"] = layout.positions
+        places["RUN_PLACES"] = [layout.states.index(layout.outputs[k]) for k in layout.positions]
+    sizes |= {name: f"{{{', '.join(map(str, each or (0,)))}}}" for name, each in places.items()}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     after = NATIVE / "step.c", FOLDER / "lags.c", FOLDER / ("free_run.c" if stepped else "filter.c")
     first, last = ([path.read_text(encoding="utf-8") for path in paths] for paths in (before, after))
