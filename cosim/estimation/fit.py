@@ -63,7 +63,7 @@ class Fit:
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         shared = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
-        return np.asarray(F[np.ix_(own, own)] - shared)
+        return F[np.ix_(own, own)] - shared
 
     def interval(self, name: str) -> tuple[float, float]:
         """Return the limits of the 95 % interval of an estimate."""
@@ -103,7 +103,7 @@ def inverse(information: Array) -> Array:
     """
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
-    return np.asarray(pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale))
+    return pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
 
 
 def fit(
@@ -148,7 +148,7 @@ class Slopes:
     def gradients(self) -> Array:
         """Return the gradient of the NLL by measurement."""
         e, s = self.scored.errors, self.scored.variances
-        return np.asarray(self.errors * (e / s) + 0.5 * self.log_variances * (1.0 - e * e / s))
+        return self.errors * (e / s) + 0.5 * self.log_variances * (1.0 - e * e / s)
 
 
 def slopes(problem: Problem, f: Fit) -> Slopes:
@@ -194,11 +194,11 @@ class _Scoring:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
         done, converged, is_kept = 0, False, False
-        slopes = np.zeros((0, 0)), np.zeros((0, 0))
         information = np.zeros((len(self.theta),) * 2)
         limit = iterations * int(np.isfinite(self.scored.nll))  # The filter may diverge at the start values.
         while done < limit and not converged:
-            slopes = slopes if is_kept else self.sensitivities()
+            if not is_kept:
+                slopes = self.sensitivities()
             gradient, curvature = self.derivatives(*slopes)
             if not np.isfinite([*gradient, *curvature.flat]).all():
                 break  # The model diverges near this point, so no search direction exists.

@@ -65,7 +65,7 @@ class Scored:
     def terms(self) -> Array:
         """Return ½ (ln 2πs + e²/s) of each measurement."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances))
+            return 0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances)
 
     @property
     def by_log(self) -> tuple[float, ...]:
@@ -149,7 +149,7 @@ class Problem:
 
     def _largest(self, property: str) -> Array:
         """Return a property of the readings of each output, the largest of all logs."""
-        return np.asarray(np.max([getattr(readings, property) for readings in self.readings], axis=0))
+        return np.max([getattr(readings, property) for readings in self.readings], axis=0)
 
     def _short(self) -> Problem:
         """Return the problem on the first rows of the logs, to find the range of the noise.
@@ -257,11 +257,11 @@ class Problem:
 
             def read(state: Array) -> Array:
                 outputs = self.kernel.simulate(first, p, state, np.zeros(layout.memory)).outputs
-                return np.asarray(outputs[0, list(initial.values())])
+                return outputs[0, list(initial.values())]
 
             def slope(place: int) -> Array:
                 step = STEP * max(1.0, abs(float(x[place])))
-                return np.asarray((read(x + step * (np.arange(len(x)) == place)) - y) / step)
+                return (read(x + step * (np.arange(len(x)) == place)) - y) / step
 
             y, states = read(x), list(initial)
             gain = pseudo_inverse(np.column_stack([*map(slope, states)]))
@@ -316,7 +316,7 @@ class Problem:
         if not np.isfinite(noise.timing).any():
             return r
         speed = self.readings[index].slopes / self.logs[index].step
-        return np.asarray(r + np.exp(noise.timing) * speed**2)
+        return r + np.exp(noise.timing) * speed**2
 
     def run(
         self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None

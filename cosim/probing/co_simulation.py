@@ -13,7 +13,7 @@ from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, outputs_along
+from cosim.probing.log_runs import SAME, Course, Fmu, moved, noise_of, outputs_along
 from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters
 from cosim.probing.prober import Prober, quantities, separate_pairs
 
@@ -143,8 +143,7 @@ class Responses:
     def __init__(self, prober: Prober, course: Course, base: Array, size: Array) -> None:
         self._prober, self._size, self._course = prober, size, course
         repeated, _ = prober.call(outputs_along, prober.fmu, course)
-        rows = min(len(repeated), len(base))
-        self.noise = 10.0 * np.abs(repeated[:rows] - base[:rows]).max(axis=0, initial=0.0) + SAME * size
+        self.noise = noise_of(base, repeated, size)
         self._bases: dict[tuple[float, int], Array] = {}
 
     def flags(self, inputs: Sequence[str]) -> Flags:
@@ -208,11 +207,10 @@ class Responses:
         held = course.inputs.get(name)
         if held is None:
             held = np.full(course.time.size, float(variable.start or 0.0))
-        wanted = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-        changed = moved_within(held, wanted, limits_of(variable))
-        size = float(changed[row] - held[row]) or wanted
+        changed = moved(variable, held)
+        size = float(changed[row] - held[row]) or 1.0
         values = np.where(np.arange(course.time.size) < row, held, changed)
-        moved = replace(course, inputs={**course.inputs, name: values})
-        table, _ = self._prober.call(outputs_along, self._prober.fmu, moved)
+        stepped = replace(course, inputs={**course.inputs, name: values})
+        table, _ = self._prober.call(outputs_along, self._prober.fmu, stepped)
         rows = min(len(table), len(self._bases[key]))
         return (table[:rows] - self._bases[key][:rows])[row:], size * float(course.time[row + 1] - course.time[row])

@@ -85,7 +85,7 @@ class Points:
 
     def _inside(self, moved: Array, z: Array) -> Array:
         """Return a displaced point within the limits, or no further outside than the point itself."""
-        return np.asarray(np.clip(moved, np.minimum(self.low, z), np.maximum(self.high, z)))
+        return np.clip(moved, np.minimum(self.low, z), np.maximum(self.high, z))
 
 
 def _safe_rates(block: DifferentiableFmu, x: Array, u: Array, t: float | None = None) -> Array:

@@ -26,6 +26,7 @@ from cosim.probing.fmu_structure import EventCount
 ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration without a default experiment [s]
 SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
+CHANCE = 10.0  # difference relative to that of equal simulations, up to which it is chance
 SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
 
 
@@ -119,13 +120,23 @@ def limits_of(variable: Any) -> tuple[float, float]:
     return end("min", -math.inf), end("max", math.inf)
 
 
-def moved_within(values: Array, size: float, limits: tuple[float, float]) -> Array:
-    """Return values plus a size, or minus it where limits forbid more, within the limits."""
-    low, high = limits
-    if values.max(initial=-math.inf) + size > high and values.min(initial=math.inf) - size >= low:
+def moved(variable: Any, held: Array) -> Array:
+    """Return values of a variable plus a usual size, or minus it where its limits forbid more, within the limits."""
+    size, (low, high) = float(np.std(held)) or amplitude_of(variable, float(held[0])), limits_of(variable)
+    if held.max() + size > high and held.min() - size >= low:
         size = -size
-    inside = values + size
-    return np.asarray(np.clip(inside, min(low, float(values.min())), max(high, float(values.max()))), np.float64)
+    return np.clip(held + size, min(low, float(held.min())), max(high, float(held.max())))
+
+
+def noise_of(table: Array, repeated: Array, size: Array) -> Array:
+    """Return the differences of equal numbers, by rounding or by chance, of each column of a table.
+
+    Args:
+        size: Magnitude of each column.
+    """
+    rows = min(len(table), len(repeated))
+    apart = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
+    return SAME * size + CHANCE * apart
 
 
 @dataclass(eq=False)

@@ -17,7 +17,7 @@ from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import reals, state_names, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
-from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, outputs_along, sine_course
+from cosim.probing.log_runs import SAME, Course, moved, outputs_along, sine_course
 from cosim.probing.prober import LIMITS, Prober
 
 ROWS = 60  # rows of a simulation
@@ -97,10 +97,8 @@ def excited_course(prober: Prober, course: Course) -> Course:
     course = course.first(ROWS)
     for variable in reals(prober.description, "input"):
         if variable.name in course.inputs:
-            held = course.inputs[variable.name]
-            size = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-            moved = moved_within(held, size, limits_of(variable))
-            course = replace(course, inputs={**course.inputs, variable.name: moved})
+            inputs = {**course.inputs, variable.name: moved(variable, course.inputs[variable.name])}
+            course = replace(course, inputs=inputs)
     return course
 
 

@@ -12,7 +12,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import REALS
 from cosim.probing.fmu_structure import ProbedParameter, StartValue
-from cosim.probing.log_runs import SAME, Course, Fmu, nominal_of, outputs_along
+from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, noise_of, nominal_of, outputs_along
 from cosim.probing.prober import Prober, quantities
 from cosim.scenario.start_values import settable
 
@@ -49,11 +49,8 @@ def tried_parameters(
     begin = time.monotonic()
     again, repeated = react(prober.fmu)
     took = time.monotonic() - begin
-    rows = min(len(table), len(repeated))
-    # differences of equal numbers, by rounding or by chance
-    apart = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
-    noise = SAME * size + 10.0 * apart
-    state_noise = 10.0 * np.abs(again - start) + SAME * np.maximum(np.abs(start), SAME)
+    noise = noise_of(table, repeated, size)
+    state_noise = noise_of(start[None], again[None], np.maximum(np.abs(start), SAME))
     found = []
     with prober.hurry(took):
         for variable in parameters:
@@ -93,7 +90,7 @@ def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> t
         noise: Differences of equal outputs.
     """
     found = []
-    spread = np.maximum(base.std(axis=0), 10.0 * noise)
+    spread = np.maximum(base.std(axis=0), CHANCE * noise)
     used = {"input", "parameter", "calculatedParameter", "structuralParameter", "independent"}
     states = [
         v
