@@ -20,7 +20,7 @@ def past_reading(sensor: Any, time: Array, values: Array, measured: Array | None
         measured: Measured readings; a lag goes on from the one before the first value, if there is one.
     """
     if sensor.late:
-        return np.interp(time - sensor.value, time, values, left=np.nan)
+        return np.asarray(np.interp(time - sensor.value, time, values, left=np.nan))
     return lagged(time, values, sensor.value) if measured is None else replayed(time, values, sensor.value, measured)
 
 

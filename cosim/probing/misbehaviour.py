@@ -15,13 +15,12 @@ import psutil
 from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import Way, library_of, ways
-from cosim.probing.log_runs import SAME, Course, Fmu, outputs_along, put_row, run_along, sine_course
+from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, outputs_along, put_row, run_along, sine_course
 from cosim.probing.own_step import excited_course
 from cosim.probing.prober import Prober
 
 WARM, INSTANCES = 2, 6  # instances before and during the measurement of memory
 LEAK = 1e6  # growth per instance that is no waste of the allocator [bytes]
-NOISE = 5.0  # difference relative to that of equal simulations, from which it is another result
 
 
 def misbehaviour(fmu: Path) -> Iterator[str]:
@@ -58,7 +57,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
                 gaps, size = np.full(first.shape[1], np.inf), np.maximum(np.abs(table).max(axis=0), SAME)
                 if table.shape == other.shape:
                     gaps = np.nan_to_num(np.abs(other - table)).max(axis=0, initial=0.0)
-                if share := float((gaps / size)[gaps > SAME * size + NOISE * noise].max(initial=0.0)):
+                if share := float((gaps / size)[gaps > SAME * size + CHANCE * noise].max(initial=0.0)):
                     yield f"{what} has other outputs, by {share:.2g} of their largest value"
                 noise = gaps if job is outputs_again else noise
             with suppress(SimulationError, FmuError):

@@ -32,7 +32,7 @@ def propagation(responses: Array) -> Array:
     chosen, matrix = _with_hidden_states(*(part.reshape(-1, outputs) for part in (parts[1:-1], parts[:-2], parts[2:])))
     whole[:, [*range(outputs), *(outputs + j for j in chosen)]] = matrix
     growth = max(1.0, float(np.abs(np.linalg.eigvals(np.vstack([whole, np.eye(outputs, 2 * outputs)]))).max()))
-    return whole / np.repeat([growth, growth**2], outputs) * size[:, None] / np.tile(size, 2)
+    return np.asarray(whole / np.repeat([growth, growth**2], outputs) * size[:, None] / np.tile(size, 2))
 
 
 def _with_hidden_states(now: Array, before: Array, after: Array) -> tuple[list[int], Array]:

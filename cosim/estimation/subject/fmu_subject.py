@@ -21,7 +21,7 @@ from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kern
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Workplace
-from cosim.estimation.subject.model_subject import FILES, ModelSubject
+from cosim.estimation.subject.model_subject import FILES, ModelSubject, new_fmu
 from cosim.estimation.subject.probed_model import probed_model
 from cosim.fmi.building.file import LoadedModel
 from cosim.fmi.description import read_description, takes_any_step
@@ -217,10 +217,9 @@ class FmuSubject(ModelSubject):
         code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
         values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}
         known = {*(p.name for p in code.parameters), *model.variables.values()}
-        path = folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
-        substep, kept = self.rate / self.substeps(self.rate), {n: v for n, v in values.items() if n in known}
+        path, kept = new_fmu(folder), {n: v for n, v in values.items() if n in known}
         try:
-            wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
+            wrapped = wrap(self.structure.fmu, code, kept, path, substep=self.rate / self.substeps(self.rate))
         except (CannotWrap, NoCompiler, CompilerFailed) as error:
             self.undelivered = f"There is no refined FMU: {error}"
             return None

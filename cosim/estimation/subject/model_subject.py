@@ -138,10 +138,13 @@ class ModelSubject(Subject):
 
     def replayer(self, place: Workplace) -> Replayer:
         """Return a replayer of the Python FMU."""
+        return FmuReplayer(self.model, self._built(place.folder), place, "python")
+
+    def _built(self, folder: Path) -> Path:
+        """Return the Python FMU, built once."""
         if self.fmu is None or not self.fmu.is_file():
-            count = len([*place.folder.glob("replayed*.fmu")])
-            self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{count}.fmu")
-        return FmuReplayer(self.model, self.fmu, place, "python")
+            self.fmu = build(self.loaded.recipe(), new_fmu(folder))
+        return self.fmu
 
     def quick_replayer(self, place: Workplace) -> Replayer | None:
         """Return a replayer of the class's native FMU, for all parameter values."""
@@ -154,15 +157,16 @@ class ModelSubject(Subject):
         """Write model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""
         yaml, fmu = (scratch / file for file in FILES[name])
         write_model(yaml, self.loaded, folder)
-        if self.fmu is not None and self.fmu.is_file():
-            copyfile(self.fmu, fmu)
-        else:
-            self.fmu = build(self.loaded.recipe(), fmu)
-        return yaml, fmu
+        return yaml, Path(copyfile(self._built(scratch), fmu))
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
         """Return a command line for the FMU."""
         return ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={folder / FILES[name][1]}"]
+
+
+def new_fmu(folder: Path) -> Path:
+    """Return the place of a further FMU for replays."""
+    return folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
 
 
 def neutral_values(model: Model) -> dict[str, float]:
