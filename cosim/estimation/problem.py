@@ -149,7 +149,7 @@ class Problem:
 
     def _largest(self, property: str) -> Array:
         """Return a property of the readings of each output, the largest of all logs."""
-        return np.max([getattr(readings, property) for readings in self.readings], axis=0)
+        return np.asarray(np.max([getattr(readings, property) for readings in self.readings], axis=0))
 
     def _short(self) -> Problem:
         """Return the problem on the first rows of the logs, to find the range of the noise.

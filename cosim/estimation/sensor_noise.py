@@ -66,7 +66,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
     with np.errstate(invalid="ignore", divide="ignore"):
         is_significant = scores / np.sqrt(information) > STAMPS_ERR
         is_white = ~(products / np.sqrt(squares) > STAMPS_ERR)
-    return is_significant & is_white & ~np.isfinite(at.noise.timing) & problem.adjusted
+    return np.asarray(is_significant & is_white & ~np.isfinite(at.noise.timing) & problem.adjusted)
 
 
 def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[str, ...]:

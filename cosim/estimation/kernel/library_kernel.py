@@ -52,6 +52,7 @@ class LibraryOf(NamedTuple):
     """An FMU for a kernel.
 
     Attributes:
+        variables: Parameter of the kernel → variable; others are ignored.
         sizes: Usual size of each state, for differences.
         starts: In co-simulation: variable of each start state, with its usual size.
         values: Parameter values for the effect of start states on the outputs.
@@ -62,6 +63,7 @@ class LibraryOf(NamedTuple):
 
     path: Path
     description: Any
+    variables: Mapping[str, str]
     sizes: Sequence[float]
     starts: tuple[tuple[str, float], ...] = ()
     values: Mapping[str, float] = MappingProxyType({})
@@ -117,20 +119,14 @@ class LibraryInstance:
 
 
 class LibraryKernel(CompiledKernel):
-    """Kernel of an FMU with terms.
+    """Kernel of an FMU with terms."""
 
-    Args:
-        parameters: Parameter of the kernel → variable of the FMU.
-    """
-
-    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
+    def __init__(self, generated: Generated, fmu: LibraryOf) -> None:
         claim(fmu.path)
         super().__init__(generated)
-        self._fmu = fmu
-        self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
-        self._stepped = self.layout.is_free_run
+        self._fmu, self._stepped, order = fmu, self.layout.is_free_run, self.layout.parameters
         self._instance, self._second = LibraryInstance(fmu, stepped=self._stepped), LibraryInstance(fmu)
-        order = self.layout.parameters
+        self._places = {v: order.index(n) for n, v in fmu.variables.items() if n in order}
         self._turned = {order.index(n): v for n, v in fmu.neutral.items() if n in order}
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
         shapes = f"{PREFIX}.", f"{LOCAL}."

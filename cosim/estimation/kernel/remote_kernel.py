@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 import queue
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -41,9 +41,9 @@ class RemoteLibraryKernel:
         failures: Reason of each pass in which the FMU failed.
     """
 
-    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
+    def __init__(self, generated: Generated, fmu: LibraryOf) -> None:
         self.layout = generated.layout
-        self._recipe = generated, fmu._replace(path=fmu.path.resolve()), dict(parameters)
+        self._recipe = generated, fmu._replace(path=fmu.path.resolve())
         self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LOADING})
         self.failures: list[SimulationError] = []
         self._longest, self._has_hung = 0.0, False  # processor time of a call that succeeded [s]

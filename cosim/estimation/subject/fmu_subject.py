@@ -152,7 +152,8 @@ class FmuSubject(ModelSubject):
         model = self.model
         turned = [k for k in model.catalogue if issubclass(k, Force) and k.place.direction is not None]
         neutral = {f"{k.name}.{p.name}": p.neutral for k in turned for p in parameters_of(k) if p.neutral is not None}
-        return LibraryOf(fmu, description, sizes, starts, self.values, self.limits, model.directions, neutral)
+        about = fmu, description, dict(model.variables), sizes
+        return LibraryOf(*about, starts, self.values, self.limits, model.directions, neutral)
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
