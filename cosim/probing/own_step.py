@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -88,7 +88,20 @@ def probe_own_step(
             return result
 
         with prober.hurry(took), suppress(SimulationError, FmuError):
-            return _own_step(table, course.step, steps)
+            step, count = course.step, 2**DOUBLINGS
+            tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]  # to the same time by several steps
+            if any(len(each) != count // 2**k + 1 for k, each in enumerate(tables)):
+                return None
+            size = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
+            gaps = [float((np.abs(a[-1] - b[-1]) / size).max(initial=0.0)) for a, b in pairwise(tables)]
+            if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
+                # So many short steps reach the result of a single long one.
+                distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / size).sum(axis=1)
+                own = roundest(step * count / max(1, int(np.argmin(distance))))
+                return OwnStep(own, step, own > step)
+            changes = np.diff(table, axis=0).any(axis=1)
+            if 1.0 - changes.mean() > STILL and changes[len(changes) // 2 :].any():
+                return OwnStep(roundest(step / max(1e-3, changes.mean())), step, distorts=False)
     return None
 
 
@@ -100,31 +113,6 @@ def excited_course(prober: Prober, course: Course) -> Course:
             inputs = {**course.inputs, variable.name: moved(variable, course.inputs[variable.name])}
             course = replace(course, inputs=inputs)
     return course
-
-
-def _own_step(outputs: Array, step: float, steps: Callable[[float, int], Array]) -> OwnStep | None:
-    """Compare results after the same time by steps of several lengths.
-
-    Args:
-        outputs: Outputs along the course.
-        steps: Function of a step [s] and a number of steps that returns outputs for constant inputs.
-    """
-    count = 2**DOUBLINGS
-    tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]
-    if any(len(table) != count // 2**k + 1 for k, table in enumerate(tables)):
-        return None
-    course = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
-    gaps = [float((np.abs(a[-1] - b[-1]) / course).max(initial=0.0)) for a, b in pairwise(tables)]
-    if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
-        # So many short steps reach the result of a single long one.
-        distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / course).sum(axis=1)
-        own = roundest(step * count / max(1, int(np.argmin(distance))))
-        return OwnStep(own, step, own > step)
-    moved = np.diff(outputs, axis=0) != 0.0
-    still = 1.0 - moved.any(axis=1).mean()
-    if moved.any() and still > STILL and moved[len(moved) // 2 :].any():
-        return OwnStep(roundest(step / max(1e-3, 1.0 - still)), step, distorts=False)
-    return None
 
 
 def roundest(value: float) -> float:
