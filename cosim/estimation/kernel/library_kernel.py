@@ -222,28 +222,26 @@ class LibraryKernel(CompiledKernel):
     def _use(self, p: Array, data: Data, x0: Array) -> None:
         """Prepare the instance for the parameter and start values."""
         values = {name: float(p[k]) for name, k in self._places.items()}
-        first = len(x0) - len(self._fmu.starts)
-        values |= {name: float(x0[first + k]) for k, (name, _) in enumerate(self._fmu.starts)}
+        values |= zip(
+            (name for name, _ in self._fmu.starts), x0[len(x0) - len(self._fmu.starts) :].tolist(), strict=True
+        )
         times = data.start, data.start + len(data.u) * data.step
         prepared = self._instance.prepare(values, *times)
         if any(p[k] != neutral for k, neutral in self._turned.items()):
-            prepared = self._with_second(prepared, values, times)
+            # another instance has other dampings, for the directions
+            directions, prepared = self._fmu.directions, _Library.from_buffer_copy(prepared)
+            other = {d.parameter: d.changed(values[d.parameter]) for d in directions}
+            second = self._second.prepare({**values, **other}, *times)
+            arrays = {
+                "braked": np.array([d.state for d in directions], np.int32),
+                "speeds": np.array([d.speed for d in directions]),
+                "changes": np.array([other[d.parameter] - values[d.parameter] for d in directions]),
+            }
+            prepared.second, prepared.directions = ctypes.addressof(second), len(directions)
+            for name, array in arrays.items():
+                setattr(prepared, name, array.ctypes.data)
+            self._kept = prepared, second, arrays  # C keeps their addresses
         self._library.use_library(ctypes.byref(prepared))
-
-    def _with_second(self, first: _Library, values: Mapping[str, float], times: tuple[float, float]) -> _Library:
-        """Return the functions of the instance, with another one of other dampings for the directions."""
-        directions = self._fmu.directions
-        other = {d.parameter: d.changed(values[d.parameter]) for d in directions}
-        both = _Library.from_buffer_copy(first)
-        changes = [other[d.parameter] - values[d.parameter] for d in directions]
-        braked = np.array([d.state for d in directions], np.int32)
-        arrays = {"braked": braked, "speeds": np.array([d.speed for d in directions]), "changes": np.array(changes)}
-        prepared = self._second.prepare({**values, **other}, *times)
-        both.second, both.directions = ctypes.addressof(prepared), len(directions)
-        for name, array in arrays.items():
-            setattr(both, name, array.ctypes.data)
-        self._both = both, prepared, arrays  # C keeps their addresses
-        return both
 
 
 def _asks_past(data: Data) -> bool:
