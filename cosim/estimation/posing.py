@@ -130,7 +130,7 @@ def _range(problem: Problem) -> Array:
         span = np.where(measured, log.y, -np.inf).max(axis=0) - np.where(measured, log.y, np.inf).min(axis=0)
         if not np.all((error <= span) | ~measured.any(axis=0)):  # also true after overflow
             return np.zeros(len(problem.layout.states))
-    return np.ptp(np.vstack([run.states for run in runs]), axis=0)
+    return np.asarray(np.ptp(np.vstack([run.states for run in runs]), axis=0))
 
 
 def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:

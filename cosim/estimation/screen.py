@@ -146,7 +146,7 @@ class ScoreTest:
         offsets = np.array([steps.get(name, 0.0) for name in self.priors]) / self.sigma
         with np.errstate(invalid="ignore", over="ignore"):
             row = np.concatenate([(other.errors - e) / np.sqrt(s), np.log(other.variances / s) / np.sqrt(2), offsets])
-        return np.nan_to_num(row, posinf=0.0, neginf=0.0)
+        return np.asarray(np.nan_to_num(row, posinf=0.0, neginf=0.0))
 
 
 class Choice:

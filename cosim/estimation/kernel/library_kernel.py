@@ -187,7 +187,7 @@ class LibraryKernel(CompiledKernel):
         half = replace(data, u=u, step=0.5 * data.step, substeps=max(1, substeps // 2), late=None, lags=None)
         between = self._free_run(half, p, x0).outputs[1::2]
         bends[1:] = between - 0.5 * (outputs[:-1] + outputs[1:])
-        return np.nan_to_num(bends, posinf=0.0, neginf=0.0)
+        return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
 
     def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
         """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagation.
