@@ -11,6 +11,8 @@ from cosim.fmi.description import Way
 from cosim.model.quantities import Quantity
 from cosim.terms.language import RatioFactor
 
+START_STEP = 1e-2  # displacement of a start value, or of an input, as a share of its size, range or nominal value
+
 
 @dataclass(frozen=True)
 class Port:

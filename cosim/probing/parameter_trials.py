@@ -11,12 +11,11 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import REALS
-from cosim.probing.fmu_structure import ProbedParameter, StartValue
+from cosim.probing.fmu_structure import START_STEP, ProbedParameter, StartValue
 from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, noise_of, nominal_of, outputs_along
 from cosim.probing.prober import Prober, quantities
 from cosim.scenario.start_values import settable
 
-START_STEP = 1e-2  # displacement of a start value, or of an input, as a share of its size, range or nominal value
 MOST_STARTS = 40  # start values tried
 
 

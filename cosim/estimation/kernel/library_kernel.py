@@ -24,7 +24,7 @@ from cosim.estimation.kernel.nameless import LOCAL, PREFIX
 from cosim.estimation.kernel.propagation import propagation
 from cosim.fmi.description import reals, takes_any_step
 from cosim.isolation.limits import Limits
-from cosim.probing.parameter_trials import START_STEP
+from cosim.probing.fmu_structure import START_STEP
 from cosim.terms.language import Direction
 
 NAME = "model"  # component name in messages

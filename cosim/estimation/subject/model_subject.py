@@ -11,7 +11,7 @@ from shutil import copyfile
 from typing import Any, Literal
 
 from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.kernel import CONSTANT, Data, Kernel
+from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.kernel.nameless import Known, bases
 from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Subject, Workplace
@@ -213,7 +213,7 @@ def start_values(model: Model, start: Start) -> dict[str, float]:
     awake, plant = {e.name for e in model.awake}, model.declared
     values = {name: value for name, value in start.per_log.items() if name in plant}
     for name, value in start.states.items():
-        if not name.startswith(CONSTANT) and ("." not in name or name.split(".")[0] in awake):
+        if "." not in name or name.split(".")[0] in awake:
             values[f"{name}_start"] = value
     # for the memory of a delay see `delayed_commands`
     places = [(e.name, q.name) for e in shaping_effects(model.catalogue) if not e.delay for q in e.memory]
