@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
@@ -160,9 +160,13 @@ class Responses:
         Args:
             least: Least response after two steps, relative to that after one.
         """
-        if not velocities:
-            return {}
-        gains = {(v, name): self._gain(name, v, least) for v in velocities for name in inputs}
+        gains, takes_parts = dict[tuple[int, str], float](), takes_any_step(self._prober.description)
+        for v, name in product(velocities, inputs):
+            # Parts of a step show a lag that a whole step hides. An FMU that makes whole steps instead of parts has
+            # another gain there, which is not used.
+            whole = self._gain(name, v, 1, least)
+            fine = self._gain(name, v, PARTS, least) if whole and takes_parts else whole
+            gains[v, name] = whole if abs(fine) > MOST_GAIN * abs(whole) else fine
         ports = {}
         for v in velocities:
             mine = [name for name in inputs if gains[v, name]]
@@ -170,20 +174,11 @@ class Responses:
             ports[v] = tuple(Port(name, gains[v, name], alone[name]) for name in mine)
         return ports
 
-    def _gain(self, name: str, velocity: int, least: float) -> float:
+    def _gain(self, name: str, velocity: int, parts: int, least: float) -> float:
         """Return the rate of a velocity per unit of an input that acts through one integrator, else 0.
 
-        Parts of a step show a lag that a whole step hides. An FMU that makes whole steps instead of parts has another
-        gain there, which is not used.
+        It is that over a part of a step, the median over the places.
         """
-        whole = self._gain_over(name, velocity, 1, least)
-        if not whole or not takes_any_step(self._prober.description):
-            return whole
-        fine = self._gain_over(name, velocity, PARTS, least)
-        return whole if abs(fine) > MOST_GAIN * abs(whole) else fine
-
-    def _gain_over(self, name: str, velocity: int, parts: int, least: float) -> float:
-        """Return the gain over a part of a step, the median over the places."""
         gains = []
         for share in STEPS:
             response, scale = self._response(name, share, parts)
