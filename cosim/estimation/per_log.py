@@ -72,13 +72,8 @@ def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -
 # Expected values, for groups without an estimate, such as those of held-out and sealed logs
 
 
-def means(f: Fit) -> dict[str, float]:
-    """Return parameter → mean over the groups, for the parameters with a value per group."""
-    return {name: expected_value(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
-
-
-def expected_value(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
-    """Return a parameter's mean over groups and its spread for a new group.
+def expected_values(f: Fit, besides: str = "") -> dict[str, tuple[float, float]]:
+    """Return parameter with a value per group → mean over groups, and spread for a new group.
 
     For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
     both distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the
@@ -87,22 +82,25 @@ def expected_value(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
     Args:
         besides: Group to ignore.
     """
-    every = [x for x in f.free if x.parameter == name]
-    others = [x for x in every if x.group != besides]
-    mean, prior = every[0].prior or (f.values[name], every[0].size)
-    values = [f.values[x.name] for x in others]
-    n = len(values)
-    if n < 2:
-        return (values[0] if values else mean), prior
     from scipy.special import ndtr, stdtrit
 
-    s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in others]))))
-    return float(np.mean(values)), float(stdtrit(n - 1, ndtr(NORMAL_95))) / NORMAL_95 * s * math.sqrt(1.0 + 1.0 / n)
+    found = {}
+    for name in dict.fromkeys(x.parameter for x in f.free if x.group):
+        every = [x for x in f.free if x.parameter == name]
+        others = [x for x in every if x.group != besides]
+        mean, width = every[0].prior or (f.values[name], every[0].size)
+        values = [f.values[x.name] for x in others]
+        n = len(values)
+        if n > 1:
+            s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in others]))))
+            width = float(stdtrit(n - 1, ndtr(NORMAL_95))) / NORMAL_95 * s * math.sqrt(1.0 + 1.0 / n)
+        found[name] = float(np.mean(values)) if values else mean, width
+    return found
 
 
-def expected_values(f: Fit, group: str) -> dict[str, float]:
+def _start_values(f: Fit, group: str) -> dict[str, float]:
     """Return the expected values of a group with their spread, from all further groups."""
-    values = {name: expected_value(f, name, group) for name in means(f)}
+    values = expected_values(f, group)
     return {key(n, group): v for n, pair in values.items() for key, v in zip((own, spread), pair, strict=True)}
 
 
@@ -113,7 +111,7 @@ def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
     groups = [origin.group for origin in problem.origins]
     if groups.count(groups[index]) > 1:
         return f
-    return replace(f, values={**f.values, **expected_values(f, groups[index])})
+    return replace(f, values={**f.values, **_start_values(f, groups[index])})
 
 
 def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
@@ -121,5 +119,5 @@ def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
     values: dict[str, float] = {}
     for group in dict.fromkeys(groups):
         if all(x.group != group for x in f.free):
-            values |= expected_values(f, group)
+            values |= _start_values(f, group)
     return values | {x.name: f.values[x.name] for x in f.free if x.group}

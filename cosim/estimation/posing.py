@@ -55,18 +55,9 @@ def build_problem(
         }
         for way in ("late", "lagging")
     )
-    problem = Problem(
-        kernel,
-        [],
-        r=np.array([variances.get(name, 1.0) for name in measured]),
-        values=values,
-        settings=settings,
-        late=late,
-        lagging=lagging,
-        stated=np.isin(measured, [*variances]),
-        adjusted=np.ones(len(measured), bool),
-        own=own,
-    )
+    r, stated = np.array([variances.get(name, 1.0) for name in measured]), np.isin(measured, [*variances])
+    adjusted = np.ones(len(measured), bool)
+    problem = Problem(kernel, [], r, values, settings, late, lagging, stated, adjusted, own=own)
     return with_logs(subject, problem, logs)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.per_log import group_values, means
+from cosim.estimation.per_log import expected_values, group_values
 from cosim.estimation.problem import Settings
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -45,7 +45,8 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | 
     """
     if claimed is None:
         return subject
-    fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
+    fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group}
+    fitted |= {name: mean for name, (mean, _) in expected_values(claimed.fit).items()}
     stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
     unchanged = {n for n in fitted if n not in subject.sensor_parameters and n not in stated and claimed.is_of_sensors}
     refined = subject.refined({n: v for n, v in fitted.items() if n not in unchanged})
