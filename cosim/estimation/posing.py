@@ -1,4 +1,4 @@
-"""Construction of a fitting problem from logs: kernel, start states and substeps."""
+"""Construction of a fitting problem from logs: kernel, start states, substeps and horizon."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.estimation.data import data_of, first_measured, readings_of, start_state
-from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY
+from cosim.estimation.data import count_unscored, data_of, first_measured, readings_of, start_state
+from cosim.estimation.fit import initial_fit
+from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Begin, simulate_all
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import WITHIN, Problem, Settings
@@ -21,6 +22,10 @@ from cosim.logs.log import Log, slowness
 MOST_DOUBLINGS = 8  # of the substeps of a fit
 FEW = 2  # steps of co-simulation between rows while a search ranks candidates
 SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
+NEAR = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if this happens twice in it
+EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
+STARTS = 8  # simulations per log and state
+DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
 NO_SETTINGS = Settings()
 USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input: more than a few rows
 
@@ -158,6 +163,45 @@ def with_finer_steps(problem: Problem, values: Mapping[str, float], noise: Noise
             break
         problem = finer
     return problem
+
+
+def predictable_horizon(problem: Problem, horizon: float) -> float:
+    """Return the horizon [s], shortened if start errors of the given model grow exponentially and a hundredfold.
+
+    On an unstable or chaotic plant, a small error of the start state grows exponentially. Predictions beyond that time
+    measure the start, not the model. The growth is measured on the logs: the given model is simulated from filtered
+    states and from states beside them. Errors count in units of each signal's standard deviation. Within the shorter
+    horizon, they grow tenfold in the median over starts and logs. A free run keeps its length.
+    """
+    layout, values, curves = problem.layout, problem.values, list[Array]()
+    if layout.is_free_run or not layout.states:
+        return horizon
+    noise = initial_fit(problem).noise
+    for index, log in enumerate(problem.logs):
+        data, first, run = (
+            problem.data(values, index),
+            count_unscored(log),
+            problem.run(values, noise, index, states=True),
+        )
+        length = int(min(round(min(horizon, len(data.u) * data.step) / data.step), len(data.u) - first - 1))
+        spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT)
+        moving = [k for k, name in enumerate(layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
+        if length < 2 or not moving or not np.isfinite(spreads).all():
+            continue
+        spread, p = problem.readings[index].spread, problem.numbers(problem.of_log(values, index))
+        steps = np.vstack([np.zeros(len(spreads)), np.diag(DISPLACEMENT * spreads)[moving]])
+        for row in np.unique(np.linspace(first, len(data.u) - 1 - length, STARTS).astype(int)).tolist():
+            start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
+            begins: list[Begin] = [(part, p, start + step, run.memory[row], None, 0) for step in steps]
+            with np.errstate(over="ignore", invalid="ignore"):
+                outputs = np.array([each.outputs for each in simulate_all(problem.kernel, begins)])
+                outputs /= np.where(spread > 0.0, spread, np.inf)
+                apart = np.linalg.norm(outputs[1:] - outputs[0], axis=2) / DISPLACEMENT
+            curves.append(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(axis=0))
+    rows = min(map(len, curves), default=0)
+    growth = np.maximum.accumulate(np.median([curve[:rows] for curve in curves], axis=0)) if rows else np.zeros(1)
+    is_far = (growth > NEAR**2) & (growth > EXPONENTIAL * growth[np.arange(len(growth)) // 2])
+    return min(horizon, max(2, int(np.argmax(growth > NEAR))) * problem.logs[0].step) if is_far.any() else horizon
 
 
 def halve_log(problem: Problem) -> Problem:
