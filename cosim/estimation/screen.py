@@ -165,7 +165,7 @@ class Choice:
         self.parts = {c.name for c in parts}
         edges = accumulate((len(t.rows) for t in self.terms.values()), initial=0)
         self.places = {name: range(*ends) for name, ends in zip(self.terms, pairwise(edges), strict=True)}
-        rows = np.vstack([t.rows for t in self.terms.values()]) if self.terms else np.zeros((0, test.residual.size))
+        rows = np.vstack([np.zeros((0, test.residual.size)), *(t.rows for t in self.terms.values())])
         self.products, self.against = rows @ rows.T, rows @ test.residual
         self.square = float(test.residual @ test.residual)
 

@@ -135,7 +135,7 @@ def noise_of(table: Array, repeated: Array, size: Array) -> Array:
         size: Magnitude of each column.
     """
     rows = min(len(table), len(repeated))
-    apart = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
+    apart: Array = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
     return SAME * size + CHANCE * apart
 
 
