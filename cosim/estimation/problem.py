@@ -218,8 +218,8 @@ class Problem:
         return NoiseLimits(
             low=Noise(self.noise.smallest, memory[0], low, shortest).vector,
             high=Noise(largest, memory[1], high, longest).vector,
-            mean=Noise(0.0 * largest, 0.0, stated, 0.0 * stated).vector,
-            sigma=Noise(largest + np.inf, np.inf, within, stated + np.inf).vector,
+            mean=Noise(0.0 * largest, 0.0, stated, np.zeros_like(stated)).vector,
+            sigma=Noise(largest + np.inf, np.inf, within, np.full_like(stated, np.inf)).vector,
         )
 
     def drop_unknown_inputs(self, state: Array) -> Array:
