@@ -131,8 +131,8 @@ def bare_kernel(foreign: FmuSubject, fmu: Path) -> LibraryKernel:
     attributes = {name: getattr(type(model), name) for name in names}
     bare = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
     sizes = [structure.scales.get(q.name, 0.0) for q in structure.states]
-    library = LibraryOf(fmu, read_description(fmu), sizes)
-    return LibraryKernel(generate(bare, [q.name for q in bare.outputs]), library, {})
+    library = LibraryOf(fmu, read_description(fmu), {}, sizes)
+    return LibraryKernel(generate(bare, [q.name for q in bare.outputs]), library)
 
 
 def noisy_log(subject: ModelSubject) -> Log:

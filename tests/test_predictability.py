@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.estimation.posing import build_problem
-from cosim.estimation.predictability import predictable_horizon
+from cosim.estimation.posing import build_problem, predictable_horizon
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter

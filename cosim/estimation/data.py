@@ -39,28 +39,14 @@ def data_of(subject: Subject, log: Log, layout: Layout, interpolated: frozenset[
     late = np.zeros_like(y)
     late[grid] = (grid - (log.time - log.time[0]) / log.step)[:, None]  # rows by which a reading is older than its row
     is_jittery = bool((np.abs(late) > UNEVEN).any())
-    if is_jittery:
-        u = _mean_commands(log, u, grid)
+    if is_jittery:  # The mean over a step is exact if a command changes within it; the last command continues.
+        edges, times = np.arange(rows + 1, dtype=np.float64), np.append((log.time - log.time[0]) / log.step, rows + 1)
+        integral = np.cumsum(np.vstack([np.zeros(u.shape[1]), u[grid] * np.diff(times)[:, None]]), axis=0)
+        u[:] = np.array([np.diff(np.interp(edges, times, column)) for column in integral.T]).reshape(u.T.shape).T
     data = Data(
         log.step, float(log.time[0]), u, y, subject.substeps(log.step), 0, interpolated, late if is_jittery else None
     )
     return replace(data, settle=count_unscored(data) if layout.driven else 0)
-
-
-def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
-    """Return the mean command over each equal step.
-
-    The integral of a command is exact if the command changes within a step.
-    """
-    edges = np.arange(len(u) + 1, dtype=np.float64)
-    rows = (log.time - log.time[0]) / log.step
-    commands = u[grid]
-    integral = np.vstack([np.zeros(u.shape[1]), np.cumsum(commands[:-1] * np.diff(rows)[:, None], axis=0)])
-    # The last command continues, and the first command also acts before its row.
-    times = np.concatenate([[min(0.0, rows[0]) - 1.0], rows, [edges[-1] + 1.0]])
-    before, after = (integral[k] + commands[k] * (times[k] - rows[k]) for k in (0, -1))
-    total = np.vstack([before, integral, after])
-    return np.column_stack([np.diff(np.interp(edges, times, column)) for column in total.T])
 
 
 def count_unscored(data: Data) -> int:

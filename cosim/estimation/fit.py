@@ -35,7 +35,7 @@ PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit i
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit: parameter values, noise, NLL by log, and information matrix of free parameters and noise.
+    """Result of a fit: parameter values, noise, NLL of all logs, and information matrix of free parameters and noise.
 
     Attributes:
         scattered: Covariance of the free parameters by scatter over blocks of time.
@@ -45,18 +45,13 @@ class Fit:
     values: Mapping[str, float]
     noise: Noise
     free: tuple[Free, ...]
-    nll_by_log: tuple[float, ...]
+    nll: float
     penalty: float
     information: Array
     iterations: int
     converged: bool
     scattered: Array | None = None
     regions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    @property
-    def nll(self) -> float:
-        """Return the negative log-likelihood of all logs."""
-        return sum(self.nll_by_log)
 
     @property
     def objective(self) -> float:
@@ -68,43 +63,23 @@ class Fit:
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         shared = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
-        return np.asarray(F[np.ix_(own, own)] - shared)
-
-    def is_flat(self, name: str) -> bool:
-        """Return whether the likelihood does not depend on a free parameter near its estimate."""
-        k = [f.name for f in self.free].index(name)
-        return not self.information[k, k] > 0.0
+        return F[np.ix_(own, own)] - shared
 
     def interval(self, name: str) -> tuple[float, float]:
         """Return the limits of the 95 % interval of an estimate."""
         value, half = float(self.values[name]), NORMAL_95 * self.sigma(name)
         return self.regions.get(name, (value - half, value + half))
 
-    def sigma(self, name: str, held: Sequence[str] = ()) -> float:
-        """Return the standard deviation of an estimate.
-
-        The larger of the values from information and from scatter counts.
+    def sigma(self, name: str, less: str = "") -> float:
+        """Return the standard deviation of an estimate; the larger of those from information and from scatter counts.
 
         Args:
-            held: Parameters that stay at their estimates.
+            less: Parameter that is subtracted; "" for none.
         """
         names = [f.name for f in self.free]
-        k, fixed = names.index(name), [names.index(n) for n in held]
-        variances = []
-        for covariance in self._covariances:
-            across = covariance[fixed, k]
-            variances.append(covariance[k, k] - across @ inverse(covariance[np.ix_(fixed, fixed)]) @ across)
-        return float(np.sqrt(max(0.0, *map(float, variances))))
-
-    def sigma_between(self, one: str, other: str) -> float:
-        """Return the standard deviation of a difference; the larger of two values counts, as in `sigma`."""
-        names = [f.name for f in self.free]
-        j, k = names.index(one), names.index(other)
-        return float(np.sqrt(max(0.0, *(c[j, j] + c[k, k] - 2.0 * c[j, k] for c in self._covariances))))
-
-    @property
-    def _covariances(self) -> list[Array]:
-        return [inverse(self.information), *([] if self.scattered is None else [self.scattered])]
+        places, signs = [names.index(n) for n in (name, less) if n], np.array([1.0, -1.0])[: 2 if less else 1]
+        both = [inverse(self.information), *([] if self.scattered is None else [self.scattered])]
+        return float(np.sqrt(max(0.0, *(signs @ c[np.ix_(places, places)] @ signs for c in both))))
 
 
 def initial_fit(problem: Problem) -> Fit:
@@ -118,7 +93,7 @@ def initial_fit(problem: Problem) -> Fit:
         span = problem.noise.largest - noise.power
         levels = [replace(noise, power=noise.power + share * span) for share in np.linspace(0.0, 1.0, LEVELS)]
         noise = min(levels, key=lambda level: problem.score(problem.values, level).nll)
-    return Fit(problem.values, noise, (), (), 0.0, np.zeros((0, 0)), 0, False)
+    return Fit(problem.values, noise, (), 0.0, 0.0, np.zeros((0, 0)), 0, False)
 
 
 def inverse(information: Array) -> Array:
@@ -128,7 +103,7 @@ def inverse(information: Array) -> Array:
     """
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
-    return np.asarray(pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale))
+    return pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
 
 
 def fit(
@@ -173,7 +148,7 @@ class Slopes:
     def gradients(self) -> Array:
         """Return the gradient of the NLL by measurement."""
         e, s = self.scored.errors, self.scored.variances
-        return np.asarray(self.errors * (e / s) + 0.5 * self.log_variances * (1.0 - e * e / s))
+        return self.errors * (e / s) + 0.5 * self.log_variances * (1.0 - e * e / s)
 
 
 def slopes(problem: Problem, f: Fit) -> Slopes:
@@ -201,26 +176,29 @@ class _Scoring:
     ) -> None:
         self.problem, self.free, self.only = problem, free, only
         self.start = {**problem.values, **start}
-        self.noise, self.noise_start, limits = noise, noise.vector, problem.limits
+        self.noise, limits = noise, problem.limits
         self.free_noise = limits.free if sensing else limits.free[limits.free < len(noise.power)]
+        priors = [f.prior or (0.0, np.inf) for f in free]  # of each number: mean and standard deviation
+        priors += zip(limits.mean[self.free_noise], limits.sigma[self.free_noise], strict=True)
+        self.mean, self.sigma = np.array(priors).reshape(-1, 2).T
         self.low = np.array([f.low for f in free] + [*limits.low[self.free_noise]])
         self.high = np.array([f.high for f in free] + [*limits.high[self.free_noise]])
         self.size = np.array([f.size for f in free] + [1.0] * len(self.free_noise))
         self.difference = self.size * np.array([DIFFERENCE] * len(free) + [NOISE_DIFFERENCE] * len(self.free_noise))
         places = {f.name: k for k, f in enumerate(free)}
         self.order = [(k, places[f.above]) for k, f in enumerate(free) if f.above in places]
-        self.theta = self._within(np.array([*(self.start[f.name] for f in free), *self.noise_start[self.free_noise]]))
+        self.theta = self._within(np.array([*(self.start[f.name] for f in free), *noise.vector[self.free_noise]]))
         self.damping = DAMPING
 
     def run(self, iterations: int, goal: float) -> Fit:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
         done, converged, is_kept = 0, False, False
-        slopes = np.zeros((0, 0)), np.zeros((0, 0))
         information = np.zeros((len(self.theta),) * 2)
         limit = iterations * int(np.isfinite(self.scored.nll))  # The filter may diverge at the start values.
         while done < limit and not converged:
-            slopes = slopes if is_kept else self.sensitivities()
+            if not is_kept:
+                slopes = self.sensitivities()
             gradient, curvature = self.derivatives(*slopes)
             if not np.isfinite([*gradient, *curvature.flat]).all():
                 break  # The model diverges near this point, so no search direction exists.
@@ -238,18 +216,13 @@ class _Scoring:
             is_kept = not is_kept and pace > max(enough, 0.5 * expected)  # where a step keeps its promise
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
-        reached = *self._unpack(self.theta), self.free, self.scored.by_log
-        return Fit(*reached, penalty, unscaled, done, converged)
+        return Fit(*self._unpack(self.theta), self.free, self.scored.nll, penalty, unscaled, done, converged)
 
     def _unpack(self, theta: Array) -> tuple[dict[str, float], Noise]:
         values = {f.name: float(v) for f, v in zip(self.free, theta[: len(self.free)], strict=True)}
-        return {**self.start, **values}, self.noise.like(self._noise_vector(theta))
-
-    def _noise_vector(self, theta: Array) -> Array:
-        """Return all noise values, fixed and free (from θ)."""
-        vector = self.noise_start.copy()
+        vector = self.noise.vector
         vector[self.free_noise] = theta[len(self.free) :]
-        return vector
+        return {**self.start, **values}, self.noise.like(vector)
 
     def _within(self, theta: Array) -> Array:
         """Return θ clipped to limits and order constraints."""
@@ -262,10 +235,9 @@ class _Scoring:
         return self.problem.score(*self._unpack(theta), self.only)
 
     def _penalty(self, theta: Array) -> float:
-        pairs = zip(self.free, theta[: len(self.free)], strict=True)
-        of_noise = self.problem.limits.penalty(self._noise_vector(theta))
-        of_values = float(sum(0.5 * ((v - f.prior[0]) / f.prior[1]) ** 2 for f, v in pairs if f.prior))
-        return self.problem.scatter * (of_noise + of_values)
+        values, noise = self._unpack(theta)
+        of_values = sum(0.5 * ((values[f.name] - f.prior[0]) / f.prior[1]) ** 2 for f in self.free if f.prior)
+        return float(self.problem.scatter * (self.problem.limits.penalty(noise.vector) + of_values))
 
     def sensitivities(self, *, both: bool = False) -> tuple[Array, Array]:
         """Return ∂e and ∂ln s by θ in units of the parameters' sizes.
@@ -278,16 +250,12 @@ class _Scoring:
         shape = (len(self.theta), len(self.scored.errors))
         de, dls = np.empty(shape), np.empty(shape)
 
-        def after_step(i: int, h: float) -> Scored:
-            theta = self.theta.copy()
-            theta[i] += h
-            return self._evaluate(theta)
-
         def row(i: int) -> None:
-            h = self.difference[i]
+            h, unit = self.difference[i], np.eye(len(self.theta))[i]
             h = h if self.theta[i] + h <= self.high[i] else -h
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
-            ahead, behind = after_step(i, h), after_step(i, -back) if back else self.scored
+            ahead = self._evaluate(self.theta + h * unit)
+            behind = self._evaluate(self.theta - back * unit) if back else self.scored
             with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # A diverged filter gives NaN.
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
@@ -302,15 +270,10 @@ class _Scoring:
             gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
             information = (de / s) @ de.T + 0.5 * dls @ dls.T
         weight = self.problem.scatter
-        for i, f in enumerate(self.free):
-            if f.prior:
-                gradient[i] += weight * f.size * (self.theta[i] - f.prior[0]) / f.prior[1] ** 2
-                information[i, i] += weight * (f.size / f.prior[1]) ** 2
-        limits = self.problem.limits
-        for i, place in enumerate(self.free_noise, len(self.free)):
-            gradient[i] += weight * (self.theta[i] - limits.mean[place]) / limits.sigma[place] ** 2
-            information[i, i] += weight * limits.sigma[place] ** -2
-        return gradient, information
+        gradient += weight * self.size * (self.theta - self.mean) / self.sigma**2
+        precision = (self.size / self.sigma) ** 2
+        precision[len(self.free) :] = self.sigma[len(self.free) :] ** -2
+        return gradient, information + np.diag(weight * precision)
 
     def _move(self, gradient: Array, information: Array) -> float:
         """Take a damped Newton step within the limits; return the improvement of the objective, or 0 without one."""
@@ -343,7 +306,7 @@ def with_flat_directions(problem: Problem, f: Fit) -> Fit:
 
     The region is no scatter about the estimate: a lag shorter than a row has an upper limit only.
     """
-    flat = [k for k, x in enumerate(f.free) if f.is_flat(x.name) and x.low < x.high]
+    flat = [k for k, x in enumerate(f.free) if not f.information[k, k] > 0.0 and x.low < x.high]
     if not flat or f.scattered is None:
         return f
     scattered, regions = f.scattered.copy(), dict(f.regions)

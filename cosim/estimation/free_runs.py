@@ -57,7 +57,7 @@ def _next(problem: Problem, values: Mapping[str, float], noise: Noise, index: in
     moved[places] = problem.run(values, noise, index, states=True).states[-1][places]
     for each in (moved, 0.5 * (x0 + moved)):
         if np.isfinite(each).all() and objective(each) < before - ENOUGH:
-            return np.asarray(each)
+            return each
     return x0
 
 

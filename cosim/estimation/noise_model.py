@@ -49,7 +49,7 @@ class Noise:
     @property
     def density(self) -> Array:
         """Return the low-frequency density 2·σ²·T of unknown inputs [unit of the state squared per second]."""
-        return np.asarray(2.0 * np.exp(self.power + self.memory))
+        return 2.0 * np.exp(self.power + self.memory)
 
 
 @dataclass(frozen=True, eq=False)

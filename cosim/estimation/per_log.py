@@ -1,10 +1,7 @@
 """Parameters with a separate value for each group of logs: names, priors, filter starts, and values of other groups.
 
 In the filter, such a parameter is a constant state θ. A known group value starts with variance 0, an unknown one at the
-expected value with the expected spread. A state initialized from its first reading satisfies the sensor equation
-y = g(x, θ) at the start, so that x and θ are correlated,
-
-    x₀ ← x₀ + G⁻¹(y − g(x₀, θ))      δx = −G⁻¹ ∂g/∂θ · δθ      G = ∂g/∂x
+expected value with the expected spread.
 """
 
 from __future__ import annotations
@@ -16,9 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.core.arrays import Array
-from cosim.core.linear_algebra import pseudo_inverse
-from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate, Free, spread_of_base, usual_size
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
@@ -26,8 +20,6 @@ from cosim.logs.channel_noise import NORMAL_95
 if TYPE_CHECKING:
     from cosim.estimation.fit import Fit
     from cosim.estimation.problem import Problem
-
-STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)
@@ -77,50 +69,11 @@ def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -
             yield replace(c, free=free, starts=starts)
 
 
-def start_of_log(
-    kernel: Kernel, data: Data, p: Array, x0: Array, own: Mapping[str, tuple[float, float]], initial: Mapping[int, int]
-) -> tuple[Array, Array]:
-    """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0.
-
-    L has shape (stochastic states, parameters per log).
-
-    Args:
-        own: Parameter → value and standard deviation.
-        initial: Index of a state with an initial reading → index of the output.
-    """
-    layout = kernel.layout
-    places = [layout.constants[name] for name in own]
-    x, spreads = x0.copy(), np.array([s for _, s in own.values()])
-    x[places] = [value for value, _ in own.values()]
-    factor = np.zeros((len(x), len(places)))
-    factor[places, range(len(places))] = spreads
-    if initial:
-        first, memory, outputs = data.rows(0, 1), np.zeros(layout.memory), list(initial.values())
-
-        def read(state: Array) -> Array:
-            return np.asarray(kernel.simulate(first, p, state, memory).outputs[0, outputs])
-
-        def slope(place: int) -> Array:
-            step = STEP * max(1.0, abs(float(x[place])))
-            return np.asarray((read(x + step * (np.arange(len(x)) == place)) - y) / step)
-
-        y, states = read(x), list(initial)
-        gain = pseudo_inverse(np.column_stack([*map(slope, states)]))
-        factor[states] = -gain @ np.column_stack([*map(slope, places)]) * spreads
-        x[states] += gain @ (x0[states] - y)
-    return x, factor[list(layout.stochastic)]
-
-
 # Expected values, for groups without an estimate, such as those of held-out and sealed logs
 
 
-def means(f: Fit) -> dict[str, float]:
-    """Return parameter → mean over the groups, for the parameters with a value per group."""
-    return {name: expected_value(f, name)[0] for name in dict.fromkeys(x.parameter for x in f.free if x.group)}
-
-
-def expected_value(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
-    """Return a parameter's mean over groups and its spread for a new group.
+def expected_values(f: Fit, besides: str = "") -> dict[str, tuple[float, float]]:
+    """Return parameter with a value per group → mean over groups, and spread for a new group.
 
     For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
     both distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the
@@ -129,22 +82,25 @@ def expected_value(f: Fit, name: str, besides: str = "") -> tuple[float, float]:
     Args:
         besides: Group to ignore.
     """
-    every = [x for x in f.free if x.parameter == name]
-    others = [x for x in every if x.group != besides]
-    mean, prior = every[0].prior or (f.values[name], every[0].size)
-    values = [f.values[x.name] for x in others]
-    n = len(values)
-    if n < 2:
-        return (values[0] if values else mean), prior
     from scipy.special import ndtr, stdtrit
 
-    s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in others]))))
-    return float(np.mean(values)), float(stdtrit(n - 1, ndtr(NORMAL_95))) / NORMAL_95 * s * math.sqrt(1.0 + 1.0 / n)
+    found = {}
+    for name in dict.fromkeys(x.parameter for x in f.free if x.group):
+        every = [x for x in f.free if x.parameter == name]
+        others = [x for x in every if x.group != besides]
+        mean, width = every[0].prior or (f.values[name], every[0].size)
+        values = [f.values[x.name] for x in others]
+        n = len(values)
+        if n > 1:
+            s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in others]))))
+            width = float(stdtrit(n - 1, ndtr(NORMAL_95))) / NORMAL_95 * s * math.sqrt(1.0 + 1.0 / n)
+        found[name] = float(np.mean(values)) if values else mean, width
+    return found
 
 
-def expected_values(f: Fit, group: str) -> dict[str, float]:
+def _start_values(f: Fit, group: str) -> dict[str, float]:
     """Return the expected values of a group with their spread, from all further groups."""
-    values = {name: expected_value(f, name, group) for name in means(f)}
+    values = expected_values(f, group)
     return {key(n, group): v for n, pair in values.items() for key, v in zip((own, spread), pair, strict=True)}
 
 
@@ -155,7 +111,7 @@ def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
     groups = [origin.group for origin in problem.origins]
     if groups.count(groups[index]) > 1:
         return f
-    return replace(f, values={**f.values, **expected_values(f, groups[index])})
+    return replace(f, values={**f.values, **_start_values(f, groups[index])})
 
 
 def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
@@ -163,5 +119,5 @@ def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
     values: dict[str, float] = {}
     for group in dict.fromkeys(groups):
         if all(x.group != group for x in f.free):
-            values |= expected_values(f, group)
+            values |= _start_values(f, group)
     return values | {x.name: f.values[x.name] for x in f.free if x.group}

@@ -1,4 +1,4 @@
-"""Construction of a fitting problem from logs: kernel, start states and substeps."""
+"""Construction of a fitting problem from logs: kernel, start states, substeps and horizon."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.estimation.data import data_of, first_measured, readings_of, start_state
-from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
+from cosim.estimation.data import count_unscored, data_of, first_measured, readings_of, start_state
+from cosim.estimation.fit import initial_fit
+from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Begin, simulate_all
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import WITHIN, Problem, Settings
@@ -21,6 +22,10 @@ from cosim.logs.log import Log, slowness
 MOST_DOUBLINGS = 8  # of the substeps of a fit
 FEW = 2  # steps of co-simulation between rows while a search ranks candidates
 SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
+NEAR = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if this happens twice in it
+EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
+STARTS = 8  # simulations per log and state
+DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
 NO_SETTINGS = Settings()
 USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input: more than a few rows
 
@@ -41,18 +46,12 @@ def build_problem(
     logged = set().union(*(log.outputs for log in logs))
     measured = tuple(q.name for q in subject.outputs if q.name in logged)
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
-    layout = kernel.layout
-    data = [data_of(subject, log, layout, settings.interpolated) for log in logs]
-    readings = list(map(readings_of, data))
-    begins = origins(subject, layout, logs, data, settings)
-    values = {**dict.fromkeys(layout.parameters, 0.0), **subject.values}
-    values[MEMORY] = USUAL_MEMORY * max(slowness(d.step) for d in data)
-    groups = [begin.group for begin in begins]
+    values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **subject.values}
+    values[MEMORY] = USUAL_MEMORY * max(slowness(log.step) for log in logs)
+    groups = [settings.groups[log.path] for log in logs] if settings.per_log else []
     own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
     values |= {f.name: values[f.parameter] for f in own}
-    x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))
-    stated_noise = {n: s * s for n, s in noise.items()}
-    r = np.array([{**subject.sensor_variance, **stated_noise}.get(name, 1.0) for name in measured])
+    variances = {**subject.sensor_variance, **{n: s * s for n, s in noise.items()}}
     late, lagging = (
         {
             f"{kind.name}.value": [measured.index(n) for n in kind.affected() if n in measured]
@@ -61,37 +60,23 @@ def build_problem(
         }
         for way in ("late", "lagging")
     )
-    stated, adjusted = np.isin(measured, [*subject.sensor_variance, *noise]), np.ones(len(measured), bool)
-    problem = Problem(
-        kernel,
-        data,
-        readings,
-        x0,
-        P0,
-        r,
-        values,
-        settings,
-        late,
-        lagging,
-        stated,
-        adjusted,
-        own=own,
-        origins=begins,
-    )
-    return replace(problem, P0=start_covariance(subject, problem))
+    r, stated = np.array([variances.get(name, 1.0) for name in measured]), np.isin(measured, [*variances])
+    adjusted = np.ones(len(measured), bool)
+    problem = Problem(kernel, [], r, values, settings, late, lagging, stated, adjusted, own=own)
+    return with_logs(subject, problem, logs)
 
 
-def origins(
-    subject: Subject, layout: Layout, logs: Sequence[Log], data: Sequence[Data], settings: Settings
-) -> list[Origin]:
-    """Return the origin of each log: group and initial readings; empty without parameters per log."""
-    if not settings.per_log:
-        return []
-    states, outputs, begins = layout.states, layout.outputs, []
-    for log, d in zip(logs, data, strict=True):
+def with_logs(subject: Subject, problem: Problem, logs: Sequence[Log]) -> Problem:
+    """Return the problem of a subject on other logs."""
+    states, outputs, settings = problem.layout.states, problem.layout.outputs, problem.settings
+    data = [data_of(subject, log, problem.layout, settings.interpolated) for log in logs]
+    begins = []
+    for log, d in zip(logs, data, strict=True) if settings.per_log else ():
         initial = {states.index(n): outputs.index(n) for n in first_measured(subject, d, outputs) if n in states}
         begins.append(Origin(settings.groups[log.path], initial))
-    return begins
+    x0, readings = [start_state(subject, d, outputs, states) for d in data], list(map(readings_of, data))
+    posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
+    return replace(posed, P0=start_covariance(subject, posed))
 
 
 def start_covariance(subject: Subject, problem: Problem) -> Array:
@@ -180,26 +165,64 @@ def with_finer_steps(problem: Problem, values: Mapping[str, float], noise: Noise
     return problem
 
 
+def predictable_horizon(problem: Problem, horizon: float) -> float:
+    """Return the horizon [s], shortened if start errors of the given model grow exponentially and a hundredfold.
+
+    On an unstable or chaotic plant, a small error of the start state grows exponentially. Predictions beyond that time
+    measure the start, not the model. The growth is measured on the logs: the given model is simulated from filtered
+    states and from states beside them. Errors count in units of each signal's standard deviation. Within the shorter
+    horizon, they grow tenfold in the median over starts and logs. A free run keeps its length.
+    """
+    layout, values, curves = problem.layout, problem.values, list[Array]()
+    if layout.is_free_run or not layout.states:
+        return horizon
+    noise = initial_fit(problem).noise
+    for index, log in enumerate(problem.logs):
+        data, first, run = (
+            problem.data(values, index),
+            count_unscored(log),
+            problem.run(values, noise, index, states=True),
+        )
+        length = int(min(round(min(horizon, len(data.u) * data.step) / data.step), len(data.u) - first - 1))
+        spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT)
+        moving = [k for k, name in enumerate(layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
+        if length < 2 or not moving or not np.isfinite(spreads).all():
+            continue
+        spread, p = problem.readings[index].spread, problem.numbers(problem.of_log(values, index))
+        steps = np.vstack([np.zeros(len(spreads)), np.diag(DISPLACEMENT * spreads)[moving]])
+        for row in np.unique(np.linspace(first, len(data.u) - 1 - length, STARTS).astype(int)).tolist():
+            start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
+            begins: list[Begin] = [(part, p, start + step, run.memory[row], None, 0) for step in steps]
+            with np.errstate(over="ignore", invalid="ignore"):
+                outputs = np.array([each.outputs for each in simulate_all(problem.kernel, begins)])
+                outputs /= np.where(spread > 0.0, spread, np.inf)
+                apart = np.linalg.norm(outputs[1:] - outputs[0], axis=2) / DISPLACEMENT
+            curves.append(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(axis=0))
+    rows = min(map(len, curves), default=0)
+    growth = np.maximum.accumulate(np.median([curve[:rows] for curve in curves], axis=0)) if rows else np.zeros(1)
+    is_far = (growth > NEAR**2) & (growth > EXPONENTIAL * growth[np.arange(len(growth)) // 2])
+    return min(horizon, max(2, int(np.argmax(growth > NEAR))) * problem.logs[0].step) if is_far.any() else horizon
+
+
 def halve_log(problem: Problem) -> Problem:
     """Return the problem with its single log in two halves; the second half starts from the filtered state.
 
     Free runs last the whole log, of which each half has its readings only.
     """
     (log,), (x0,) = problem.logs, problem.x0
-    half = len(log.u) // 2
+    half, reached = len(log.u) // 2, x0
     if problem.layout.is_free_run:
         early = np.arange(len(log.u))[:, None] < half
-        parts = [replace(log, y=np.where(rows, log.y, np.nan)) for rows in (early, ~early)]
-        readings = list(map(readings_of, parts))
-        return replace(problem, logs=parts, readings=readings, x0=[x0, x0], origins=[*problem.origins] * 2)
-    halves = [log.rows(0, half), log.rows(half, len(log.u))]
-    following = replace(problem, trusted=False, sensing=None)
-    run = following.run(problem.values, following.plain, 0, states=True)
-    reached = problem.drop_unknown_inputs(run.states[half])
+        halves = [replace(log, y=np.where(rows, log.y, np.nan)) for rows in (early, ~early)]
+    else:
+        halves = [log.rows(0, half), log.rows(half, len(log.u))]
+        following = replace(problem, trusted=False, sensing=None)
+        run = following.run(problem.values, following.plain, 0, states=True)
+        reached = problem.drop_unknown_inputs(run.states[half])
+        for origin in problem.origins:
+            # A start from a reading depends on the group's parameter value.
+            p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
+            read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
+            reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
     readings = list(map(readings_of, halves))
-    for origin in problem.origins:
-        # A start from a reading depends on the group's parameter value.
-        p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
-        read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
-        reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
     return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=[*problem.origins] * 2)

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
 from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
-from cosim.estimation.per_log import Origin, own, spread, start_of_log
+from cosim.estimation.per_log import Origin, own, spread
 from cosim.estimation.subject.candidates import Free
 
 RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
@@ -22,6 +23,7 @@ UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
 LONGEST_MEMORY = 0.1  # share of a log
 WITHIN = 10.0  # factor between stated and actual noise: on the variance one standard deviation of the prior of its log
 TINY = float(np.finfo(float).tiny)
+STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class Scored:
     def terms(self) -> Array:
         """Return ½ (ln 2πs + e²/s) of each measurement."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances))
+            return 0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances)
 
     @property
     def by_log(self) -> tuple[float, ...]:
@@ -93,9 +95,6 @@ class Problem:
 
     kernel: Kernel
     logs: Sequence[Data]
-    readings: Sequence[Readings]
-    x0: Sequence[Array]
-    P0: Array
     r: Array
     values: Mapping[str, float]
     settings: Settings
@@ -103,6 +102,9 @@ class Problem:
     lagging: Mapping[str, Sequence[int]]
     stated: Flags
     adjusted: Flags
+    readings: Sequence[Readings] = ()
+    x0: Sequence[Array] = ()
+    P0: Array = field(default_factory=lambda: np.empty((0, 0)))
     shown: Array | None = None
     sensing: Noise | None = None  # fitted sensor noise; None for stated noise
     trusted: bool = False  # equations are trusted: no unknown input is free
@@ -130,23 +132,20 @@ class Problem:
     def noise(self) -> NoiseRange:
         """Return the search range of process noise, that of the first problem which asks."""
         if not self.ranges:
-            self.ranges.append(self._noise_range())
+            short = self._short()
+
+            def variances(power: Array, longest: bool) -> Array:
+                noise = short.at(power)
+                noise = replace(noise, memory=float(np.log(self.longest_memory))) if longest else noise
+                return short.score(self.values, noise).variances
+
+            found = noise_range(variances, len(self.layout.noisy))
+            if self.layout.is_free_run:
+                # the error of a free run is as large as the motion, from row to row far more than the noise
+                fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
+                found = replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
+            self.ranges.append(found)
         return self.ranges[0]
-
-    def _noise_range(self) -> NoiseRange:
-        short = self._short()
-
-        def variances(power: Array, longest: bool) -> Array:
-            noise = short.at(power)
-            noise = replace(noise, memory=float(np.log(self.longest_memory))) if longest else noise
-            return short.score(self.values, noise).variances
-
-        found = noise_range(variances, len(self.layout.noisy))
-        if not self.layout.is_free_run:
-            return found
-        # the error of a free run is as large as the motion, from row to row far more than the noise
-        fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
-        return replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
 
     def _largest(self, property: str) -> Array:
         """Return a property of the readings of each output, the largest of all logs."""
@@ -199,8 +198,8 @@ class Problem:
     @cached_property
     def limits(self) -> NoiseLimits:
         """Return limits of the noise, with stated sensor noise as weak prior."""
-        now, steps, power = self.at(self.noise.plain), [d.step for d in self.logs], len(self.layout.noisy)
-        stated, decade, nothing = np.log(self.r), np.log(WITHIN), np.zeros(len(self.r))
+        now, steps = self.at(self.noise.plain), [d.step for d in self.logs]
+        stated, decade = np.log(self.r), np.log(WITHIN)
         least = np.where(self.stated, 1.0 / WITHIN, UNKNOWN) ** 2 * np.exp(stated)
         low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))
         high = np.maximum(np.log(np.maximum(self._largest("spread") ** 2, TINY)), stated + 2.0 * decade)
@@ -212,16 +211,15 @@ class Problem:
         shortest, longest = (
             np.where(timed, 2.0 * np.log(t), now.timing) for t in (UNEVEN * min(steps), 0.5 * max(steps))
         )
-        memory = np.log([2.0 * min(steps), self.longest_memory])
-        largest = self.noise.largest
-        if self.trusted or not power:
+        memory, largest = np.log([2.0 * min(steps), self.longest_memory]), self.noise.largest
+        if self.trusted or not len(largest):
             largest, memory = self.noise.smallest, np.full(2, now.memory)
         within = np.where(self.stated & self.adjusted, decade, np.inf)
         return NoiseLimits(
-            low=np.concatenate([self.noise.smallest, memory[:1], low, shortest]),
-            high=np.concatenate([largest, memory[1:], high, longest]),
-            mean=np.concatenate([np.zeros(power + 1), stated, nothing]),
-            sigma=np.concatenate([np.full(power + 1, np.inf), within, nothing + np.inf]),
+            low=Noise(self.noise.smallest, memory[0], low, shortest).vector,
+            high=Noise(largest, memory[1], high, longest).vector,
+            mean=Noise(0.0 * largest, 0.0, stated, np.zeros_like(stated)).vector,
+            sigma=Noise(largest + np.inf, np.inf, within, np.full_like(stated, np.inf)).vector,
         )
 
     def drop_unknown_inputs(self, state: Array) -> Array:
@@ -242,12 +240,34 @@ class Problem:
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
     def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
-        """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0."""
-        own, x0 = self._own(values, index), self.x0[index]
-        if not own:
-            return x0, np.zeros((len(self.layout.stochastic), 0))
-        p = self.numbers(self.of_log(values, index))
-        return start_of_log(self.kernel, self.logs[index], p, x0, own, self.origins[index].initial)
+        """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0.
+
+        L has shape (stochastic states, parameters per log). A state initialized from its first reading satisfies the
+        sensor equation y = g(x, θ) at the start, so that x and θ are correlated,
+
+            x₀ ← x₀ + G⁻¹(y − g(x₀, θ))      δx = −G⁻¹ ∂g/∂θ · δθ      G = ∂g/∂x
+        """
+        layout, own, x0 = self.layout, self._own(values, index), self.x0[index]
+        places, spreads = [layout.constants[name] for name in own], np.array([s for _, s in own.values()])
+        x, factor = x0.copy(), np.zeros((len(x0), len(places)))
+        x[places] = [value for value, _ in own.values()]
+        factor[places, range(len(places))] = spreads
+        if own and (initial := self.origins[index].initial):
+            first, p = self.logs[index].rows(0, 1), self.numbers(self.of_log(values, index))
+
+            def read(state: Array) -> Array:
+                outputs = self.kernel.simulate(first, p, state, np.zeros(layout.memory)).outputs
+                return outputs[0, list(initial.values())]
+
+            def slope(place: int) -> Array:
+                step = STEP * max(1.0, abs(float(x[place])))
+                return (read(x + step * (np.arange(len(x)) == place)) - y) / step
+
+            y, states = read(x), list(initial)
+            gain = pseudo_inverse(np.column_stack([*map(slope, states)]))
+            factor[states] = -gain @ np.column_stack([*map(slope, places)]) * spreads
+            x[states] += gain @ (x0[states] - y)
+        return x, factor[list(layout.stochastic)]
 
     def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
         """Return the parameters with a separate value per log: name → (value, standard deviation) for this log."""
@@ -296,7 +316,7 @@ class Problem:
         if not np.isfinite(noise.timing).any():
             return r
         speed = self.readings[index].slopes / self.logs[index].step
-        return np.asarray(r + np.exp(noise.timing) * speed**2)
+        return r + np.exp(noise.timing) * speed**2
 
     def run(
         self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None

@@ -22,9 +22,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 
 SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
-TINY = 1e-3  # share at which a switched effect changes more than at SHARE
-NOTHING = 1e-12  # share of the squared residual below which a term is not detectable
-RANK = float(np.sqrt(np.finfo(float).eps))  # share of the largest singular value below which a direction counts as none
+RANK = float(np.sqrt(np.finfo(float).eps))  # share of the residual, or of a singular value, that counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +31,14 @@ class Terms:
 
     Attributes:
         rows: Change of the innovations by each term's step, without the part that free parameters can imitate.
-        steps: For each term, parameter → step.
+        steps: Step of each parameter (column) for each term (row).
         identifiable: Largest χ² of a term at the usual size.
         switched: True if a tiny step already has a large effect, so that small steps are not informative.
     """
 
     candidate: Candidate
     rows: Array
-    steps: tuple[Mapping[str, float], ...]
+    steps: Array
     identifiable: float
     switched: bool = False
 
@@ -109,7 +107,7 @@ class ScoreTest:
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
         """Return the predicted joint gain of terms, and the optimal multiples of their steps."""
-        detected = np.array([r if r @ r > NOTHING * (self.residual @ self.residual) else 0.0 * r for r in rows])
+        detected = np.array([r if r @ r > RANK**2 * (self.residual @ self.residual) else 0.0 * r for r in rows])
         multiples = -least_squares(detected.T, self.residual, rcond=RANK)
         fitted = detected.T @ multiples
         return 0.5 * float(fitted @ fitted), multiples
@@ -117,29 +115,29 @@ class ScoreTest:
     def terms(self, c: Candidate) -> Terms:
         """Return a candidate's terms: from neutral towards its usual size if inactive, else about the fitted values."""
         if c.kind == "parameter" and c.parameters[0] in self.priors:  # on trial, it loses its prior
-            (name,) = c.parameters
             row = np.zeros(self.residual.size)
-            row[len(row) - len(self.priors) + self.priors[name]] = 1.0
-            return Terms(c, self._project(row)[None, :], ({name: 0.0},), np.inf)
+            row[len(row) - len(self.priors) + self.priors[c.parameters[0]]] = 1.0
+            return Terms(c, self._project(row)[None, :], np.zeros((1, 1)), np.inf)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
-        distances = {n: d for n in c.parameters if (d := c.starts[0][n] - self.values[n])}
-        switched = False
-        if distances and at_neutral and c.kind != "parameter":  # joint and single
-            whole = {n: SHARE * d for n, d in distances.items()}
-            steps = [whole, *({n: d} for n, d in whole.items())] if len(whole) > 1 else [whole]
-            rows = [self.row(step) for step in steps]
-            jump = self.row({n: TINY * d for n, d in distances.items()})
+        distances = np.array([c.starts[0][n] - self.values[n] for n in c.parameters])
+        switched, scale = False, 1.0 if at_neutral else SHARE / DIFFERENCE
+        is_absent = at_neutral and c.kind != "parameter" and bool(distances.any())
+        if is_absent:
+            steps = np.diag(SHARE * distances)[distances != 0.0]
+            if len(steps) > 1:  # joint and single
+                steps = np.vstack([SHARE * distances, steps])
+        else:  # linear, each from a finite step of one parameter
+            sizes = [SHARE / scale * f.size for f in c.free]
+            over = [self.values[f.name] + size > f.high for f, size in zip(c.free, sizes, strict=True)]
+            steps = np.diag(np.where(over, -1.0, 1.0) * sizes)
+        rows = [scale * self.row(dict(zip(c.parameters, step, strict=True))) for step in steps]
+        if is_absent:
+            jump = self.row(dict(zip(c.parameters, DIFFERENCE * distances, strict=True)))
             # detectable, and more than half of what the large step does
             switched = float(jump @ jump) > max(1.0, 0.5 * float(rows[0] @ rows[0]))
-        else:  # linear, each from a finite step of one parameter
-            scale = 1.0 if at_neutral else SHARE / DIFFERENCE
-            sizes = {f.name: SHARE / scale * f.size for f in c.free}
-            sizes |= {f.name: -sizes[f.name] for f in c.free if self.values[f.name] + sizes[f.name] > f.high}
-            rows = [scale * self.row({n: size}) for n, size in sizes.items()]
-            steps = [{n: scale * size} for n, size in sizes.items()]
         innovations = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
-        return Terms(c, np.array(rows), tuple(steps), identifiable, switched)
+        return Terms(c, np.array(rows), scale * steps, identifiable, switched)
 
     def _row(self, steps: Mapping[str, float], noise: Noise) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}
@@ -155,7 +153,7 @@ class Choice:
     """Predicted gain of any set of candidates at a fit, from the inner products of their terms.
 
     Attributes:
-        parts: Candidates of the fit by name.
+        parts: Names of the candidates of the fit.
         neutral: Parameter values without any candidate.
     """
 
@@ -164,10 +162,10 @@ class Choice:
     ) -> None:
         self.test, self.neutral = test, neutral
         self.terms = {t.candidate.name: t for t in every if len(t.rows)}
-        self.parts = {c.name: c for c in parts}
+        self.parts = {c.name for c in parts}
         edges = accumulate((len(t.rows) for t in self.terms.values()), initial=0)
         self.places = {name: range(*ends) for name, ends in zip(self.terms, pairwise(edges), strict=True)}
-        rows = np.vstack([t.rows for t in self.terms.values()]) if self.terms else np.zeros((0, test.residual.size))
+        rows = np.vstack([np.zeros((0, test.residual.size)), *(t.rows for t in self.terms.values())])
         self.products, self.against = rows @ rows.T, rows @ test.residual
         self.square = float(test.residual @ test.residual)
 
@@ -177,11 +175,10 @@ class Choice:
         The gain may be negative for a set that lacks a candidate of the fit. `within` tells if estimates are in limits.
         """
         back = np.zeros(len(self.against))  # steps of the removed parts from fitted values to neutral
-        for name in self.parts:
-            if name not in names:
-                for k, step in zip(self.places[name], self.terms[name].steps, strict=True):
-                    ((parameter, size),) = step.items()
-                    back[k] = (self.neutral[parameter] - self.test.values[parameter]) / size
+        for name in self.parts - {*names}:
+            t = self.terms[name]
+            away = [self.neutral[n] - self.test.values[n] for n in t.candidate.parameters]
+            back[self.places[name]] = np.divide(away, t.steps, out=0.0 * t.steps, where=t.steps != 0.0).sum(axis=1)
         places = [k for name in names for k in self.places[name]]
         # r without the removed parts: r + R·back
         against = self.against + self.products @ back
@@ -196,12 +193,12 @@ class Choice:
         values: dict[str, float] = {}
         within = True
         for name in names:
-            terms, rows = self.terms[name], self.places[name]
-            free, own = terms.candidate.free, np.array([self.test.values[n] for n in terms.candidate.parameters])
-            sizes = np.array([[step.get(f.name, 0.0) for f in free] for step in terms.steps])
-            estimates = dict(zip(terms.candidate.parameters, own + multiples[rows] @ sizes, strict=True))
-            slacks = spread[rows] @ np.abs(sizes)  # estimates may exceed a limit by a standard deviation
-            for f, slack in zip(free, slacks.tolist(), strict=True):
+            t, rows = self.terms[name], self.places[name]
+            names_of = t.candidate.parameters
+            own = np.array([self.test.values[n] for n in names_of])
+            estimates = dict(zip(names_of, own + multiples[rows] @ t.steps, strict=True))
+            slacks = spread[rows] @ np.abs(t.steps)  # estimates may exceed a limit by a standard deviation
+            for f, slack in zip(t.candidate.free, slacks.tolist(), strict=True):
                 low = max(f.low, estimates.get(f.above, f.low))
                 is_valid = f.neutral is None or low - slack <= estimates[f.name] <= f.high + slack
                 # An effect of the model may be removed completely; a larger removal stops at zero.

@@ -71,19 +71,16 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
 
 def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[str, ...]:
     """Return warnings about estimated noise that differs from the stated noise or is not stated."""
-    stated, units = np.sqrt(problem.r).tolist(), {q.name: written(q.unit) for q in subject.outputs}
-    levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.stated, strict=True)
-    different, unstated, comparisons = {}, {}, []
-    for name, level, expected, is_stated in levels:
-        if not is_stated:
-            unstated[name] = level
-        elif not expected / OFF <= level <= OFF * expected:
-            different[name] = level
-            comparisons.append(f"{name} {plain(level, 2)}, not {plain(expected, 2)} {units[name]}".rstrip())
+    names, units = problem.layout.outputs, {q.name: written(q.unit) for q in subject.outputs}
+    levels = dict(zip(names, np.exp(0.5 * noise.sensors).tolist(), strict=True))
+    stated = {n: s for n, s, known in zip(names, np.sqrt(problem.r).tolist(), problem.stated, strict=True) if known}
+    unstated = {n: level for n, level in levels.items() if n not in stated}
+    different = {n: levels[n] for n, s in stated.items() if not s / OFF <= levels[n] <= OFF * s}
     warnings = []
     if different:
+        both = (f"{n} {plain(s, 2)}, not {plain(stated[n], 2)} {units[n]}".rstrip() for n, s in different.items())
         warnings.append(
-            f"the noise in the logs differs from the stated noise ({'; '.join(comparisons)}); the noise of the "
+            f"the noise in the logs differs from the stated noise ({'; '.join(both)}); the noise of the "
             f"logs is used. Write {_line(different)} into the study to state it"
         )
     if unstated:
@@ -91,12 +88,11 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[st
             f"the model does not state the noise of {join_names([*unstated])} (sensor_variance); the logs show "
             f"{_line(unstated)}, which is used. Write it into the study to state another"
         )
-    erring = {n: t for n, t in zip(problem.layout.outputs, np.exp(0.5 * noise.timing).tolist(), strict=True) if t > 0.0}
-    if erring:
-        sizes = join_names([f"{name} by {plain(t, 2)} s" for name, t in erring.items()])
+    stamps = zip(names, np.exp(0.5 * noise.timing).tolist(), strict=True)
+    if erring := [f"{name} by {plain(t, 2)} s" for name, t in stamps if t > 0.0]:
         warnings.append(
-            f"time stamps seem to err from row to row, with a standard deviation: {sizes}. Their readings count less "
-            "where they change fast; record with a better clock to use them fully"
+            f"time stamps seem to err from row to row, with a standard deviation: {join_names(erring)}. Their "
+            "readings count less where they change fast; record with a better clock to use them fully"
         )
     return tuple(warnings)
 

@@ -92,7 +92,7 @@ def subject_of_fmu(
         SimulationError: The FMU fails.
     """
     description = read_description(fmu)
-    course = sine_course(description, {})
+    course = sine_course(description)
     step = float(course.time[1] - course.time[0])
     time = step * np.arange(round((duration or float(course.time[-1])) / step) + 1, dtype=np.float64)
     signals = model_signals(fmu)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
@@ -14,9 +13,9 @@ from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, outputs_along
+from cosim.probing.log_runs import SAME, Course, Fmu, moved, noise_of, outputs_along
 from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters
-from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
+from cosim.probing.prober import Prober, quantities, separate_pairs
 
 ROWS = 300  # rows of a simulation for responses
 FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter
@@ -63,16 +62,10 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         states=(),
         inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, good[0][1][0]),
-        state_in_rate=no_flags(0, 0),
-        input_in_rate=no_flags(0, len(inputs)),
-        state_in_output=no_flags(len(outputs), 0),
-        input_in_output=responses.flags(inputs),
+        depends=responses.flags(inputs),
         pairs=tuple(Pair(outputs[q], outputs[v], gain, ports[v]) for q, v, gain in chosen),
         storages=tuple(feeds),
         feeds=feeds,
-        shown={},
-        largest_rate=0.0,
-        slowest=0.0,
         scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
         parameters=_parameters(prober, short, size),
@@ -82,31 +75,22 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
 
 
 def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with what it changes; a longer simulation for those that change nothing.
-
-    Simulations are as short as the time allowed for all of them demands.
-    """
+    """Return each settable parameter with what it changes; rows are as few as the time allowed for all demands."""
     few = course.first(FEW_ROWS)
     begin = time.monotonic()
     prober.call(outputs_along, prober.fmu, few)
     per_row = (time.monotonic() - begin) / few.time.size
     count = max(1, len(settable_parameters(prober.description)))
-    rows = int(min(FEW_ROWS, max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
+    tried = course.first(int(max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
 
-    def react(rows: int, fmu: Fmu) -> tuple[Array, Array]:
+    def react(fmu: Fmu) -> tuple[Array, Array]:
         """Return initial and later outputs."""
-        table, stop = prober.call(outputs_along, fmu, course.first(rows))
+        table, stop = prober.call(outputs_along, fmu, tried)
         if not len(table):
             raise stop
         return table[0], table[1:]
 
-    quickly = tried_parameters(prober, partial(react, rows), size)
-    idle = {p.name for p in quickly if not p.acts and not p.starts and not p.failure}
-    longer = min(course.time.size, int(SECONDS / (TRIALS * max(1, len(idle)) * per_row)))
-    if not idle or longer <= rows:
-        return quickly
-    again = {p.name: p for p in tried_parameters(prober, partial(react, longer), size, idle)}
-    return tuple(again.get(p.name, p) for p in quickly)
+    return tried_parameters(prober, react, size)
 
 
 def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
@@ -159,15 +143,14 @@ class Responses:
     def __init__(self, prober: Prober, course: Course, base: Array, size: Array) -> None:
         self._prober, self._size, self._course = prober, size, course
         repeated, _ = prober.call(outputs_along, prober.fmu, course)
-        rows = min(len(repeated), len(base))
-        self.noise = 10.0 * np.abs(repeated[:rows] - base[:rows]).max(axis=0, initial=0.0) + SAME * size
+        self.noise = noise_of(base, repeated, size)
         self._bases: dict[tuple[float, int], Array] = {}
 
     def flags(self, inputs: Sequence[str]) -> Flags:
         """Return whether an input (column) changes an output (row) at any time."""
-        differences = (self._response(name, STEPS[0], 1)[2] for name in inputs)
-        columns = [(np.abs(difference) > self.noise).any(axis=0) for difference in differences]
-        return np.column_stack(columns) if columns else no_flags(self._size.size, 0)
+        responses = (self._response(name, STEPS[0], 1)[0] for name in inputs)
+        columns = [(np.abs(response) > self.noise).any(axis=0) for response in responses]
+        return np.column_stack([np.zeros((self._size.size, 0), bool), *columns])
 
     def ports(
         self, inputs: Sequence[str], velocities: Sequence[int], least: float = 0.0
@@ -177,9 +160,13 @@ class Responses:
         Args:
             least: Least response after two steps, relative to that after one.
         """
-        if not velocities:
-            return {}
-        gains = {(v, name): self._gain(name, v, least) for v in velocities for name in inputs}
+        gains, takes_parts = dict[tuple[int, str], float](), takes_any_step(self._prober.description)
+        for v, name in product(velocities, inputs):
+            # Parts of a step show a lag that a whole step hides. An FMU that makes whole steps instead of parts has
+            # another gain there, which is not used.
+            whole = self._gain(name, v, 1, least)
+            fine = self._gain(name, v, PARTS, least) if whole and takes_parts else whole
+            gains[v, name] = whole if abs(fine) > MOST_GAIN * abs(whole) else fine
         ports = {}
         for v in velocities:
             mine = [name for name in inputs if gains[v, name]]
@@ -187,34 +174,24 @@ class Responses:
             ports[v] = tuple(Port(name, gains[v, name], alone[name]) for name in mine)
         return ports
 
-    def _gain(self, name: str, velocity: int, least: float) -> float:
+    def _gain(self, name: str, velocity: int, parts: int, least: float) -> float:
         """Return the rate of a velocity per unit of an input that acts through one integrator, else 0.
 
-        Parts of a step show a lag that a whole step hides. An FMU that makes whole steps instead of parts has another
-        gain there, which is not used.
+        It is that over a part of a step, the median over the places.
         """
-        whole = self._gain_over(name, velocity, 1, least)
-        if not whole or not takes_any_step(self._prober.description):
-            return whole
-        fine = self._gain_over(name, velocity, PARTS, least)
-        return whole if abs(fine) > MOST_GAIN * abs(whole) else fine
-
-    def _gain_over(self, name: str, velocity: int, parts: int, least: float) -> float:
-        """Return the gain over a part of a step, the median over the places."""
         gains = []
         for share in STEPS:
-            row, course, difference, size = self._response(name, share, parts)
-            if len(difference) <= row + 2:
-                continue
-            once, twice = difference[row + 1 : row + 3, velocity]
-            if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < DIRECT * abs(once):
-                gains.append(float(once) / (size * float(course.time[row + 1] - course.time[row])))
+            response, scale = self._response(name, share, parts)
+            if len(response) > 2:
+                once, twice = response[1:3, velocity]
+                if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < DIRECT * abs(once):
+                    gains.append(float(once) / scale)
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 
-    def _response(self, name: str, share: float, parts: int) -> tuple[int, Course, Array, float]:
-        """Return the row of an input step, the course with the two steps after it divided into parts, and the response.
+    def _response(self, name: str, share: float, parts: int) -> tuple[Array, float]:
+        """Return the differences of all outputs from the row of an input step on, and its size times the row's length.
 
-        The response is the differences of all outputs, and the size of the input step.
+        The two steps after it are divided into parts.
         """
         row = int(share * (self._course.time.size - 3))
         course = self._course.parted(row, parts)
@@ -224,12 +201,11 @@ class Responses:
         variable = next(v for v in self._prober.description.modelVariables if v.name == name)
         held = course.inputs.get(name)
         if held is None:
-            held = np.full(course.time.size, float(self._prober.values.get(name, variable.start or 0.0)))
-        wanted = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-        changed = moved_within(held, wanted, limits_of(variable))
-        size = float(changed[row] - held[row]) or wanted
+            held = np.full(course.time.size, float(variable.start or 0.0))
+        changed = moved(variable, held)
+        size = float(changed[row] - held[row]) or 1.0
         values = np.where(np.arange(course.time.size) < row, held, changed)
-        moved = replace(course, inputs={**course.inputs, name: values})
-        table, _ = self._prober.call(outputs_along, self._prober.fmu, moved)
+        stepped = replace(course, inputs={**course.inputs, name: values})
+        table, _ = self._prober.call(outputs_along, self._prober.fmu, stepped)
         rows = min(len(table), len(self._bases[key]))
-        return row, course, table[:rows] - self._bases[key][:rows], size
+        return (table[:rows] - self._bases[key][:rows])[row:], size * float(course.time[row + 1] - course.time[row])

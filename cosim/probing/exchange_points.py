@@ -5,7 +5,7 @@ Runs in the worker process.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -85,7 +85,7 @@ class Points:
 
     def _inside(self, moved: Array, z: Array) -> Array:
         """Return a displaced point within the limits, or no further outside than the point itself."""
-        return np.asarray(np.clip(moved, np.minimum(self.low, z), np.maximum(self.high, z)))
+        return np.clip(moved, np.minimum(self.low, z), np.maximum(self.high, z))
 
 
 def _safe_rates(block: DifferentiableFmu, x: Array, u: Array, t: float | None = None) -> Array:
@@ -129,24 +129,16 @@ def equal_columns(known: Array, values: Array) -> dict[int, int]:
     return equal
 
 
-def simulated(fmu: Fmu, course: Course, first: Mapping[int, float]) -> Run:
-    """Return a simulation along a course."""
-    with fmu.opened(course) as (block, row):
-        return simulate(block, row, course, first)
-
-
-def evaluated(
-    fmu: Fmu, course: Course, first: Mapping[int, float], rows: Sequence[int], points: Points, run: Run | None
-) -> Points:
+def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run: Run | None) -> Points:
     """Return points with evaluations at rows.
 
     Args:
         run: The simulation, so that the FMU is moved to its points; None to simulate again, as events demand.
     """
-    with fmu.opened(course) as (block, row):
-        if run is None:
-            simulate(block, row, course, first, lambda t, x, u: points.add(block, t, x, u), rows)
-            return points
+    if run is None:
+        simulate(fmu, course, points.add, rows)
+        return points
+    with fmu.opened(course) as (block, _):
         block.start()
         for k in rows:
             x = block.move(float(run.time[k]), run.states[k], run.inputs[k])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations
 
@@ -19,16 +19,14 @@ from cosim.probing.exchange_points import (
     equal_columns,
     evaluated,
     reactions,
-    simulated,
     start_point,
 )
 from cosim.probing.fmu_structure import Connection, Pair, Port, ProbedParameter, Structure
 from cosim.probing.force_trials import dampings, with_factors
-from cosim.probing.log_runs import SAME, Course, Run
+from cosim.probing.log_runs import SAME, Course, Run, nominal_of, simulate
 from cosim.probing.parameter_trials import tried_parameters
-from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
+from cosim.probing.prober import Prober, quantities, separate_pairs
 
-RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input
 
 
@@ -47,16 +45,11 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         )
     names = states, inputs, outputs = prober.fmu.names
     first_states, first_outputs, shown = prober.call(start_point, prober.fmu, courses[0])
-    firsts = []  # the initial states that the first row of each log measures
-    for course in courses:
-        columns = {k: course.outputs.get(outputs[j]) for k, j in shown.items()}
-        firsts.append({k: float(v[0]) for k, v in columns.items() if v is not None and np.isfinite(v[0])})
-    runs: list[Run] = [
-        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
-    ]
+    courses = [course.begun(shown, outputs) for course in courses]
+    runs: list[Run] = [prober.call(simulate, prober.fmu, course) for course in courses]
     if not any(run.time.size for run in runs):
         raise runs[0].stop or prober.fmu.too_short(courses[0])
-    points, scales = _points(prober, courses, firsts, runs)
+    points, scales = _points(prober, courses, runs)
     known, table = np.array(points.known), np.array(points.values)
     finite = np.isfinite(table).all(axis=1)
     known, table = known[finite], table[finite]
@@ -65,43 +58,34 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     depends = points.depends
     pairs = _pairs(names, known, table, points)
     has_events = any(run.events.total for run in runs)
-    parameters = _parameters(prober, courses[0], firsts[0], points, has_events)
-    is_single = bool(getattr(prober.description.modelExchange, "canBeInstantiatedOnlyOncePerProcess", False))
-    braking = dampings(prober, courses[0], points, pairs, parameters)
+    parameters = _parameters(prober, courses[0], points, has_events)
+    is_single = prober.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
     # states in no pair with a rate that an input or another state changes
     paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
     storages = [name for k, name in enumerate(states) if name not in paired and np.delete(depends[k], k).any()]
     matrices = [s[:n, :n] for s in points.slopes if n and np.isfinite(s[:n, :n]).all()]
-    sizes = np.abs(np.concatenate([np.linalg.eigvals(m) for m in matrices])) if matrices else np.zeros(1)
-    largest = float(sizes.max())
     return Structure(
         fmu=prober.path,
         way="model-exchange",
         states=quantities(prober.description, states, first_states),
         inputs=quantities(prober.description, inputs),
         outputs=quantities(prober.description, outputs, first_outputs),
-        state_in_rate=depends[:n, :n],
-        input_in_rate=depends[:n, n:],
-        state_in_output=depends[n:, :n],
-        input_in_output=depends[n:, n:],
+        depends=depends,
         pairs=pairs,
         connections=with_factors(prober, courses[0], points, [*_connections(states, pairs, points, runs)], parameters),
         storages=tuple(storages),
         shown={states[k]: outputs[j] for k, j in found.items()},
-        largest_rate=largest,
-        slowest=float(sizes[sizes >= RATE_SHARE * largest].min()),
+        largest_rate=max((float(np.abs(np.linalg.eigvals(m)).max()) for m in matrices), default=0.0),
         scales=scales,
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
         parameters=parameters,
-        dampings=tuple(replace(damping, in_step=not has_events and not is_single) for damping in braking),
+        dampings=dampings(prober, courses[0], points, pairs, parameters, not has_events and not is_single),
         stops=tuple(str(run.stop) for run in runs if run.stop),
     )
 
 
-def _points(
-    prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]], runs: Sequence[Run]
-) -> tuple[Points, dict[str, float]]:
+def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> tuple[Points, dict[str, float]]:
     """Return evaluations about points of all simulations, and the spread of each signal."""
     states, inputs, outputs = prober.fmu.names
     good = [run for run in runs if run.time.size]
@@ -109,25 +93,22 @@ def _points(
     values = np.concatenate([run.values for run in good])
     spread, spreads = known.std(axis=0), values.std(axis=0)
     largest = np.abs(known).max(axis=0)
-    sizes = {
-        v.name: getattr(v, "nominal", None) or getattr(v.declaredType, "nominal", None)
-        for v in reversed(prober.description.modelVariables)
-    }
-    nominal = np.array([abs(float(sizes.get(name) or 1.0)) for name in (*states, *inputs)])
+    sizes = {v.name: nominal_of(v) for v in reversed(prober.description.modelVariables)}
+    nominal = np.array([abs(sizes.get(name, 0.0)) or 1.0 for name in (*states, *inputs)])
     unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
     scale = np.where(spread > SAME * largest, spread, unmoved)
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     signals = quantities(prober.description, (*states, *inputs), known[0])
     low, high = (np.array([q.bounds[end] for q in signals]) for end in (0, 1))
-    points = Points(scale, size, no_flags(values.shape[1], known.shape[1]), low, high)
+    points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool), low, high)
     reals_only = all(name in inputs for course in courses for name in course.inputs)
     share = max(2, POINTS // max(1, len(good)))
-    for course, first, run in zip(courses, firsts, runs, strict=True):
+    for course, run in zip(courses, runs, strict=True):
         if not run.time.size:
             continue
         rows = sorted({int(k) for k in np.linspace(0, run.time.size - 1, share)})
         replayed = run if reals_only and not run.events.total else None
-        points = prober.call(evaluated, prober.fmu, course, first, rows, points, replayed)
+        points = prober.call(evaluated, prober.fmu, course, rows, points, replayed)
     rates = [f"der({name})" for name in states]
     columns = (*states, *inputs, *rates, *outputs)
     return points, dict(zip(columns, map(float, (*spread, *spreads)), strict=True))
@@ -180,20 +161,18 @@ def _connections(
         yield Connection(first, second, gear, gear * ratio, spring / gear, damper / gear, deflection, speed)
 
 
-def _parameters(
-    prober: Prober, course: Course, first: Mapping[int, float], points: Points, has_events: bool
-) -> tuple[ProbedParameter, ...]:
+def _parameters(prober: Prober, course: Course, points: Points, has_events: bool) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what it changes, at points or only through events."""
     places = points.places[:: points.spacing(PLACES)]
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
         return tried
-    base: Run = prober.call(simulated, prober.fmu, course, first)
+    base: Run = prober.call(simulate, prober.fmu, course)
     found = []
     for p in tried:
         if not (p.acts or p.starts):  # along a simulation with events, it may change more
             try:
-                run: Run = prober.call(simulated, prober.with_values({p.name: p.tried}), course, first)
+                run: Run = prober.call(simulate, prober.with_values({p.name: p.tried}), course)
                 same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, SAME, 0.0)
                 p = replace(p, acts=not same)
             except SimulationError as error:

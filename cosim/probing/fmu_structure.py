@@ -11,6 +11,8 @@ from cosim.fmi.description import Way
 from cosim.model.quantities import Quantity
 from cosim.terms.language import RatioFactor
 
+START_STEP = 1e-2  # displacement of a start value, or of an input, as a share of its size, range or nominal value
+
 
 @dataclass(frozen=True)
 class Port:
@@ -90,7 +92,7 @@ class Damping:
     port: str
     change: float
     speed: float
-    in_step: bool = True
+    in_step: bool
 
 
 @dataclass(frozen=True)
@@ -165,16 +167,14 @@ class Structure:
     Attributes:
         way: Probed interface.
         states: Continuous states; empty for co-simulation.
-        state_in_rate: Whether a state (column) changes a rate (row).
-        input_in_rate, state_in_output, input_in_output: As `state_in_rate`. In co-simulation an input is in an output
-            if it changes the output at any later time.
+        depends: Whether a rate or output (row) changes with a state or input (column). In co-simulation an output
+            depends on an input that changes it at any later time.
         pairs: Positions with their velocities.
         storages: States in no pair with a rate that an input or another state changes; in co-simulation, outputs in
             no pair that have an input of their own, which acts through one integrator.
         feeds: In co-simulation, storage → this input.
         shown: State → output that equals it.
         largest_rate: Largest |eigenvalue| over the points [1/s]; 0 for co-simulation.
-        slowest: Smallest |eigenvalue| [1/s] that is not zero to rounding; 0 without any.
         scales: Standard deviation along the logs by name; the rate of x is `der(x)`.
         step: Shortest usual step of the logs [s].
         events: Events along each log, in model exchange.
@@ -189,17 +189,13 @@ class Structure:
     states: tuple[Quantity, ...]
     inputs: tuple[Quantity, ...]
     outputs: tuple[Quantity, ...]
-    state_in_rate: Flags
-    input_in_rate: Flags
-    state_in_output: Flags
-    input_in_output: Flags
+    depends: Flags
     pairs: tuple[Pair, ...]
     storages: tuple[str, ...]
-    shown: Mapping[str, str]
-    largest_rate: float
-    slowest: float
     scales: Mapping[str, float]
     step: float
+    shown: Mapping[str, str] = field(default_factory=dict)
+    largest_rate: float = 0.0
     events: tuple[EventCount, ...] = ()
     parameters: tuple[ProbedParameter, ...] = ()
     connections: tuple[Connection, ...] = ()
@@ -212,11 +208,6 @@ class Structure:
     def acting(self) -> tuple[ProbedParameter, ...]:
         """Return parameters that change a rate or output."""
         return tuple(p for p in self.parameters if p.acts)
-
-    @property
-    def idle(self) -> tuple[str, ...]:
-        """Return names of parameters that change nothing."""
-        return tuple(p.name for p in self.parameters if not (p.acts or p.starts))
 
     @property
     def directions(self) -> tuple[Damping, ...]:

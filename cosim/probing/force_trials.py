@@ -30,7 +30,12 @@ RATIO_PLACES = 4  # points at which ratios are measured
 
 
 def dampings(
-    prober: Prober, course: Course, points: Points, pairs: Sequence[Pair], parameters: Sequence[ProbedParameter]
+    prober: Prober,
+    course: Course,
+    points: Points,
+    pairs: Sequence[Pair],
+    parameters: Sequence[ProbedParameter],
+    in_step: bool,
 ) -> tuple[Damping, ...]:
     """Return the settable damping of each pair on which no input acts alone.
 
@@ -49,10 +54,7 @@ def dampings(
         elsewhere = [*(k for k in velocities if k != index), *range(n, n + len(inputs))]
         # each point with the velocity 0, V, 2·V, and V while other velocities and the inputs are elsewhere
         for number, (t, x, u) in enumerate(points.places[::every]):
-            for multiple in (0.0, 1.0, 2.0):
-                moved = x.copy()
-                moved[index] = multiple * speed
-                places.append((t, moved, u))
+            places += [(t, np.where(np.arange(n) == index, k * speed, x), u) for k in (0.0, 1.0, 2.0)]
             z, rng = np.concatenate([x, u]), np.random.default_rng(4 * number + 3)
             z[elsewhere] += LARGE * points.scale[elsewhere] * rng.uniform(-1.0, 1.0, len(elsewhere))
             z[index] = speed
@@ -70,55 +72,41 @@ def dampings(
 
     slopes = np.array(points.slopes[::every])[:, :n, n:]
 
-    def damping_of(pair: Pair, parameter: str, change: float, once: Array, twice: Array) -> Damping | None:
-        """Return the damping from changes of the reactions; None if they are those of something else.
-
-        Args:
-            once, twice: Changes of rates and outputs by the change of the parameter and by twice this change, shape
-                (points, 4, columns).
-        """
-        usable = np.isfinite(once).all(axis=(1, 2)) & np.isfinite(twice).all(axis=(1, 2))
-        once, twice = once[usable], twice[usable]
-        if not len(once):
-            return None
-        index = states.index(pair.velocity)
-        speed = float(points.scale[index])
-        usual, noise, force = once[:, 1], SAME * points.size, -change * speed
-        near = noise + NEARLY * np.abs(usual).max(axis=0)
-        equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
-        if any((np.abs(one - other) > near).any() for one, other in equal):
-            return None
-        affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, index] / force
-        if affected.max(initial=-1) >= len(states) or (own * abs(force) <= noise[index]).any():
-            return None
-        gain, rates = float(np.median(own)), tuple(states[k] for k in affected.tolist())
-        is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
-        direction = usual[:, : len(states)] / force
-        port = ""
-        for name in (port.input for port in pair.ports):  # slopes that are a constant multiple of the direction
-            along = slopes[usable][:, :, inputs.index(name)]
-            factor = float((along * direction).sum() / (direction**2).sum())
-            if np.abs(along - factor * direction).max() <= CONSTANT * np.abs(along).max():
-                port = name
-                break
-        return Damping(pair, parameter, gain, rates, is_constant, port, change, speed)
-
     base, found = react({}), dict[str, Damping]()
     for parameter in able:
-        name, (low, high) = parameter.name, parameter.quantity.bounds
-        value = float(prober.values.get(name, parameter.quantity.start))
+        name, value, (low, high) = parameter.name, parameter.quantity.start, parameter.quantity.bounds
         size = abs(value) or abs(parameter.tried)
         change = next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
         if not change:  # the bounds allow none
             continue
-        with suppress(SimulationError):
-            once = react({name: value + change}) - base
-            if not any(damping_of(pair, name, change, o, 2.0 * o) for pair, o in zip(trials, once, strict=True)):
-                continue
-            twice = react({name: value + 2.0 * change}) - base
-            for pair, o, t in zip(trials, once, twice, strict=True):
-                if (damping := damping_of(pair, name, change, o, t)) is not None:
-                    found.setdefault(pair.velocity, damping)
+        try:  # changes of rates and outputs by the change of the parameter and by twice this change
+            both = [react({name: value + share * change}) - base for share in (1.0, 2.0)]
+        except SimulationError:
+            continue
+        for pair, once, twice in zip(trials, *both, strict=True):
+            usable = np.isfinite(once).all(axis=(1, 2)) & np.isfinite(twice).all(axis=(1, 2))
+            once, twice, along = once[usable], twice[usable], slopes[usable]
+            index, usual = states.index(pair.velocity), once[:, 1]
+            speed = float(points.scale[index])
+            noise, force = SAME * points.size, -change * speed
+            near = noise + NEARLY * np.abs(usual).max(axis=0, initial=0.0)
+            equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
+            affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, index] / force
+            is_damping = len(own) and affected.max(initial=-1) < n and (own * abs(force) > noise[index]).all()
+            if not is_damping or any((np.abs(one - other) > near).any() for one, other in equal):
+                continue  # the changes are those of something else
+            gain, rates, direction = float(np.median(own)), [states[k] for k in affected], usual[:, :n] / force
+            is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
+            port = ""
+            for entry in pair.ports:
+                # slopes that are a constant multiple of the direction
+                of_input = along[:, :, inputs.index(entry.input)]
+                factor = float((of_input * direction).sum() / (direction**2).sum())
+                if np.abs(of_input - factor * direction).max() <= CONSTANT * np.abs(of_input).max():
+                    port = entry.input
+                    break
+            damping = Damping(pair, name, gain, tuple(rates), is_constant, port, change, speed, in_step)
+            found.setdefault(pair.velocity, damping)
     return tuple(found.values())
 
 
@@ -168,8 +156,7 @@ def with_factors(
     found: list[list[RatioFactor]] = [[] for _ in connections]
     with prober.hurry(time.monotonic() - begin):
         for p in parameters:
-            value = float(prober.values.get(p.name, p.quantity.start))
-            low, high = p.quantity.bounds
+            value, (low, high) = p.quantity.start, p.quantity.bounds
             tried = p.tried, value + 2.0 * (p.tried - value)
             if not p.acts or p.tried == value:
                 continue

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,8 @@ from cosim.probing.fmu_structure import EventCount
 ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration without a default experiment [s]
 SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
+CHANCE = 10.0  # difference relative to that of equal simulations, up to which it is chance
 SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
-Named = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]  # states, inputs, outputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,7 @@ class Course:
 
     Attributes:
         step: Usual step [s].
+        states: Initial values of states by number, instead of those of the FMU.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Course:
     inputs: Mapping[str, Array]
     outputs: Mapping[str, Array]
     step: float
+    states: Mapping[int, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, log: Log) -> Course:
@@ -53,6 +56,16 @@ class Course:
         inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
         return replace(self, time=self.time[:rows], inputs=inputs, outputs=outputs)
 
+    def begun(self, shown: Mapping[int, int], outputs: Sequence[str]) -> Course:
+        """Return the course with the initial states that its first row measures.
+
+        Args:
+            shown: Number of a state → number of the output that shows it.
+        """
+        columns = {k: self.outputs.get(outputs[j]) for k, j in shown.items()}
+        first = {k: float(y[0]) for k, y in columns.items() if y is not None and np.isfinite(y[0])}
+        return replace(self, states=first)
+
     def parted(self, row: int, parts: int) -> Course:
         """Return the course with two further rows in the step after a row, each a part of the step apart."""
         if parts == 1:
@@ -63,7 +76,7 @@ class Course:
         return replace(self, time=time, inputs=inputs, outputs={})
 
 
-def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
+def sine_course(description: Any) -> Course:
     """Return small sines of many periods about the start values of the inputs."""
     experiment = description.defaultExperiment
     begin = float(getattr(experiment, "startTime", None) or 0.0)
@@ -76,7 +89,7 @@ def sine_course(description: Any, values: Mapping[str, Any]) -> Course:
     phase = 2.0 * np.pi * np.arange(rows + 1) / rows
     inputs = {}
     for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
-        start = float(values.get(variable.name, variable.start or 0.0))
+        start = float(variable.start or 0.0)
         waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
         size, (low, high) = amplitude_of(variable, start), limits_of(variable)
         centre = min(max(start, low + size), high - size)
@@ -89,26 +102,41 @@ def amplitude_of(variable: Any, start: float) -> float:
     low, high = limits_of(variable)
     if math.isfinite(high - low) and high > low:
         return SHARE * (high - low)
-    nominal = getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None)
-    return SHARE * (abs(start) or abs(float(nominal or 0.0)) or 1.0)
+    return SHARE * (abs(start) or abs(nominal_of(variable)) or 1.0)
+
+
+def nominal_of(variable: Any) -> float:
+    """Return the nominal value of a variable or of its type, 0 without one."""
+    return float(getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None) or 0.0)
 
 
 def limits_of(variable: Any) -> tuple[float, float]:
     """Return min and max of a variable or of its type, infinite without any."""
-    ends = []
-    for end, default in (("min", -math.inf), ("max", math.inf)):
-        values = getattr(variable, end, None), getattr(variable.declaredType, end, None)
-        ends.append(next((float(v) for v in values if v is not None), default))
-    return ends[0], ends[1]
+
+    def end(name: str, default: float) -> float:
+        values = getattr(variable, name, None), getattr(variable.declaredType, name, None)
+        return next((float(v) for v in values if v is not None), default)
+
+    return end("min", -math.inf), end("max", math.inf)
 
 
-def moved_within(values: Array, size: float, limits: tuple[float, float]) -> Array:
-    """Return values plus a size, or minus it where limits forbid more, within the limits."""
-    low, high = limits
-    if values.max(initial=-math.inf) + size > high and values.min(initial=math.inf) - size >= low:
+def moved(variable: Any, held: Array) -> Array:
+    """Return values of a variable plus a usual size, or minus it where its limits forbid more, within the limits."""
+    size, (low, high) = float(np.std(held)) or amplitude_of(variable, float(held[0])), limits_of(variable)
+    if held.max() + size > high and held.min() - size >= low:
         size = -size
-    inside = values + size
-    return np.asarray(np.clip(inside, min(low, float(values.min())), max(high, float(values.max()))), np.float64)
+    return np.clip(held + size, min(low, float(held.min())), max(high, float(held.max())))
+
+
+def noise_of(table: Array, repeated: Array, size: Array) -> Array:
+    """Return the differences of equal numbers, by rounding or by chance, of each column of a table.
+
+    Args:
+        size: Magnitude of each column.
+    """
+    rows = min(len(table), len(repeated))
+    apart: Array = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
+    return SAME * size + CHANCE * apart
 
 
 @dataclass(eq=False)
@@ -149,11 +177,10 @@ class Fmu:
         return self.path.name
 
     @property
-    def names(self) -> Named:
+    def names(self) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
         """Return names of continuous states, inputs and outputs."""
-        listed = states_of(self.description), reals(self.description, "input"), reals(self.description, "output")
-        states, inputs, outputs = (scalars(group) for group in listed)
-        return states, inputs, outputs
+        about = self.description
+        return scalars(states_of(about)), scalars(reals(about, "input")), scalars(reals(about, "output"))
 
     def too_short(self, course: Course) -> SimulationError:
         """Return the error of a course with too few rows."""
@@ -172,20 +199,23 @@ class Fmu:
         """
         about = self.name, self.path, self.description, self.values, frozenset(course.inputs)
         block = FmuBlock(*about, way=way, recorded=recorded) if way else DifferentiableFmu(*about)
-        here.progress.made[0], here.progress.doing[0] = 0, OTHER
+        here.progress.made[0] = 0
+        announce(OTHER)
         block.instance.place = self.place
         here.share_log(block)
         row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
         block.bind(row, 0, [None] * (len(block.exact_inputs) + len(block.exact_outputs)), 0)
-
-        def name_reading() -> None:
-            """Announce the reading of outputs after the initialization; loading has its own limit."""
-            here.progress.doing[0] = GET
-
-        block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=name_reading)
+        # loading has its own limit; outputs are read after the initialization
+        end = float(course.time[-1]) + course.step
+        block.load_and_begin(float(course.time[0]), end, loaded=partial(announce, GET))
         put_row(block, row, course, 0)
         with closing(block):
             yield block, row
+
+
+def announce(call: int) -> None:
+    """Tell the caller of the worker which call of an FMU comes next."""
+    here.progress.doing[0] = call
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -193,53 +223,53 @@ def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
     for number, signal in enumerate(block.inputs):
         if signal.name in course.inputs:
             row[number] = float(course.inputs[signal.name][k])
-    here.progress.doing[0] = PUT
+    announce(PUT)
     block.put()
 
 
 def simulate(
-    block: DifferentiableFmu,
-    row: Any,
+    fmu: Fmu,
     course: Course,
-    first: Mapping[int, float],
-    visit: Callable[[float, Array, Array], None] = lambda t, x, u: None,
+    visit: Callable[[DifferentiableFmu, float, Array, Array], None] = lambda block, t, x, u: None,
     rows: Collection[int] = (),
 ) -> Run:
-    """Simulate an opened FMU for model exchange along a course with the solver.
+    """Simulate an FMU for model exchange along a course with the solver.
 
     Args:
-        first: Initial values of states by number, instead of those of the FMU.
-        visit: Function of time, states and inputs at each row of `rows`, which leaves the FMU as it was.
+        visit: Function of FMU, time, states and inputs at each row of `rows`, which leaves the FMU as it was.
     """
     visited, last = frozenset(rows), course.time.size - 1
     states, inputs, values = list[Array](), list[Array](), list[Array]()
     stop: SimulationError | None = None
-    try:
-        block.start()
-        if first:
-            x, u = block.current_point()
-            x[[*first]] = [*first.values()]
-            block.move(float(course.time[0]), x, u)
-            block.calls.solver.reset(float(course.time[0]))
-        for k, t in enumerate(course.time.tolist()):
-            put_row(block, row, course, k)
-            x, u = block.current_point()
-            values.append(block.rates(x, u))
-            states.append(x)
-            inputs.append(u)
-            if k in visited:
-                visit(t, x, u)
-                block.rates(x, u)
-            if k < last:
-                here.progress.doing[0] = ADVANCE
-                block.advance(t, float(course.time[k + 1]) - t)
-                here.progress.made[0] += 1
-    except SimulationError as error:
-        stop = error
-    counts, made = block.calls.event_counts, len(inputs)
+    with fmu.opened(course) as (block, row):
+        try:
+            block.start()
+            if course.states:
+                x, u = block.current_point()
+                x[[*course.states]] = [*course.states.values()]
+                block.move(float(course.time[0]), x, u)
+                block.calls.solver.reset(float(course.time[0]))
+            for k, t in enumerate(course.time.tolist()):
+                put_row(block, row, course, k)
+                x, u = block.current_point()
+                values.append(block.rates(x, u))
+                states.append(x)
+                inputs.append(u)
+                if k in visited:
+                    visit(block, t, x, u)
+                    block.rates(x, u)
+                if k < last:
+                    announce(ADVANCE)
+                    block.advance(t, float(course.time[k + 1]) - t)
+                    here.progress.made[0] += 1
+        except SimulationError as error:
+            stop = error
+        counts, made = block.calls.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    tables = [np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made])]
-    return Run(course.time[:made], tables[0], tables[1], tables[2], events, stop)
+    known, u, rates = (
+        np.array(each, float).reshape(made, -1 if made else 0) for each in (states, inputs, values[:made])
+    )
+    return Run(course.time[:made], known, u, rates, events, stop)
 
 
 def run_along(
@@ -253,18 +283,18 @@ def run_along(
     table, stop = list[list[float]](), None
 
     def get() -> None:
-        here.progress.doing[0] = GET
+        announce(GET)
         block.get()
         table.append(row[len(block.inputs) : len(block.inputs) + len(block.outputs)])
 
     try:
         if first is None:
-            here.progress.doing[0] = OTHER
+            announce(OTHER)
             block.start()
         get()
         for k in range(first or 0, course.time.size - 1):
             put_row(block, row, course, k)
-            here.progress.doing[0] = ADVANCE
+            announce(ADVANCE)
             block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
             put_row(block, row, course, k + 1)
             get()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import chdir, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,12 @@ import psutil
 from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import Way, library_of, ways
-from cosim.probing.log_runs import SAME, Course, Fmu, outputs_along, put_row, run_along, sine_course
+from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, outputs_along, put_row, run_along, sine_course
 from cosim.probing.own_step import excited_course
 from cosim.probing.prober import Prober
 
 WARM, INSTANCES = 2, 6  # instances before and during the measurement of memory
 LEAK = 1e6  # growth per instance that is no waste of the allocator [bytes]
-NOISE = 5.0  # difference relative to that of equal simulations, from which it is another result
 
 
 def misbehaviour(fmu: Path) -> Iterator[str]:
@@ -30,7 +29,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
         way, *_ = ways(prober.description)
         if prober.description.fmiVersion.startswith("1"):
             return
-        course = excited_course(prober, sine_course(prober.description, {}))
+        course = excited_course(prober, sine_course(prober.description))
         start = time.monotonic()
         try:
             first, stop = prober.call(outputs_along, prober.fmu, course, way)
@@ -38,54 +37,41 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
             return
         if stop is not None or not first.size:
             return
-        limits = prober.hurried(time.monotonic() - start)
-
-        def tried(job: Callable[..., Any], *arguments: Any) -> Any:
-            try:
-                return prober.call(job, way, prober.fmu, course, *arguments, limits=limits)
-            except (SimulationError, FmuError) as error:
-                return error
-
-        again = tried(outputs_again)
-        noise = np.zeros(first.shape[1]) if isinstance(again, Exception) else _gaps(first, again)
-        yield from _on_difference("a second simulation", first, again)
-        yield from _on_difference(
-            "a simulation in another working directory", first, tried(outputs_in, str(prober.place)), noise
-        )
-        yield from _on_difference("a simulation after a reset", first, tried(outputs_after_reset), noise)
+        trials: dict[str, tuple[Any, ...]] = {
+            "a second simulation": (outputs_again,),
+            "a simulation in another working directory": (outputs_in, str(prober.place)),
+            "a simulation after a reset": (outputs_after_reset,),
+        }
         part = prober.description.coSimulation
-        if way == "co-simulation" and (
-            getattr(part, "canGetAndSetFMUstate", False) or getattr(part, "canGetAndSetFMUState", False)
-        ):
-            both = tried(outputs_after_restoring, len(first) // 3)
-            table, again = (first, both) if isinstance(both, Exception) else both
-            yield from _on_difference("a repetition from a saved state", table, again, noise)
-        grown = tried(growth)
-        if not isinstance(grown, Exception) and grown > LEAK:
-            yield f"keeps {grown / 1e6:.2g} MB of memory for each instance after its end"
-
-
-def _gaps(table: Array, other: Array) -> Array:
-    """Return the largest difference of each output; infinite for tables of different length."""
-    if table.shape != other.shape:
-        return np.full(table.shape[1], np.inf)
-    return np.asarray(np.nan_to_num(np.abs(other - table)).max(axis=0, initial=0.0))
-
-
-def _on_difference(what: str, table: Array, other: Array | Exception, noise: Array | float = 0.0) -> Iterator[str]:
-    """Yield a sentence on outputs that differ from those of an equal simulation, or on a failure."""
-    if isinstance(other, Exception):
-        yield f"{what} fails: {other}"
-        return
-    size, gaps = np.maximum(np.abs(table).max(axis=0), SAME), _gaps(table, other)
-    if share := float((gaps / size)[gaps > SAME * size + NOISE * noise].max(initial=0.0)):
-        yield f"{what} has other outputs, by {share:.2g} of their largest value"
+        if way == "co-simulation" and part.canGetAndSetFMUstate:
+            trials["a repetition from a saved state"] = outputs_after_restoring, len(first) // 3
+        with prober.hurry(time.monotonic() - start):
+            noise = np.zeros(first.shape[1])
+            for what, (job, *arguments) in trials.items():
+                try:
+                    table, other = prober.call(job, way, prober.fmu, course, *arguments)
+                except (SimulationError, FmuError) as error:
+                    yield f"{what} fails: {error}"
+                    continue
+                table = first if table is None else table
+                gaps, size = np.full(first.shape[1], np.inf), np.maximum(np.abs(table).max(axis=0), SAME)
+                if table.shape == other.shape:
+                    gaps = np.nan_to_num(np.abs(other - table)).max(axis=0, initial=0.0)
+                if share := float((gaps / size)[gaps > SAME * size + CHANCE * noise].max(initial=0.0)):
+                    yield f"{what} has other outputs, by {share:.2g} of their largest value"
+                noise = gaps if job is outputs_again else noise
+            with suppress(SimulationError, FmuError):
+                if (grown := prober.call(growth, way, prober.fmu, course)) > LEAK:
+                    yield f"keeps {grown / 1e6:.2g} MB of memory for each instance after its end"
 
 
 # -- in the worker --------------------------------------------------------------------------------
 
 
-def outputs_again(way: Way, fmu: Fmu, course: Course) -> Array:
+# Each returns the outputs to compare with, None for those of an ordinary simulation, and the outputs.
+
+
+def outputs_again(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array]:
     """Return the outputs of a second simulation, between which and the first the library stays loaded."""
     import fmpy
 
@@ -95,20 +81,16 @@ def outputs_again(way: Way, fmu: Fmu, course: Course) -> Array:
         run_along(block, row, course)
     table, _ = outputs_along(fmu, course, way)
     fmpy.freeLibrary(kept._handle)
-    return table
+    return None, table
 
 
-def outputs_in(way: Way, fmu: Fmu, course: Course, folder: str) -> Array:
+def outputs_in(way: Way, fmu: Fmu, course: Course, folder: str) -> tuple[None, Array]:
     """Return the outputs of an FMU that runs in another working directory."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        return outputs_along(fmu, course, way)[0]
-    finally:
-        os.chdir(before)
+    with chdir(folder):
+        return None, outputs_along(fmu, course, way)[0]
 
 
-def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> Array:
+def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array]:
     """Return the outputs of an FMU that has been simulated and reset."""
     with fmu.opened(course, way) as (block, row):
         run_along(block, row, course)
@@ -116,7 +98,7 @@ def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> Array:
             block.instance.fmu.reset()
         block._begin(float(course.time[0]), float(course.time[-1]) + course.step)
         put_row(block, row, course, 0)
-        return run_along(block, row, course)[0]
+        return None, run_along(block, row, course)[0]
 
 
 def outputs_after_restoring(way: Way, fmu: Fmu, course: Course, at: int) -> tuple[Array, Array]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +17,7 @@ from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import reals, state_names, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
-from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, outputs_along, sine_course
+from cosim.probing.log_runs import SAME, Course, moved, outputs_along, sine_course
 from cosim.probing.prober import LIMITS, Prober
 
 ROWS = 60  # rows of a simulation
@@ -70,26 +71,38 @@ def probe_own_step(
     with Prober(fmu, values, limits) as prober:
         if "co-simulation" not in ways(prober.description):
             return None
-        course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description, values))
+        course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description))
         states = frozenset(state_names(prober.description)) - {v.name for v in reals(prober.description, "output")}
         begin = time.monotonic()
         table, stop = prober.call(outputs_along, prober.fmu, course, "co-simulation", states)
         if len(table) < 2:
             raise stop or prober.fmu.too_short(course)
-        quick = prober.hurried(time.monotonic() - begin)
+        took = time.monotonic() - begin
 
         def steps(step: float, count: int) -> Array:
             """Return the outputs after each of `count` steps with the first inputs held."""
             times = np.asarray(course.time[0] + step * np.arange(count + 1), np.float64)
             inputs = {n: np.repeat(v[:1], count + 1) for n, v in course.inputs.items()}
             held = Course(course.name, times, inputs, {}, step)
-            result: Array = prober.call(outputs_along, prober.fmu, held, "co-simulation", states, limits=quick)[0]
+            result: Array = prober.call(outputs_along, prober.fmu, held, "co-simulation", states)[0]
             return result
 
-        try:
-            return _own_step(table, course.step, steps)
-        except (SimulationError, FmuError):
-            return None
+        with prober.hurry(took), suppress(SimulationError, FmuError):
+            step, count = course.step, 2**DOUBLINGS
+            tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]  # to the same time by several steps
+            if any(len(each) != count // 2**k + 1 for k, each in enumerate(tables)):
+                return None
+            size = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
+            gaps = [float((np.abs(a[-1] - b[-1]) / size).max(initial=0.0)) for a, b in pairwise(tables)]
+            if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
+                # So many short steps reach the result of a single long one.
+                distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / size).sum(axis=1)
+                own = roundest(step * count / max(1, int(np.argmin(distance))))
+                return OwnStep(own, step, own > step)
+            changes = np.diff(table, axis=0).any(axis=1)
+            if 1.0 - changes.mean() > STILL and changes[len(changes) // 2 :].any():
+                return OwnStep(roundest(step / max(1e-3, changes.mean())), step, distorts=False)
+    return None
 
 
 def excited_course(prober: Prober, course: Course) -> Course:
@@ -97,36 +110,9 @@ def excited_course(prober: Prober, course: Course) -> Course:
     course = course.first(ROWS)
     for variable in reals(prober.description, "input"):
         if variable.name in course.inputs:
-            held = course.inputs[variable.name]
-            size = float(np.std(held)) or amplitude_of(variable, float(held[0]))
-            moved = moved_within(held, size, limits_of(variable))
-            course = replace(course, inputs={**course.inputs, variable.name: moved})
+            inputs = {**course.inputs, variable.name: moved(variable, course.inputs[variable.name])}
+            course = replace(course, inputs=inputs)
     return course
-
-
-def _own_step(outputs: Array, step: float, steps: Callable[[float, int], Array]) -> OwnStep | None:
-    """Compare results after the same time by steps of several lengths.
-
-    Args:
-        outputs: Outputs along the course.
-        steps: Function of a step [s] and a number of steps that returns outputs for constant inputs.
-    """
-    count = 2**DOUBLINGS
-    tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]
-    if any(len(table) != count // 2**k + 1 for k, table in enumerate(tables)):
-        return None
-    course = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
-    gaps = [float((np.abs(a[-1] - b[-1]) / course).max(initial=0.0)) for a, b in pairwise(tables)]
-    if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
-        # So many short steps reach the result of a single long one.
-        distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / course).sum(axis=1)
-        own = roundest(step * count / max(1, int(np.argmin(distance))))
-        return OwnStep(own, step, own > step)
-    moved = np.diff(outputs, axis=0) != 0.0
-    still = 1.0 - moved.any(axis=1).mean()
-    if moved.any() and still > STILL and moved[len(moved) // 2 :].any():
-        return OwnStep(roundest(step / max(1e-3, 1.0 - still)), step, distorts=False)
-    return None
 
 
 def roundest(value: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,11 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import REALS
-from cosim.probing.fmu_structure import ProbedParameter, StartValue
-from cosim.probing.log_runs import SAME, Course, Fmu, outputs_along
+from cosim.probing.fmu_structure import START_STEP, ProbedParameter, StartValue
+from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, noise_of, nominal_of, outputs_along
 from cosim.probing.prober import Prober, quantities
 from cosim.scenario.start_values import settable
 
-START_STEP = 1e-2  # displacement of a start value, as a share of its size or nominal value
 MOST_STARTS = 40  # start values tried
 
 
@@ -34,32 +33,28 @@ def _is_settable_real(v: Any) -> bool:
 
 
 def tried_parameters(
-    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array, only: Container[str] | None = None
+    prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array
 ) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what other values of it change.
 
     Args:
         react: Function of the FMU that returns its states after initialization, and a table of reactions.
         size: Magnitude of each column of the table.
-        only: Names of the parameters to try; None for all.
     """
-    parameters = [v for v in settable_parameters(prober.description) if only is None or v.name in only]
+    parameters = settable_parameters(prober.description)
     if not parameters:
         return ()
     start, table = react(prober.fmu)
     begin = time.monotonic()
     again, repeated = react(prober.fmu)
     took = time.monotonic() - begin
-    rows = min(len(table), len(repeated))
-    # differences of equal numbers, by rounding or by chance
-    apart = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
-    noise = SAME * size + 10.0 * apart
-    state_noise = 10.0 * np.abs(again - start) + SAME * np.maximum(np.abs(start), SAME)
+    noise = noise_of(table, repeated, size)
+    state_noise = noise_of(start[None], again[None], np.maximum(np.abs(start), SAME))
     found = []
     with prober.hurry(took):
         for variable in parameters:
             (quantity,) = quantities(prober.description, [variable.name])
-            value = float(prober.values.get(variable.name, variable.start))
+            value = quantity.start
             acts = starts = False
             failure, tried = "", value
             low, high = quantity.bounds
@@ -94,7 +89,7 @@ def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> t
         noise: Differences of equal outputs.
     """
     found = []
-    spread = np.maximum(base.std(axis=0), 10.0 * noise)
+    spread = np.maximum(base.std(axis=0), CHANCE * noise)
     used = {"input", "parameter", "calculatedParameter", "structuralParameter", "independent"}
     states = [
         v
@@ -103,8 +98,8 @@ def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> t
     ]
     for variable in states[:MOST_STARTS]:
         (quantity,) = quantities(prober.description, [variable.name])
-        nominal, value = float(getattr(variable, "nominal", None) or 0.0), quantity.start
-        size = START_STEP * (abs(value) or abs(nominal) or 1.0)
+        value = quantity.start
+        size = START_STEP * (abs(value) or abs(nominal_of(variable)) or 1.0)
         moved = value + size if value + size <= quantity.bounds[1] else value - size
         try:
             table, _ = prober.call(outputs_along, prober.with_values({variable.name: moved}), course)

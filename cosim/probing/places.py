@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from cosim.core.errors import FmuError, InputError, SimulationError
@@ -28,12 +27,11 @@ class Places:
     """Structure and behaviour of an FMU, and the interface by which it is refined.
 
     Attributes:
-        way, reason: Interface and the reason for it.
-        structure: Structure of that interface.
+        reason: Reason for the interface.
+        structure: Structure of the interface.
         own_step: Step that the FMU makes on its own in co-simulation, None without one.
     """
 
-    way: Way
     reason: str
     structure: Structure
     own_step: OwnStep | None
@@ -60,11 +58,9 @@ class Places:
             return {"name": q.name, "unit": q.unit, "start": q.start, **more}
 
         return {
-            "way": self.way,
+            "way": s.way,
             "reason": self.reason,
-            "pairs": [asdict(pair) for pair in s.pairs],
-            "connections": [asdict(connection) for connection in s.connections],
-            "dampings": [asdict(damping) for damping in s.dampings],
+            **{name: [*map(asdict, getattr(s, name))] for name in ("pairs", "connections", "dampings", "events")},
             "storages": [entry(next(q for q in s.states or s.outputs if q.name == name)) for name in s.storages],
             "feeds": {name: asdict(port) for name, port in s.feeds.items()},
             "sensors": [entry(q, shows=shows.get(q.name, "")) for q in s.outputs],
@@ -72,24 +68,17 @@ class Places:
             "parameters": [entry(p.quantity, acts=p.acts, starts=p.starts, failure=p.failure) for p in s.parameters],
             "largest_rate": s.largest_rate,
             "step": s.step,
-            "events": [asdict(count) for count in s.events],
             "own_step": self.own_step.length if self.own_step else 0.0,
             "findings": list(self.findings),
         }
 
 
 def probe_structure(
-    fmu: Path,
-    logs: Sequence[Log] = (),
-    values: Mapping[str, float] = MappingProxyType({}),
-    *,
-    way: Way | None = None,
-    limits: Limits = LIMITS,
+    fmu: Path, logs: Sequence[Log] = (), *, way: Way | None = None, limits: Limits = LIMITS
 ) -> Structure:
     """Return the structure of a binary, from simulations along logs, or along small sines without logs.
 
     Args:
-        values: Start values by name.
         way: Interface to probe; None prefers model exchange.
         limits: Limits of each simulation.
 
@@ -98,29 +87,22 @@ def probe_structure(
         FmuError: The FMU is invalid or does not load.
         SimulationError: The FMU fails, crashes or hangs at its start.
     """
-    with Prober(fmu, values, limits) as prober:
+    with Prober(fmu, limits=limits) as prober:
         offered = ways(prober.description)
         chosen = way or ("model-exchange" if "model-exchange" in offered else "co-simulation")
         if chosen not in offered:
             raise InputError.at(prober.path, f"has no usable interface for {chosen}; it offers {', '.join(offered)}")
-        courses = [Course.of(log) for log in logs] or [sine_course(prober.description, values)]
+        courses = [Course.of(log) for log in logs] or [sine_course(prober.description)]
         if chosen == "co-simulation":
             return co_simulation_structure(prober, courses)
         return exchange_structure(prober, courses)
 
 
-def probe_places(
-    fmu: Path,
-    logs: Sequence[Log] = (),
-    values: Mapping[str, float] = MappingProxyType({}),
-    *,
-    limits: Limits = LIMITS,
-) -> Places:
+def probe_places(fmu: Path, logs: Sequence[Log] = (), *, limits: Limits = LIMITS) -> Places:
     """Return the places of an FMU.
 
     Args:
         logs: Logs of the FMU; without any, small sines drive the inputs.
-        values: Start values by name.
         limits: Limits of each simulation.
 
     Raises:
@@ -128,20 +110,20 @@ def probe_places(
         SimulationError: The FMU fails, crashes or hangs at its start.
     """
     offered = ways(read_description(fmu))
-    own_step = probe_own_step(fmu, logs, values, limits=limits)
+    own_step = probe_own_step(fmu, logs, limits=limits)
     way: Way = "co-simulation"
-    reason, structure = "it has no model exchange", None
+    reason = "it has no model exchange"
     if "model-exchange" in offered:
         try:
-            structure = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
+            structure = probe_structure(fmu, logs, way="model-exchange", limits=limits)
             way, reason = choose_way(structure, own_step, offered)
+            if way == "model-exchange":
+                return Places(reason, structure, own_step)
         except (InputError, FmuError, SimulationError) as error:
             if "co-simulation" not in offered:
                 raise
-            way, reason = "co-simulation", f"its model exchange fails: {error!s}"
-    if structure is None or way == "co-simulation":
-        structure = probe_structure(fmu, logs, values, way=way, limits=limits)
-    return Places(way, reason, structure, own_step)
+            reason = f"its model exchange fails: {error!s}"
+    return Places(reason, probe_structure(fmu, logs, way="co-simulation", limits=limits), own_step)
 
 
 def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[Way]) -> tuple[Way, str]:

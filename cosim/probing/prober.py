@@ -8,13 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
-import numpy as np
-
 from cosim.blocks.compiling import permission, with_permission
-from cosim.core.arrays import Array, Flags
-from cosim.core.errors import Fault, refuse
+from cosim.core.arrays import Array
 from cosim.core.scratch import temporary_folder
-from cosim.core.text import did_you_mean
 from cosim.files.archive import unpack
 from cosim.fmi.description import read_description, unit_of
 from cosim.fmi.fmi_types import element_names
@@ -25,8 +21,7 @@ from cosim.model.quantities import Quantity
 from cosim.probing.log_runs import Fmu, limits_of
 
 Job = Callable[..., Any]
-JOBS = ("exchange_points", "log_runs", "misbehaviour")
-MODULES = (*(f"cosim.probing.{job}" for job in JOBS), "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
+MODULES = ("cosim.probing.exchange_points", "cosim.probing.misbehaviour", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
 LIMITS = Limits(step=20.0, load=60.0)
 USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]
 SLOW = 30.0  # time limit of a trial as a multiple of the time of an ordinary simulation
@@ -42,11 +37,8 @@ class Prober(ExitStack):
 
     def __init__(self, fmu: Path, values: Mapping[str, Any] = MappingProxyType({}), limits: Limits = LIMITS) -> None:
         super().__init__()
-        self.path = path = Path(fmu).resolve()
-        self.description, self.values, self._limits = read_description(path), dict(values), limits
-        variables = {v.name for v in self.description.modelVariables}
-        unknown = [f'has no variable "{n}"{did_you_mean(n, variables)}' for n in values if n not in variables]
-        refuse(Fault(path, 0, 0, message) for message in unknown)
+        self.path = Path(fmu).resolve()
+        self.description, self._values, self._limits = read_description(self.path), dict(values), limits
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -58,7 +50,7 @@ class Prober(ExitStack):
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:
         """Return the FMU with further start values."""
-        return Fmu(self.path, self.place, self.description, {**self.values, **values})
+        return Fmu(self.path, self.place, self.description, {**self._values, **values})
 
     @property
     def fmu(self) -> Fmu:
@@ -67,22 +59,23 @@ class Prober(ExitStack):
 
     @contextmanager
     def hurry(self, took: float) -> Iterator[None]:
-        """Limit all jobs within a `with` block as trials that may hang; see `hurried`."""
-        usual, self._limits = self._limits, self.hurried(took)
+        """Limit all jobs within a `with` block as trials that may hang.
+
+        Args:
+            took: Time that an ordinary simulation took [s].
+        """
+        usual = self._limits
+        step, load = max(USUAL_STEP, SLOW * took), max(USUAL_LOAD, SLOW * took)
+        most = {"step": min(step, usual.step or step), "load": min(load, usual.load or load)}
+        self._limits = usual.model_copy(update=most)
         try:
             yield
         finally:
             self._limits = usual
 
-    def hurried(self, took: float) -> Limits:
-        """Return the limits of a trial that may hang, from the time [s] that an ordinary simulation took."""
-        step, load = max(USUAL_STEP, SLOW * took), max(USUAL_LOAD, SLOW * took)
-        most = {"step": min(step, self._limits.step or step), "load": min(load, self._limits.load or load)}
-        return self._limits.model_copy(update=most)
-
-    def call(self, job: Job, *arguments: Any, limits: Limits | None = None) -> Any:
+    def call(self, job: Job, *arguments: Any) -> Any:
         """Return the result of a job in the worker."""
-        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=limits or self._limits)
+        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=self._limits)
         return self._worker.call(with_permission, permission.get(), job, *arguments, watch=watch)
 
 
@@ -113,17 +106,9 @@ def quantities(
     made = []
     for k, name in enumerate(names):
         variable = variables[name]
-        if starts is None:
-            given = variable.start
-            values = given if isinstance(given, (list, tuple)) else str(given or "0").split()
-            start = float(values[element_names(variable).index(name) if len(values) > 1 else 0])
-        else:
-            start = float(starts[k])
+        given = variable.start if starts is None else starts[k]
+        values = given if isinstance(given, (list, tuple)) else str(given or "0").split()
+        start = float(values[element_names(variable).index(name) if len(values) > 1 else 0])
         text = " ".join((variable.description or "").split())
         made.append(Quantity(name, unit_of(variable), text, start, limits_of(variable)))
     return tuple(made)
-
-
-def no_flags(rows: int, columns: int) -> Flags:
-    """Return an array of False."""
-    return np.zeros((rows, columns), bool)

@@ -81,7 +81,10 @@ def _outlook(study: Study, subject: FmuSubject) -> Iterator[str]:
             "errors of the sensors of {}, which no estimation log has",
             [q.name for q in s.outputs if names[q.name] not in logged],
         ),
-        ("{}, which changes no output along these logs", s.idle),
+        (
+            "{}, which changes no output along these logs",
+            [p.name for p in s.parameters if not (p.acts or p.starts)],
+        ),
         (
             "forces at {}, because no input acts there and co-simulation gives no access to derivatives",
             [p.velocity for p in s.pairs if is_stepped and not p.ports],

@@ -14,7 +14,7 @@ from cosim.core.text import percent
 from cosim.core.version import __version__
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.estimation.per_log import expected_value, own
+from cosim.estimation.per_log import expected_values, own
 from cosim.estimation.subject.candidates import Kind, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
@@ -414,7 +414,7 @@ def _per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLo
     """Return the entry of every parameter per log."""
     declared, entries = study.subject.declared, {}
     for name in study.settings.per_log:
-        unit, (mean, sd) = declared[name].unit, expected_value(f, name)
+        unit, (mean, sd) = declared[name].unit, expected_values(f)[name]
         groups = {x.group: _estimate(f, x.name, unit) for x in f.free if x.parameter == name}
         sealed = dict.fromkeys(g for g in study.settings.groups.values() if g not in groups)
         followed = {g: Followed(value=ends[own(name, g)], expected=mean, spread=sd) for g in sealed}

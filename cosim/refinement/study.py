@@ -287,7 +287,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     if compiler() is None:
         raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
-    if probed.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
+    if probed.structure.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
         step, own = probed.structure.step, f"{probed.own_step.length:.3g} s"
         message = (
             f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation takes steps of its "

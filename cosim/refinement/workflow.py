@@ -22,8 +22,7 @@ from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import drop_own_parameters
-from cosim.estimation.posing import build_problem
-from cosim.estimation.predictability import predictable_horizon
+from cosim.estimation.posing import build_problem, predictable_horizon
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import cell_warnings, noise_levels, noise_warnings
 from cosim.estimation.subject.candidates import Candidate

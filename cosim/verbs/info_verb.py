@@ -101,7 +101,7 @@ def _places(p: Places) -> list[str]:
         ("inputs", ("  input", "unit", "start"), [(f"  {q.name}", q.unit, f"{q.start:.6g}") for q in s.inputs]),
         ("parameters", ("  parameter", "unit", "start", "acts"), parameters),
     ]
-    lines = [f"way: {p.way}: {p.reason}"]
+    lines = [f"way: {s.way}: {p.reason}"]
     for title, heads, rows in sections:
         lines += [f"{title}: {len(rows)}", *table(heads, rows)] if rows else [f"{title}: none"]
     return [*lines, f"findings: {len(p.findings) or 'none'}", *(f"  {finding}" for finding in p.findings)]

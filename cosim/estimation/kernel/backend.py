@@ -46,9 +46,8 @@ def kernel(
     if key not in _kernels:
         try:
             if isinstance(model, FmuModel) and fmu is not None:
-                variables = {p.name: model.variables[p.name] for p in model.parameters}
                 generated = (generate_stepped if model.stepped else generate)(model, measured, unnamed)
-                _kernels[key] = RemoteLibraryKernel(generated, fmu, variables)
+                _kernels[key] = RemoteLibraryKernel(generated, fmu)
             else:
                 _kernels[key] = CompiledKernel(generate(model, measured, unnamed, constant))
         except OfNumbersOnly as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import cosim.fmi.native
 from cosim.core.arrays import Array, Rows
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated
+from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated, no_filtered, no_simulated
 from cosim.fmi.native.compiler import load_library
 
 NATIVE = Path(cosim.fmi.native.__file__).parent
@@ -41,33 +42,27 @@ class CompiledKernel:
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
-        rows, ny = data.y.shape
-        state_rows = rows if states else 0
-        errors, variances = np.empty((rows, ny)), np.empty((rows, ny))
-        filtered = np.full((state_rows, len(self.layout.states)), np.nan)
-        memory = np.full((state_rows, self.layout.memory), np.nan)
-        covariances = np.full((state_rows, *[len(self.layout.stochastic)] * 2), np.nan)
+        made = no_filtered(self.layout, data, states=states)
         inputs = [_contiguous(v) for v in (p, x0, P0, q, np.broadcast_to(r, data.y.shape))]
-        arrays = [_address(a) for a in (*inputs, errors, variances, filtered, memory, covariances)]
-        done = self._library.filter(ctypes.byref(self._log(data, data.y, data.late, data.lags)), *arrays)
-        if done < rows:
-            errors[done:], variances[done:] = np.inf, 1.0
-        return Filtered(errors, variances, filtered, memory, covariances)
+        log, addresses = self._log(data, data.y, data.late, data.lags), map(_address, (*inputs, *vars(made).values()))
+        done = self._library.filter(ctypes.byref(log), *addresses)
+        made.errors[done:], made.variances[done:] = np.inf, 1.0
+        return made
 
     def simulate(
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
-        rows, nx = len(data.u), len(self.layout.states)
-        outputs, states = np.full((rows, len(self.layout.outputs)), np.nan), np.full((rows, nx), np.nan)
-        memories = np.zeros((rows, self.layout.memory))
-        inputs = [_contiguous(v) for v in (p, x0, memory, np.empty((0, nx)) if kicks is None else kicks)]
-        arrays = [_address(a) for a in (*inputs, outputs, states, memories)]
-        self._library.simulate(ctypes.byref(self._log(data)), first, *arrays)
-        return Simulated(outputs, states, memories)
+        self._use(p, data, x0)
+        made = no_simulated(self.layout, data)
+        inputs = [_contiguous(v) for v in (p, x0, memory, np.empty(0) if kicks is None else kicks)]
+        log, addresses = self._log(data), map(_address, (*inputs, *vars(made).values()))
+        self._library.simulate(ctypes.byref(log), first, *addresses)
+        return made
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
+        self._use(p, data, points[1][0])
         rows, (nx, ny) = np.ascontiguousarray(points[0], np.int32), (len(self.layout.states), len(self.layout.outputs))
         outputs, following = np.empty((len(rows), ny)), np.empty((len(rows), nx))
         arrays = [_contiguous(a) for a in (p, *points[1:])]
@@ -75,6 +70,9 @@ class CompiledKernel:
         log, addresses = self._log(data), [*map(_address, arrays)]
         self._library.single_steps(ctypes.byref(log), len(rows), _address(rows), back, *addresses)
         return following, outputs
+
+    def _use(self, p: Array, data: Data, x0: Array) -> None:
+        """Prepare the functions of the model, which are those of a library in a derived class."""
 
     def _log(self, data: Data, y: Array | None = None, late: Array | None = None, lags: Array | None = None) -> _Log:
         """Return a log for C, by default without readings; it keeps its arrays."""
@@ -98,25 +96,20 @@ def _address(a: Any) -> ctypes.c_void_p:
 
 def _source(generated: Generated) -> str:
     """Return the C source of the filter: sizes, generated functions and hand-written code."""
-    layout, before = generated.layout, list[Path]()
-    stepped = layout.is_free_run
+    layout, before, stepped = generated.layout, list[Path](), generated.layout.is_free_run
     groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
-    numbers = {name: len(group) for name, group in groups.items()} | {"NM": layout.memory, "DELAY": layout.delay}
-    sizes = {name: f"({number})" for name, number in numbers.items()}
-    sizes["STOCHASTIC"] = f"{{{', '.join(map(str, layout.stochastic or (0,)))}}}"
-    sizes |= {"STIFF": str(int(generated.stiff)), "STEPPED": str(int(stepped))}
+    sizes: dict[str, Any] = {name: len(group) for name, group in groups.items()}
+    sizes |= {"NM": layout.memory, "DELAY": f"({layout.delay})", "STIFF": int(generated.stiff), "STEPPED": int(stepped)}
+    places: dict[str, Sequence[int]] = {"STOCHASTIC": layout.stochastic}
     if generated.library is not None:
-        sizes |= {name: f"({count})" for name, count in zip(("NB", "NL"), generated.library, strict=True)}
+        sizes |= zip(("NB", "NL"), generated.library, strict=True)
         before = [FOLDER / "library_calls.c", FOLDER / ("stepped_library.c" if stepped else "library.c")]
     if stepped:
-        sizes["UNNAMED"] = str(int(generated.unnamed))
-        sizes["LASTING"] = f"({layout.parameters.index(MEMORY)})"
-        sizes["POSITIONS"] = f"({len(layout.positions)})"
-        places = {
-            "READ_PLACES": layout.positions,
-            "RUN_PLACES": [layout.states.index(layout.outputs[k]) for k in layout.positions],
-        }
-        sizes |= {name: f"{{{', '.join(map(str, each or (0,)))}}}" for name, each in places.items()}
+        sizes |= {"UNNAMED": int(generated.unnamed), "LASTING": layout.parameters.index(MEMORY)}
+        sizes["POSITIONS"] = len(layout.positions)
+        places["READ_PLACES"] = layout.positions
+        places["RUN_PLACES"] = [layout.states.index(layout.outputs[k]) for k in layout.positions]
+    sizes |= {name: f"{{{', '.join(map(str, each or (0,)))}}}" for name, each in places.items()}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     after = NATIVE / "step.c", FOLDER / "lags.c", FOLDER / ("free_run.c" if stepped else "filter.c")
     first, last = ([path.read_text(encoding="utf-8") for path in paths] for paths in (before, after))

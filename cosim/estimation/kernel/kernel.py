@@ -149,6 +149,19 @@ class Simulated:
     memory: Array
 
 
+def no_filtered(layout: Layout, data: Data, *, states: bool) -> Filtered:
+    """Return the result of a filter that diverges at its first row."""
+    rows, random = len(data.y) if states else 0, len(layout.stochastic)
+    shapes: list[tuple[int, ...]] = [(rows, len(layout.states)), (rows, layout.memory), (rows, random, random)]
+    return Filtered(np.full(data.y.shape, np.inf), np.ones(data.y.shape), *(np.full(s, np.nan) for s in shapes))
+
+
+def no_simulated(layout: Layout, data: Data) -> Simulated:
+    """Return the result of a simulation that diverges at its first row."""
+    counts = len(layout.outputs), len(layout.states), layout.memory
+    return Simulated(*(np.full((len(data.u), count), np.nan) for count in counts))
+
+
 class Kernel(Protocol):
     """Filter and simulation of a log."""
 

@@ -1,9 +1,8 @@
-"""Filter over a log with the library of an FMU for model exchange; every thread has an instance of its own."""
+"""Filter over a log with the library of an FMU, in a worker process."""
 
 from __future__ import annotations
 
 import ctypes
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -17,23 +16,21 @@ import numpy as np
 from cosim.blocks.derivatives import DifferentiableFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import claim
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array
+from cosim.core.linear_algebra import least_squares
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated
 from cosim.estimation.kernel.nameless import LOCAL, PREFIX
-from cosim.estimation.kernel.propagation import propagation
 from cosim.fmi.description import reals, takes_any_step
 from cosim.isolation.limits import Limits
+from cosim.probing.fmu_structure import START_STEP
 from cosim.terms.language import Direction
 
 NAME = "model"  # component name in messages
 KEPT = 32  # free runs and responses
+HIDDEN, EXACT = 1.5, 1e-6  # fall of ln squared errors from which a state is hidden; share of the squared change
 STEP = 1e-6  # step of differences, as a share of a state's usual size
-TRIED = 1e-2  # pulse of an input, as a share of its range; step of a start state, as a share of its usual size
-
-_loading = threading.Lock()  # the working folder changes while a library is loaded
-
 
 FUNCTIONS = ("set_time", "set_states", "get_rates", "complete", "step", "set_reals", "get_reals")
 
@@ -56,6 +53,7 @@ class LibraryOf(NamedTuple):
     """An FMU for a kernel.
 
     Attributes:
+        variables: Parameter of the kernel → variable; others are ignored.
         sizes: Usual size of each state, for differences.
         starts: In co-simulation: variable of each start state, with its usual size.
         values: Parameter values for the effect of start states on the outputs.
@@ -66,6 +64,7 @@ class LibraryOf(NamedTuple):
 
     path: Path
     description: Any
+    variables: Mapping[str, str]
     sizes: Sequence[float]
     starts: tuple[tuple[str, float], ...] = ()
     values: Mapping[str, float] = MappingProxyType({})
@@ -93,25 +92,23 @@ class LibraryInstance:
         if self._values == values and not self._stepped:
             return self._functions_of
         self._values = None
-        with _loading:
-            if self._block is None:
-                kind: Any = partial(FmuBlock, way="co-simulation") if self._stepped else DifferentiableFmu
-                self._block = kind(NAME, self._path, self._description, {}, frozenset())
-                self._block.bind_nothing()
-            self._block.open_again(values, start, stop)
+        if self._block is None:
+            kind: Any = partial(FmuBlock, way="co-simulation") if self._stepped else DifferentiableFmu
+            self._block = kind(NAME, self._path, self._description, {}, frozenset())
+            self._block.bind_nothing()
+        self._block.open_again(values, start, stop)
         self._values, self._functions_of = dict(values), self._functions(self._block)
         return self._functions_of
 
     def _functions(self, block: FmuBlock) -> _Library:
         """Return the functions of the library."""
         fmu, version = block.instance.fmu, int(self._description.fmiVersion[0])
-        kind = "Real" if version == 2 else "Float64"
+        kind, state = ("Real", "") if version == 2 else ("Float64", "ContinuousState")
         names = {"set_reals": f"Set{kind}", "get_reals": f"Get{kind}"}
         if self._stepped:
             names["step"] = "DoStep"
         else:
-            derivatives = "GetDerivatives" if version == 2 else "GetContinuousStateDerivatives"
-            names |= {"set_time": "SetTime", "set_states": "SetContinuousStates", "get_rates": derivatives}
+            names |= {"set_time": "SetTime", "set_states": "SetContinuousStates", "get_rates": f"Get{state}Derivatives"}
             if self._description.modelExchange.needsCompletedIntegratorStep:
                 names["complete"] = "CompletedIntegratorStep"
         functions = {n: ctypes.cast(getattr(fmu.dll, f"fmi{version}{s}"), ctypes.c_void_p) for n, s in names.items()}
@@ -123,19 +120,14 @@ class LibraryInstance:
 
 
 class LibraryKernel(CompiledKernel):
-    """Kernel of an FMU with terms.
+    """Kernel of an FMU with terms."""
 
-    Args:
-        parameters: Parameter of the kernel → variable of the FMU.
-    """
-
-    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
+    def __init__(self, generated: Generated, fmu: LibraryOf) -> None:
         claim(fmu.path)
         super().__init__(generated)
-        self._fmu = fmu
-        self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
-        self._own, self._stepped = threading.local(), self.layout.is_free_run
-        order = self.layout.parameters
+        self._fmu, self._stepped, order = fmu, self.layout.is_free_run, self.layout.parameters
+        self._instance, self._second = LibraryInstance(fmu, stepped=self._stepped), LibraryInstance(fmu)
+        self._places = {v: order.index(n) for n, v in fmu.variables.items() if n in order}
         self._turned = {order.index(n): v for n, v in fmu.neutral.items() if n in order}
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
         shapes = f"{PREFIX}.", f"{LOCAL}."
@@ -160,18 +152,6 @@ class LibraryKernel(CompiledKernel):
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays), int(follows))
         return super().run(data, p, x0, P0, q, r, states=states)
 
-    def simulate(
-        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
-    ) -> Simulated:
-        """Simulate with the commands of a log, as `Kernel.simulate`."""
-        self._use(p, data, x0)
-        return super().simulate(data, p, x0, memory, kicks, first=first)
-
-    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
-        """Return single steps from rows of a log, as `single_steps`."""
-        self._use(p, data, points[1][0])
-        return super().step(data, p, points, back)
-
     def call(self, method: str, passes: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], float]:
         """Call a method with the arguments of each pass; return results and processor time [s]."""
         begin = time.process_time()
@@ -182,13 +162,13 @@ class LibraryKernel(CompiledKernel):
         acting = p.copy()
         acting[self._not_of_run] = 0.0
         run: Simulated = self._cached(
-            ("run", *_driven(data), acting.tobytes(), x0.tobytes()),
-            lambda: self.simulate(data, p, x0, np.zeros(self.layout.memory)),
+            (acting, x0), data, lambda: self.simulate(data, p, x0, np.zeros(self.layout.memory))
         )
         return run
 
-    def _cached(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-        """Return the cached value of a key, made by `make` if it is missing; the oldest values are dropped."""
+    def _cached(self, numbers: Sequence[Array], data: Data, make: Callable[[], Any]) -> Any:
+        """Return what `make` makes of numbers and of all on which free runs of a log depend; the last are kept."""
+        key = data.u.tobytes(), data.interpolated, data.start, data.step, data.substeps, *(n.tobytes() for n in numbers)
         made = self._last[key] = self._last.pop(key) if key in self._last else make()
         for oldest in [*self._last][:-KEPT]:
             del self._last[oldest]
@@ -216,77 +196,107 @@ class LibraryKernel(CompiledKernel):
         They are those at given parameter values, and change little with the parameters. Without start states, pulses of
         the inputs in the first row tell the propagation.
         """
-        found: tuple[Array, Array] = self._cached(
-            ("responses", *_driven(data), x0.tobytes()), lambda: self._responses(data, x0)
-        )
+        p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
+
+        def outputs(data: Data, x0: Array) -> Array:
+            return self.simulate(data, p, x0, np.zeros(self.layout.memory)).outputs
+
+        def respond() -> tuple[Array, Array]:
+            plain, slopes, pulses = outputs(data, x0), list[Array](), list[Array]()
+            for place, (_, size) in enumerate(self._fmu.starts, len(x0) - len(self._fmu.starts)):
+                moved = x0.copy()
+                moved[place] += START_STEP * size
+                slopes.append((outputs(data, moved) - plain) / (moved[place] - x0[place]))
+            for k in () if slopes else np.flatnonzero(np.ptp(data.u, axis=0)):
+                u = data.u.copy()
+                u[0, k] += START_STEP * np.ptp(u[:, k])
+                pulses.append((outputs(replace(data, u=u), x0) - plain)[1:])
+            of_starts, told = (
+                np.nan_to_num(np.stack(each, axis=2), posinf=0.0, neginf=0.0) if each else np.zeros((*plain.shape, 0))
+                for each in (slopes, slopes or pulses)
+            )
+            return of_starts, propagation(told)
+
+        found: tuple[Array, Array] = self._cached((x0,), data, respond)
         return found
 
-    def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
-        count = len(self._fmu.starts)
-        p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
-        memory, first = np.zeros(self.layout.memory), len(x0) - count
-        plain = self.simulate(data, p, x0, memory).outputs
-        slopes = np.zeros((*plain.shape, count))
-        for k, (_, size) in enumerate(self._fmu.starts):
-            moved = x0.copy()
-            moved[first + k] += TRIED * size
-            slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
-            slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
-        told = slopes if count else self._pulse_responses(data, p, x0, plain)
-        return slopes, propagation(told)
-
-    def _pulse_responses(self, data: Data, p: Array, x0: Array, plain: Array) -> Array:
-        """Return the changes of the outputs after a pulse of each input that moves, shape (rows, outputs, inputs).
-
-        Args:
-            plain: Outputs without a pulse.
-        """
-        responses = []
-        for k in np.flatnonzero(np.ptp(data.u, axis=0)):
-            moved = data.u.copy()
-            moved[0, k] += TRIED * np.ptp(data.u[:, k])
-            run = self.simulate(replace(data, u=moved), p, x0, np.zeros(self.layout.memory))
-            responses.append(np.nan_to_num(run.outputs - plain, posinf=0.0, neginf=0.0)[1:])
-        return np.stack(responses, axis=2) if responses else np.zeros((*plain.shape, 0))
-
     def _use(self, p: Array, data: Data, x0: Array) -> None:
-        """Prepare this thread's instance for the parameter and start values."""
-        instance = getattr(self._own, "instance", None)
-        if instance is None:
-            instance = self._own.instance = LibraryInstance(self._fmu, stepped=self._stepped)
+        """Prepare the instance for the parameter and start values."""
         values = {name: float(p[k]) for name, k in self._places.items()}
-        first = len(x0) - len(self._fmu.starts)
-        values |= {name: float(x0[first + k]) for k, (name, _) in enumerate(self._fmu.starts)}
+        values |= zip(
+            (name for name, _ in self._fmu.starts), x0[len(x0) - len(self._fmu.starts) :].tolist(), strict=True
+        )
         times = data.start, data.start + len(data.u) * data.step
-        prepared = instance.prepare(values, *times)
+        prepared = self._instance.prepare(values, *times)
         if any(p[k] != neutral for k, neutral in self._turned.items()):
-            prepared = self._with_second(prepared, values, times)
+            # another instance has other dampings, for the directions
+            directions, prepared = self._fmu.directions, _Library.from_buffer_copy(prepared)
+            other = {d.parameter: d.changed(values[d.parameter]) for d in directions}
+            second = self._second.prepare({**values, **other}, *times)
+            arrays = {
+                "braked": np.array([d.state for d in directions], np.int32),
+                "speeds": np.array([d.speed for d in directions]),
+                "changes": np.array([other[d.parameter] - values[d.parameter] for d in directions]),
+            }
+            prepared.second, prepared.directions = ctypes.addressof(second), len(directions)
+            for name, array in arrays.items():
+                setattr(prepared, name, array.ctypes.data)
+            self._kept = prepared, second, arrays  # C keeps their addresses
         self._library.use_library(ctypes.byref(prepared))
-
-    def _with_second(self, first: _Library, values: Mapping[str, float], times: tuple[float, float]) -> _Library:
-        """Return the functions of this thread's instance, with another one of other dampings for the directions."""
-        directions = self._fmu.directions
-        other = {d.parameter: d.changed(values[d.parameter]) for d in directions}
-        second = getattr(self._own, "second", None)
-        if second is None:
-            second = self._own.second = LibraryInstance(self._fmu)
-        both = _Library.from_buffer_copy(first)
-        changes = [other[d.parameter] - values[d.parameter] for d in directions]
-        braked = np.array([d.state for d in directions], np.int32)
-        arrays = {"braked": braked, "speeds": np.array([d.speed for d in directions]), "changes": np.array(changes)}
-        prepared = second.prepare({**values, **other}, *times)
-        both.second, both.directions = ctypes.addressof(prepared), len(directions)
-        for name, array in arrays.items():
-            setattr(both, name, array.ctypes.data)
-        self._own.both = both, prepared, arrays  # C keeps their addresses
-        return both
-
-
-def _driven(data: Data) -> tuple[Any, ...]:
-    """Return everything of a log on which a free run depends."""
-    return data.u.tobytes(), data.interpolated, data.start, data.step, data.substeps
 
 
 def _asks_past(data: Data) -> bool:
     """Return True if a reading depends on outputs before its row."""
     return data.lags is not None or bool(data.late is not None and np.any(data.late))
+
+
+def propagation(responses: Array) -> Array:
+    """Return Φ and Ψ of δ⁺ = Φ·δ + Ψ·δ⁻, the deviations of the outputs of a free run, side by side.
+
+    Any small deviation obeys the same dynamics. Φ and Ψ are their least-squares estimates. An output of which the row
+    before tells a hidden state, e.g. the velocity of a position, has a column in Ψ; the others have zeros there.
+    Growing deviations are scaled to lasting ones. Without responses, both are 0.
+
+    Args:
+        responses: Deviations of the outputs (rows, outputs, responses).
+    """
+    _, outputs, count = responses.shape
+    whole = np.zeros((outputs, 2 * outputs))
+    if not count:
+        return whole
+    size = np.sqrt(np.mean(responses**2, axis=(0, 2)))
+    size[size == 0.0] = 1.0
+    scaled = responses / size[:, None]
+    scaled = scaled / np.maximum(np.sqrt(np.sum(scaled**2, axis=(0, 1))), np.finfo(float).tiny)
+    parts = scaled.transpose(0, 2, 1)
+    chosen, matrix = _with_hidden_states(*(part.reshape(-1, outputs) for part in (parts[1:-1], parts[:-2], parts[2:])))
+    whole[:, [*range(outputs), *(outputs + j for j in chosen)]] = matrix
+    growth = max(1.0, float(np.abs(np.linalg.eigvals(np.vstack([whole, np.eye(outputs, 2 * outputs)]))).max()))
+    return np.asarray(whole / np.repeat([growth, growth**2], outputs) * size[:, None] / np.tile(size, 2))
+
+
+def _with_hidden_states(now: Array, before: Array, after: Array) -> tuple[list[int], Array]:
+    """Return the outputs whose previous row shows a hidden state, and the matrix from `now` and these to `after`.
+
+    Outputs are added one by one as long as the next row is predicted far better; of equally good ones, the output that
+    was predicted worst so far.
+    """
+    change = np.sum((after - now) ** 2, axis=0)
+    change[change == 0.0] = 1.0
+
+    def regression(chosen: list[int]) -> tuple[Array, Array]:
+        known = np.hstack([now, before[:, chosen]])
+        matrix = least_squares(known, after, rcond=float(np.sqrt(np.finfo(float).eps)))
+        left = np.sum((after - known @ matrix) ** 2, axis=0) / change
+        return matrix.T, np.log(np.maximum(left, EXACT))
+
+    chosen: list[int] = []
+    matrix, left = regression(chosen)
+    while rest := [j for j in range(now.shape[1]) if j not in chosen]:
+        trials = {j: regression([*chosen, j]) for j in rest}
+        best = min(rest, key=lambda j: (float(trials[j][1].sum()), -left[j]))
+        if left.sum() - trials[best][1].sum() < HIDDEN:
+            break
+        chosen.append(best)
+        matrix, left = trials[best]
+    return chosen, matrix

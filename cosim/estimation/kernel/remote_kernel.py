@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import atexit
 import queue
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated
-from cosim.estimation.kernel.kernel import Data, Filtered, Simulated
+from cosim.estimation.kernel.kernel import Data, Filtered, Simulated, no_filtered, no_simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
-from cosim.isolation.limits import Limits
+from cosim.isolation.limits import LOADING
 from cosim.isolation.process import Remote, Worker
 from cosim.isolation.watch import Watch
+from cosim.probing.prober import SLOW
 
 MODULES = ("cosim.estimation.kernel.library_kernel", "fmpy.fmi2")
-LONGEST = 60.0  # default limit of a pass over a log [s]
-PATIENCE = 20.0  # after a hang, limit relative to the longest pass that succeeded
 
 # idle worker processes with their kernels; a thread takes one for each call
 _idle: queue.LifoQueue[tuple[Worker, dict[RemoteLibraryKernel, Remote]]] = queue.LifoQueue()
@@ -42,22 +41,12 @@ class RemoteLibraryKernel:
         failures: Reason of each pass in which the FMU failed.
     """
 
-    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
+    def __init__(self, generated: Generated, fmu: LibraryOf) -> None:
         self.layout = generated.layout
-        self._recipe = generated, fmu._replace(path=fmu.path.resolve()), dict(parameters)
-        self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LONGEST})
+        self._recipe = generated, fmu._replace(path=fmu.path.resolve())
+        self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LOADING})
         self.failures: list[SimulationError] = []
         self._longest, self._has_hung = 0.0, False  # processor time of a call that succeeded [s]
-
-    def _limits_of(self, passes: int) -> Limits:
-        """Return the limits of a call for several passes.
-
-        An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
-        """
-        most = (self.limits.load or LONGEST) * passes
-        if self._has_hung:
-            most = min(most, max(1.0, PATIENCE * self._longest))
-        return self.limits.model_copy(update={"load": most})
 
     def _call(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
         """Return the results of a method for each pass; raise SimulationError if the FMU fails, crashes or hangs."""
@@ -65,8 +54,11 @@ class RemoteLibraryKernel:
             worker, kernels = _idle.get_nowait()
         except queue.Empty:
             worker, kernels = Worker(*MODULES), {}
+        most = (self.limits.load or LOADING) * len(passes)
+        # An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
+        most = min(most, max(1.0, SLOW * self._longest)) if self._has_hung else most
         try:
-            watch = Watch((NAME,), limits=self._limits_of(len(passes)))
+            watch = Watch((NAME,), limits=self.limits.model_copy(update={"load": most}))
             remote = kernels.setdefault(self, Remote(worker, LibraryKernel, *self._recipe))
             results, spent = remote.call("call", method, passes, options, watch=watch)
             self._longest = max(self._longest, spent)
@@ -90,36 +82,31 @@ class RemoteLibraryKernel:
             self.failures.append(error)
             return [self._diverged(method, *each, **options) for each in passes]
 
-    def _diverged(self, method: str, data: Data, *arguments: Any, states: bool = False) -> Any:
+    def _diverged(self, method: str, data: Data, *arguments: Any, states: bool = False, **_: Any) -> Any:
         """Return the outcome of a pass that failed."""
-        layout, (rows, ny) = self.layout, data.y.shape
-        outputs, nx, memory, random = len(layout.outputs), len(layout.states), layout.memory, len(layout.stochastic)
         if method == "run":
-            kept = rows if states else 0
-            shapes: list[tuple[int, ...]] = [(kept, nx), (kept, memory), (kept, random, random)]
-            return Filtered(np.full((rows, ny), np.inf), np.ones((rows, ny)), *(np.full(s, np.nan) for s in shapes))
+            return no_filtered(self.layout, data, states=states)
         if method == "simulate":
-            return Simulated(*(np.full((rows, count), np.nan) for count in (outputs, nx, memory)))
-        return tuple(np.full((len(arguments[1][0]), count), np.nan) for count in (nx, outputs))
+            return no_simulated(self.layout, data)
+        signals = self.layout.states, self.layout.outputs
+        return tuple(np.full((len(arguments[1][0]), len(names)), np.nan) for names in signals)
 
-    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+    def run(self, *arguments: Any, **options: Any) -> Filtered:
         """Filter one log, as `Kernel.run`."""
-        filtered: Filtered = self.call_all("run", [(data, p, x0, P0, q, r)], states=states)[0]
+        filtered: Filtered = self.call_all("run", [arguments], **options)[0]
         return filtered
 
-    def simulate(
-        self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, first: int = 0
-    ) -> Simulated:
+    def simulate(self, *arguments: Any, **options: Any) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
-        simulated: Simulated = self.call_all("simulate", [(data, p, x0, memory, kicks, first)])[0]
+        simulated: Simulated = self.call_all("simulate", [arguments], **options)[0]
         return simulated
 
-    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
+    def step(self, *arguments: Any) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
-        stepped: tuple[Array, Array] = self.call_all("step", [(data, p, points, back)])[0]
+        stepped: tuple[Array, Array] = self.call_all("step", [arguments])[0]
         return stepped
 
-    def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
+    def responses(self, *arguments: Any) -> tuple[Array, Array]:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""
-        ((slopes, propagation),) = self._call("responses", [(data, x0)])
-        return slopes, propagation
+        found: tuple[Array, Array] = self._call("responses", [arguments])[0]
+        return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 from cosim.model.quantities import Parameter
@@ -49,7 +50,7 @@ def effect(
     *,
     kind: Kind = "effect",
     starts: Sequence[Mapping[str, float]] = (),
-    above: Mapping[str, str] | None = None,
+    above: Mapping[str, str] = MappingProxyType({}),
 ) -> Candidate:
     """Return an effect or sensor error as a candidate with parameters `name.parameter`.
 
@@ -59,23 +60,14 @@ def effect(
         starts: Additional start values by short names; the first start is zero or the usual size.
         above: Parameter → lower-bound parameter of the same effect.
     """
-
-    lower = {own: f"{name}.{bound}" for own, bound in (above or {}).items()}
     free, first = [], {}
     for p in declared:
-        full = f"{name}.{p.name}"
-        free.append(
-            Free(
-                full,
-                *p.bounds,
-                usual_size(p),
-                neutral=p.neutral,
-                above=lower.get(p.name, ""),
-            )
-        )
+        full, least = f"{name}.{p.name}", above.get(p.name)
+        lower = f"{name}.{least}" if least else ""
+        free.append(Free(full, *p.bounds, usual_size(p), neutral=p.neutral, above=lower))
         first[full] = values[full]
-        if p.typical and p.neutral is not None and p.neutral == p.bounds[0]:
-            first[full] = p.neutral + p.typical  # detectable if one-sided
+        if p.typical and p.neutral == p.bounds[0]:
+            first[full] = p.bounds[0] + p.typical  # detectable if one-sided
     others = ({f"{name}.{own}": value for own, value in start.items()} for start in starts)
     return Candidate(name, kind, tuple(free), (first, *others))
 

@@ -16,13 +16,12 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.core.errors import InputError
-from cosim.estimation.data import data_of, start_state
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Workplace
-from cosim.estimation.subject.model_subject import FILES, ModelSubject
+from cosim.estimation.subject.model_subject import FILES, ModelSubject, new_fmu
 from cosim.estimation.subject.probed_model import probed_model
 from cosim.fmi.building.file import LoadedModel
 from cosim.fmi.description import read_description, takes_any_step
@@ -153,7 +152,8 @@ class FmuSubject(ModelSubject):
         model = self.model
         turned = [k for k in model.catalogue if issubclass(k, Force) and k.place.direction is not None]
         neutral = {f"{k.name}.{p.name}": p.neutral for k in turned for p in parameters_of(k) if p.neutral is not None}
-        return LibraryOf(fmu, description, sizes, starts, self.values, self.limits, model.directions, neutral)
+        about = fmu, description, dict(model.variables), sizes
+        return LibraryOf(*about, starts, self.values, self.limits, model.directions, neutral)
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
@@ -186,7 +186,7 @@ class FmuSubject(ModelSubject):
 
     def replayer(self, place: Workplace) -> Replayer:
         """Return a replayer of the delivered FMU, or of the model if the FMU cannot be built."""
-        delivered = self._delivered(place.folder) if self._can_begin_anywhere else None
+        delivered = self._replayed(place.folder)
         outputs = [q.name for q in self.outputs]
         if delivered is None:
             return LibraryReplayer(self, self.kernel(outputs), "own")
@@ -200,14 +200,14 @@ class FmuSubject(ModelSubject):
 
     def quick_replayer(self, place: Workplace) -> LibraryReplayer | None:
         """Return a replayer of the model."""
-        if not self._can_begin_anywhere or self._delivered(place.folder) is None:
+        if self._replayed(place.folder) is None:
             return None
         return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
 
-    @property
-    def _can_begin_anywhere(self) -> bool:
-        """Return True if a replay through the delivered FMU begins wherever one of the model does."""
-        return self.is_stepped or not any(e.memory or e.delay for e in self.model.awake)
+    def _replayed(self, folder: Path) -> Path | None:
+        """Return the FMU with the terms if it is there and its replays begin wherever those of the model do."""
+        has_memory = not self.is_stepped and any(e.memory or e.delay for e in self.model.awake)
+        return None if has_memory else self._delivered(folder)
 
     def _delivered(self, folder: Path) -> Path | None:
         """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
@@ -218,10 +218,9 @@ class FmuSubject(ModelSubject):
         code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
         values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}
         known = {*(p.name for p in code.parameters), *model.variables.values()}
-        path = folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
-        substep, kept = self.rate / self.substeps(self.rate), {n: v for n, v in values.items() if n in known}
+        path, kept = new_fmu(folder), {n: v for n, v in values.items() if n in known}
         try:
-            wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
+            wrapped = wrap(self.structure.fmu, code, kept, path, substep=self.rate / self.substeps(self.rate))
         except (CannotWrap, NoCompiler, CompilerFailed) as error:
             self.undelivered = f"There is no refined FMU: {error}"
             return None
@@ -255,27 +254,21 @@ class LibraryReplayer(Replayer):
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
         units = {q.name: q.unit for q in self.subject.outputs}
-        kernel, layout, grid = self.kernel, self.kernel.layout, np.asarray(log.grid, np.intp)
+        layout, grid = self.kernel.layout, np.asarray(log.grid, np.intp)
         clean = {n: float(p.default) for n, p in self.subject.sensor_parameters.items()}
         given = {**self.subject.values, **values, **clean}
         p = np.array([given.get(n, 1.0) for n in layout.parameters])
         for horizon, begins in starts.items():
             table = np.full((log.rows, len(units)), np.nan)
-            if not self.subject.is_stepped:
-                rows = sorted(begins)
-                ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
-                for k, last in zip(rows, ends, strict=False):
-                    state = begins[k].states
-                    known = [0.0 if n.startswith(DISTURBANCE) else state.get(n, 0.0) for n in layout.states]
-                    memory = np.asarray(begins[k].memory, float)[: layout.memory]
-                    runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
-                for k, last, run in zip(rows, ends, simulate_all(kernel, runs), strict=False):
-                    table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
-            elif math.isinf(horizon):  # a library begins at the start of a log only
-                x0 = start_state(self.subject, data_of(self.subject, log, layout), layout.outputs, layout.states)
-                estimated = begins[min(begins)].states
-                x0[layout.start_places] = [estimated[layout.states[k]] for k in layout.start_places]
-                first = min(begins) + 1
-                table[first:] = kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs[grid[first:]]
+            # a library in co-simulation begins at the start of a log only
+            rows = [] if self.subject.is_stepped and math.isfinite(horizon) else sorted(begins)
+            ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
+            for k, last in zip(rows, ends, strict=False):
+                state = begins[k].states
+                known = [0.0 if n.startswith(DISTURBANCE) else state.get(n, 0.0) for n in layout.states]
+                memory = np.asarray(begins[k].memory, float)[: layout.memory]
+                runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
+            for k, last, run in zip(rows, ends, simulate_all(self.kernel, runs), strict=False):
+                table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
             yield Replay(log.time, horizon, begun, dict(zip(units, table.T, strict=True)), units)

@@ -11,7 +11,7 @@ from shutil import copyfile
 from typing import Any, Literal
 
 from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.kernel import CONSTANT, Data, Kernel
+from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.kernel.nameless import Known, bases
 from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Subject, Workplace
@@ -138,10 +138,13 @@ class ModelSubject(Subject):
 
     def replayer(self, place: Workplace) -> Replayer:
         """Return a replayer of the Python FMU."""
+        return FmuReplayer(self.model, self._built(place.folder), place, "python")
+
+    def _built(self, folder: Path) -> Path:
+        """Return the Python FMU, built once."""
         if self.fmu is None or not self.fmu.is_file():
-            count = len([*place.folder.glob("replayed*.fmu")])
-            self.fmu = build(self.loaded.recipe(), place.folder / f"replayed{count}.fmu")
-        return FmuReplayer(self.model, self.fmu, place, "python")
+            self.fmu = build(self.loaded.recipe(), new_fmu(folder))
+        return self.fmu
 
     def quick_replayer(self, place: Workplace) -> Replayer | None:
         """Return a replayer of the class's native FMU, for all parameter values."""
@@ -154,15 +157,16 @@ class ModelSubject(Subject):
         """Write model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""
         yaml, fmu = (scratch / file for file in FILES[name])
         write_model(yaml, self.loaded, folder)
-        if self.fmu is not None and self.fmu.is_file():
-            copyfile(self.fmu, fmu)
-        else:
-            self.fmu = build(self.loaded.recipe(), fmu)
-        return yaml, fmu
+        return yaml, Path(copyfile(self._built(scratch), fmu))
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
         """Return a command line for the FMU."""
         return ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={folder / FILES[name][1]}"]
+
+
+def new_fmu(folder: Path) -> Path:
+    """Return the place of a further FMU for replays."""
+    return folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
 
 
 def neutral_values(model: Model) -> dict[str, float]:
@@ -209,7 +213,7 @@ def start_values(model: Model, start: Start) -> dict[str, float]:
     awake, plant = {e.name for e in model.awake}, model.declared
     values = {name: value for name, value in start.per_log.items() if name in plant}
     for name, value in start.states.items():
-        if not name.startswith(CONSTANT) and ("." not in name or name.split(".")[0] in awake):
+        if "." not in name or name.split(".")[0] in awake:
             values[f"{name}_start"] = value
     # for the memory of a delay see `delayed_commands`
     places = [(e.name, q.name) for e in shaping_effects(model.catalogue) if not e.delay for q in e.memory]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from cosim.core.arrays import Array
 from cosim.core.units import unit_of_rate, unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
-from cosim.probing.fmu_structure import Connection, Pair, Structure
+from cosim.probing.fmu_structure import Structure
 from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Direction, Opposite, Place, with_place
@@ -32,8 +33,8 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
         logs: Estimation logs, in names of the FMU.
         terms: Terms of the user.
     """
-    s, places = structure, _Places(structure, logs)
-    is_stepped, step, states = places.is_stepped, places.step, places.states
+    s, step, is_stepped = structure, logs[0].step, structure.way == "co-simulation"
+    states = s.outputs if is_stepped else s.states
     duration = max(float(log.time[-1] - log.time[0]) for log in logs)
     outputs = [q.name for q in s.outputs]
     inputs, named_outputs = (
@@ -41,7 +42,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
     )
     # a state has the name of an output that shows it
     named = tuple(replace(q, name=with_place(s.shown_as(q.name))) for q in states)
-    names = places.names
+    names = [q.name for q in states]
     rates = {names.index(p.position): names.index(p.velocity) for p in s.pairs if p.gain == 1.0}
     parameters = []
     for p in s.acting:  # without bounds, it keeps its sign; the size of 0 is the one tried
@@ -51,20 +52,18 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
             low, high = max(low, ends[0]), min(high, ends[1])
         typical = abs(p.tried) if q.start == 0.0 else None
         parameters.append(Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high), typical=typical))
-    moving = tuple(with_place(name) for name in places.inputs if any(map(np.ptp, places.columns(name))))
+    moving = tuple(with_place(name) for name in (q.name for q in s.inputs) if any(map(np.ptp, _columns(logs, name))))
     sensors: list[type[Any]] = []
     for q, name in zip(named_outputs, outputs, strict=True):
-        signed = any(float(np.nanmin(y)) < 0.0 for y in places.columns(name))
-        sensors += sensor_errors(q, places.size(name), step, duration, signed=signed)
+        signed = any(float(np.nanmin(y)) < 0.0 for y in _columns(logs, name))
+        sensors += sensor_errors(q, _size(s, logs, name), step, duration, signed=signed)
     delay = [delay_of(inputs, LATEST * step)] if inputs else []
     return fmu_model(
         s.fmu.stem,
         (named, inputs, named_outputs),
         parameters,
-        [*delay, *bound_terms([*places.every()], terms)],
-        dependencies=Dependencies(
-            np.vstack([s.state_in_rate, s.state_in_output]), np.vstack([s.input_in_rate, s.input_in_output])
-        ),
+        [*delay, *bound_terms([*_places(s, logs, states)], terms)],
+        dependencies=Dependencies(s.depends[:, : len(s.states)], s.depends[:, len(s.states) :]),
         rates=rates,
         variables={
             with_place(q.name): q.name for q in (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))
@@ -83,109 +82,90 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
     )
 
 
-class _Places:
-    """Places of terms in a probed FMU, with usual sizes along its logs.
+def _columns(logs: Sequence[Log], name: str) -> list[Array]:
+    """Return an input or output in the logs that have it."""
+    signals = [{**log.inputs, **log.outputs} for log in logs]
+    return [columns[name] for columns in signals if name in columns]
 
-    Attributes:
+
+def _size(s: Structure, logs: Sequence[Log], name: str) -> float:
+    """Return the usual size of a signal, its spread.
+
+    Of an input it is half of its range within the logs, else over all logs, else its value; 1 for a constant of 0.
+    """
+    columns = _columns(logs, name)
+    if all(q.name != name for q in s.inputs) or not columns:
+        return s.scales.get(name) or 1.0
+    every = np.concatenate(columns)
+    return 0.5 * max(map(np.ptp, columns)) or 0.5 * float(np.ptp(every)) or float(np.abs(every).max()) or 1.0
+
+
+def _places(s: Structure, logs: Sequence[Log], states: Sequence[Quantity]) -> Iterator[Place]:
+    """Yield every place of terms, with usual sizes along the logs.
+
+    Args:
         states: The states, or the outputs in their place.
     """
+    step, names, inputs = logs[0].step, [q.name for q in states], [q.name for q in s.inputs]
+    units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
+    size = partial(_size, s, logs)
 
-    def __init__(self, structure: Structure, logs: Sequence[Log]) -> None:
-        s = structure
-        self.structure, self.logs, self.step = s, logs, logs[0].step
-        self.is_stepped = s.way == "co-simulation"
-        self.states: tuple[Quantity, ...] = s.outputs if self.is_stepped else s.states
-        self.names, self.inputs = [q.name for q in self.states], [q.name for q in s.inputs]
-        self.units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
-        self.parameters = {p.name: p.quantity for p in s.parameters}
-
-    def columns(self, name: str) -> list[Array]:
-        """Return an input or output in the logs that have it."""
-        signals = [{**log.inputs, **log.outputs} for log in self.logs]
-        return [columns[name] for columns in signals if name in columns]
-
-    def size(self, name: str) -> float:
-        """Return the usual size of a signal, its spread.
-
-        Of an input it is half of its range within the logs, else over all logs, else its value; 1 for a constant of 0.
-        """
-        columns = self.columns(name)
-        if name not in self.inputs or not columns:
-            return self.structure.scales.get(name) or 1.0
-        every = np.concatenate(columns)
-        return 0.5 * max(map(np.ptp, columns)) or 0.5 * float(np.ptp(every)) or float(np.abs(every).max()) or 1.0
-
-    def rate(self, name: str) -> float:
+    def rate(name: str) -> float:
         """Return the usual rate of change of a signal."""
-        changes = [y[SLOPE_ROWS:] - y[:-SLOPE_ROWS] for y in self.columns(name)]
+        changes = [y[SLOPE_ROWS:] - y[:-SLOPE_ROWS] for y in _columns(logs, name)]
         read = max((float(np.nanstd(change)) for change in changes), default=0.0)
-        return self.structure.scales.get(f"der({name})") or read / (SLOPE_ROWS * self.step) or 1.0
+        return s.scales.get(f"der({name})") or read / (SLOPE_ROWS * step) or 1.0
 
-    def every(self) -> Iterator[Place]:
-        """Yield every place of terms."""
-        s, units = self.structure, self.units
-        for k, q in enumerate(s.inputs):
-            size = self.size(q.name)
-            largest = max((float(np.abs(u).max()) for u in self.columns(q.name)), default=0.0) or size
-            sizes = {"u": size, "M": largest, "T": self.step}
-            yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
-        yield from filter(None, map(self._place_of_pair, s.pairs))
-        yield from map(self._place_of_connection, s.connections)
-        for name in s.storages:
-            index, columns = self.names.index(name), self.columns(s.shown_as(name))
-            middle = float(np.nanmean(np.concatenate(columns))) if columns else self.states[index].start
-            sizes = {"q": self.size(name), "r": self.rate(name)}
-            own = {"q": units[name], "r": unit_of_rate(units[name])}
-            place = Place(with_place(name), own, sizes, state=index, middle=middle)
-            port = s.feeds.get(name)
-            yield replace(place, input=self.inputs.index(port.input), gain=port.gain) if port else place
-
-    def _place_of_pair(self, pair: Pair) -> Place | None:
-        """Return the place of forces at a pair; None in co-simulation without a port.
-
-        Forces come in through an input or, as a damping tells, change further rates; else they change one rate.
-        """
-        s, names, units = self.structure, self.names, self.units
+    for k, q in enumerate(s.inputs):
+        usual = size(q.name)
+        largest = max((float(np.abs(u).max()) for u in _columns(logs, q.name)), default=0.0) or usual
+        sizes = {"u": usual, "M": largest, "T": step}
+        yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
+    # Forces at a pair come in through an input or, as a damping tells, change further rates; else they change one rate.
+    for pair in s.pairs:
         port = next((p for p in (*(p for p in pair.ports if p.is_alone), *pair.ports)), None)
         damping = next((d for d in s.dampings if d.pair == pair), None)
-        if damping is not None:
-            if damping.port:
-                port = next((p for p in pair.ports if p.input == damping.port), port)
-            elif damping.is_constant or damping.in_step:
-                port = None
-            if damping.port or damping.is_constant or not damping.in_step:
-                damping = None
-        if self.is_stepped and port is None:
-            return None
-        v, q = pair.velocity, pair.position
-        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[q], "d": units[q]}
-        travel = math.sqrt(12.0) * self.size(q)  # of a position that takes every value equally often
-        sizes = {"u": self.rate(v), "v": self.size(v), "q": self.size(q), "d": travel}
-        resolution = RESOLVED * self.rate(v) * self.step
-        place = Place(with_place(v), own, sizes, -1, names.index(q), names.index(v), resolution=resolution)
-        if damping is not None:
-            quantity, rates = self.parameters[damping.parameter], tuple(map(names.index, damping.rates))
-            number = s.directions.index(damping)
-            ends = damping.change, quantity.bounds[1]
-            direction = Direction(number, damping.parameter, *ends, names.index(v), damping.speed, rates)
+        if damping is not None and damping.port:
+            port = next((p for p in pair.ports if p.input == damping.port), port)
+        elif damping is not None and (damping.is_constant or damping.in_step):
+            port = None
+        if s.way == "co-simulation" and port is None:
+            continue
+        v, x, fastest = pair.velocity, pair.position, rate(pair.velocity)
+        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[x], "d": units[x]}
+        travel = math.sqrt(12.0) * size(x)  # of a position that takes every value equally often
+        sizes = {"u": fastest, "v": size(v), "q": size(x), "d": travel}
+        ends = names.index(x), names.index(v)
+        place = Place(with_place(v), own, sizes, -1, *ends, resolution=RESOLVED * fastest * step)
+        if damping is not None and damping in s.directions and damping.in_step:
+            quantity = next(p.quantity for p in s.parameters if p.name == damping.parameter)
+            rates, number = tuple(map(names.index, damping.rates)), s.directions.index(damping)
+            limits = damping.change, quantity.bounds[1]
+            direction = Direction(number, damping.parameter, *limits, names.index(v), damping.speed, rates)
             own["u"] = unit_product([(units[v], 1), (quantity.unit, 1)])
-            sizes["u"] = self.rate(v) / damping.gain
-            return replace(place, direction=direction, is_driven=bool(pair.ports))
-        if port is None:
-            return place
-        own["u"], sizes["u"] = units[port.input], self.rate(v) / abs(port.gain)
-        return replace(place, input=self.inputs.index(port.input), sign=math.copysign(1.0, port.gain))
-
-    def _place_of_connection(self, c: Connection) -> Place:
-        """Return the place of forces between two pairs, in units of the first one's acceleration."""
-        names, units, q, v = self.names, self.units, c.first.position, c.first.velocity
-        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[q]}
-        deflection, speed = c.deflection or self.size(q), c.speed or self.size(v)
+            sizes["u"] = fastest / damping.gain
+            place = replace(place, direction=direction, is_driven=bool(pair.ports))
+        elif port is not None:
+            own["u"], sizes["u"] = units[port.input], fastest / abs(port.gain)
+            place = replace(place, input=inputs.index(port.input), sign=math.copysign(1.0, port.gain))
+        yield place
+    for c in s.connections:  # forces between two pairs, in units of the first one's acceleration
+        x, v = c.first.position, c.first.velocity
+        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[x]}
+        deflection, speed = c.deflection or size(x), c.speed or size(v)
         sizes = {"u": c.stiffness * deflection or c.damping * speed, "v": speed, "q": deflection}
         if c.stiffness:
             own["k"], sizes["k"] = unit_product([(own["u"], 1), (own["q"], -1)]), c.stiffness
         factors = tuple(replace(f, parameter=with_place(f.parameter)) for f in c.factors)
         other = Opposite(names.index(c.second.position), names.index(c.second.velocity), c.gear, c.ratio, factors)
         name = f"{with_place(v)}_against_{with_place(c.second.velocity)}"
-        resolution, ends = RESOLVED * self.rate(v) * self.step, (names.index(q), names.index(v))
-        return Place(name, own, sizes, -1, *ends, resolution=resolution, opposite=other)
+        ends = names.index(x), names.index(v)
+        yield Place(name, own, sizes, -1, *ends, resolution=RESOLVED * rate(v) * step, opposite=other)
+    for name in s.storages:
+        index, columns = names.index(name), _columns(logs, s.shown_as(name))
+        middle = float(np.nanmean(np.concatenate(columns))) if columns else states[index].start
+        sizes = {"q": size(name), "r": rate(name)}
+        own = {"q": units[name], "r": unit_of_rate(units[name])}
+        place = Place(with_place(name), own, sizes, state=index, middle=middle)
+        feed = s.feeds.get(name)
+        yield replace(place, input=inputs.index(feed.input), gain=feed.gain) if feed else place

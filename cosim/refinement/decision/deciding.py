@@ -128,7 +128,7 @@ def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Itera
     """
     for c in h.candidates:
         above = [f for f in c.free if f.above] if c.name in families else []
-        ends = [(h.fit.values[f.name] - h.fit.values[f.above], h.fit.sigma_between(f.name, f.above)) for f in above]
+        ends = [(h.fit.values[f.name] - h.fit.values[f.above], h.fit.sigma(f.name, f.above)) for f in above]
         if above and all(difference < NORMAL_95 * sigma for difference, sigma in ends):
             yield c.name
         sizes = [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]

@@ -19,15 +19,14 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.linear_algebra import square_roots
-from cosim.estimation.data import data_of, readings_of, start_state
 from cosim.estimation.fit import Fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, Filtered, simulate_all
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.past_readings import past_reading, replayed
-from cosim.estimation.per_log import group_values, means, own, spread
-from cosim.estimation.posing import origins, start_covariance
+from cosim.estimation.per_log import expected_values, group_values, own, spread
+from cosim.estimation.posing import with_logs
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.subject.interface import Replayer, Start, Subject
 from cosim.logs.log import Log
@@ -74,7 +73,8 @@ def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis) -
     A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
     per log takes its mean.
     """
-    fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group} | means(claimed.fit)
+    fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group}
+    fitted |= {name: mean for name, (mean, _) in expected_values(claimed.fit).items()}
     stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
     if {c.kind for c in claimed.candidates} == {"sensor"}:
         fitted = {n: v for n, v in fitted.items() if n in subject.sensor_parameters or n in stated}
@@ -97,23 +97,12 @@ def variant_of(subject: Subject, settings: Settings, f: Fit, free_noise: Noise |
     return Variant(subject, {**subject.values, **group_values(f, settings.groups.values())}, f.noise, free_noise)
 
 
-def _posed(problem: Problem, subject: Subject, logs: Sequence[Log]) -> Problem:
-    """Return a subject's fitting problem on other logs.
+def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
+    """Return a variant's fitting problem on other logs, of free runs with the variant's likely start states.
 
     The kernel of `problem` takes all parameters, including those of the variant.
     """
-    layout = problem.layout
-    data = [data_of(subject, log, layout, problem.settings.interpolated) for log in logs]
-    x0 = [start_state(subject, d, layout.outputs, layout.states) for d in data]
-    readings = list(map(readings_of, data))
-    begins = origins(subject, layout, logs, data, problem.settings)
-    posed = replace(problem, logs=data, readings=readings, x0=x0, origins=begins)
-    return replace(posed, P0=start_covariance(subject, posed))
-
-
-def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
-    """Return a variant's fitting problem on other logs, of free runs with the variant's likely start states."""
-    return with_likely_starts(_posed(problem, variant.subject, logs), variant.values, variant.noise)
+    return with_likely_starts(with_logs(variant.subject, problem, logs), variant.values, variant.noise)
 
 
 def replay_logs(
@@ -273,7 +262,7 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
     """Return the last filtered values of parameters per log."""
     if not logs or not problem.layout.constants:
         return {}
-    problem, ends = _posed(problem, variant.subject, logs), dict[str, float]()
+    problem, ends = with_logs(variant.subject, problem, logs), dict[str, float]()
     for index, origin in enumerate(problem.origins):
         last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index, states=True).states[-1])
         for name, place in problem.layout.constants.items():
