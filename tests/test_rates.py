@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.logs.finding import Finding
+from cosim.logs.log import Finding
 from cosim.residuals.workflow import replay
 from tests.logs import write_log
 from tests.studies import holds, named, proven

@@ -29,7 +29,7 @@ from cosim.fmi.description import read_description, unit_definition, unit_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_column_names
-from cosim.logs.unit_mistakes import input_unit_findings
+from cosim.logs.model_comparison import input_unit_findings
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
 from cosim.residuals.drive import Drive, check_files, log_of_fmu

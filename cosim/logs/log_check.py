@@ -19,9 +19,8 @@ from cosim.fmi.building.own_run import predicted_outputs
 from cosim.fmi.building.substep import substep_notes, with_substep
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import first_rows, read_log
-from cosim.logs.model_comparison import output_findings
+from cosim.logs.model_comparison import input_unit_findings, output_findings
 from cosim.logs.spikes import drop_outliers, find_spikes
-from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.model.traits import Traits
 
 ROWS = 1000  # first rows of a log in which the model's outputs are predicted

@@ -9,9 +9,8 @@ from typing import Any
 
 from cosim.core.text import plain, size
 from cosim.logs.channel_noise import least_noise_level
-from cosim.logs.finding import Finding
 from cosim.logs.gate import ORDER, refuse_faults
-from cosim.logs.log import Log
+from cosim.logs.log import Finding, Log
 from cosim.logs.model_comparison import output_findings
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import EXACT, ChannelFloor, draws, floors

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.core.text import amount, join_names, plain, size
-from cosim.logs.finding import SENSORS
+from cosim.logs.log import SENSORS
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.residual_statistics import FREE_RUN
 

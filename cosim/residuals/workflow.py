@@ -35,11 +35,10 @@ from cosim.fmi.fmu_build import build as build_fmu
 from cosim.fmi.sampled import AUTHOR
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
-from cosim.logs.finding import SENSORS, Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
-from cosim.logs.log import Log, read_column_names
+from cosim.logs.log import SENSORS, Finding, Log, read_column_names
+from cosim.logs.model_comparison import input_unit_findings
 from cosim.logs.spikes import find_spikes
-from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
