@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
@@ -133,8 +132,3 @@ def schema() -> dict[str, Any]:
     """Return the JSON schema of fit.json."""
     body = Record.model_json_schema(mode="serialization", schema_generator=_Untitled)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **body}
-
-
-def finite(value: float) -> float | None:
-    """Return a number, None for infinity and NaN."""
-    return float(value) if math.isfinite(value) else None

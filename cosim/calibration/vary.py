@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cosim.calibration.fit_record import finite
 from cosim.core.errors import Fault, refuse
 from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.units import split_quantity
@@ -17,6 +16,7 @@ from cosim.files.yaml_file import short
 from cosim.fmi.description import unit_of
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.probing.log_runs import limits_of
+from cosim.residuals.residual_statistics import finite
 from cosim.scenario.start_values import convert_value, kind_of, settable
 
 NOT_VARIED = '--vary "{text}" is none of NAME, NAME=20% and NAME=LOW..HIGH, as in mass=0.3..2'
@@ -35,6 +35,8 @@ class Parameter:
         low, high: Bounds, infinite without any.
         tolerance: Half-width of the 95 % interval of a normal prior about `start`; None without a prior.
         per_log: True for the start value of a state, which is estimated for each log.
+        log: Index of the log of a start value; None for a parameter of all logs.
+        spread: Size of a start value that an output shows; 0 for values that were named.
     """
 
     name: str
@@ -44,6 +46,8 @@ class Parameter:
     high: float = math.inf
     tolerance: float | None = None
     per_log: bool = False
+    log: int | None = None
+    spread: float = 0.0
 
     def entry(self) -> dict[str, float | None]:
         """Return start, bounds and prior for fit.json."""
@@ -58,7 +62,7 @@ class Parameter:
     def scale(self) -> float:
         """Return a typical size: the value, or a tenth of the range if it is zero."""
         width = 0.1 * (self.high - self.low)
-        return abs(self.start) or (width if math.isfinite(width) else 1.0)
+        return self.spread or abs(self.start) or (width if math.isfinite(width) else 1.0)
 
     @property
     def sigma(self) -> float:

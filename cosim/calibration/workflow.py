@@ -32,9 +32,7 @@ from cosim.logs.log import Log, read_column_names
 from cosim.logs.model_comparison import input_unit_findings
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
-from cosim.residuals.drive import Drive, check_files, log_of_fmu
-from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.residuals.replay_settings import start_values
+from cosim.residuals.drive import MODULES, Drive, DriveApart, check_files, log_of_fmu, start_values
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
 
@@ -122,7 +120,7 @@ def fit(
         likelihood, point = estimate.likelihood, estimate.likelihood.best
         if len(opened) == 1:  # named start values of a single log may be start values of the FMU
             each = zip(likelihood.unknowns, point.x.tolist(), strict=True)
-            values |= {u.name: v for u, v in each if u.log is not None and not u.is_shown}
+            values |= {u.name: v for u, v in each if u.log is not None and not u.spread}
         described = read_description(path)
         units = {v.name: unit_of(v) for v in described.modelVariables}
         sets = {n: v for n, v in fixed.items() if isinstance(v, float)} | values
@@ -202,7 +200,9 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any],
         attempt(check_files, None, path, fmu)
     refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*paths} else ())
     description = read_description(fmu)
-    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text, fmu))
+    given = attempt(
+        start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text, Path("--start"))
+    )
 
     def choose() -> list[Parameter]:
         numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
