@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -28,7 +29,7 @@ from cosim.isolation.watch import Watch, fmi_calls
 from cosim.linearization.linear_model import Linear, Point
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
-from cosim.scenario.start_values import start_value
+from cosim.residuals.drive import start_values
 
 MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
 NAME = "fmu"
@@ -140,7 +141,8 @@ class ExchangeSource:
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
         """Return the source with the start values of a scenario's component; own start values take precedence."""
         names = {v.name for v in self._description.modelVariables}
-        start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in names})
+        texts = [f"{n}={v if isinstance(v, str) else json.dumps(v)}" for n, v in values.items() if n in names]
+        start = start_values(self._path, texts, lambda name, message: Fault(self._path, 0, 0, message))
         return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._step)
 
     @property
@@ -335,20 +337,3 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
                 faults.append(f"{effect}{dot}{fault}; correct this value")
     refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
     return model.with_values(values)
-
-
-def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return start values in the type and unit of their variables.
-
-    Raises:
-        InputError: Every unsuitable value.
-    """
-    variables = {v.name: v for v in description.modelVariables}
-    converted, faults = dict[str, Any](), []
-    for name, value in values.items():
-        try:
-            converted[name] = start_value(description, variables, name, value)
-        except ValueError as error:
-            faults.append(Fault(path, 0, 0, str(error)))
-    refuse(faults)
-    return converted

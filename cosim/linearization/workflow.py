@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.authoring.single import start_pairs
 from cosim.blocks.compiling import compiling
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import BASE, is_model
@@ -30,11 +29,11 @@ from cosim.linearization.sources import (
     ExchangeSource,
     Source,
     settle,
-    typed_values,
     with_parameters,
 )
 from cosim.linearization.system_structure import structure
 from cosim.linearization.write import FILES, Outcome, write
+from cosim.residuals.drive import start_values
 
 
 def linearize(
@@ -158,7 +157,7 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
             if step is not None and not 0.0 < step < 1.0:
                 raise InputError.at(option, f"{step:g} is not between 0 and 1; give a small number, such as 1e-5")
             (description,) = read_fmus([path])
-            start = typed_values(path, description, start_pairs(path, values, description))
+            start = start_values(path, values, lambda name, message: Fault(Path("--set"), 0, 0, message))
             return ExchangeSource(stack.enter_context(Worker(*MODULES)), path, description, start, step)
     if step is not None:
         raise InputError.at(option, "is of FMUs only: equations are differentiated exactly; leave it out")
