@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.drafts import is_full
-from cosim.core.errors import DiskFull, Terminated, stop_error
+from cosim.core.errors import DiskFull, SimulationError, Terminated, stop_error
 from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
 from cosim.core.text import as_yaml, join_names
@@ -32,7 +32,6 @@ from cosim.files.results import Results, rows_name
 from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import ANSWER, folder_of
 from cosim.fmi.fmu_build import build as build_fmu
-from cosim.fmi.sampled import AUTHOR
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, outliers, refuse_faults
@@ -40,14 +39,11 @@ from cosim.logs.log import SENSORS, Finding, Log, read_column_names
 from cosim.logs.model_comparison import input_unit_findings
 from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
-from cosim.residuals.compare import Comparison, compare, steps_of
-from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
-from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.residuals.replay_sentences import verdict
-from cosim.residuals.replay_settings import start_values
+from cosim.residuals.compare import Comparison, compare, steps_of, verdict
+from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, check_files, log_of_fmu, start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN
-from cosim.residuals.windows import Replay, free_run
+from cosim.residuals.windows import Replay, StartParameter, free_run, start_parameters
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 NEXT_STUDY = "study.yaml"
@@ -142,7 +138,7 @@ def write_replay(
     Raises:
         InputError: The log has faults, gate included.
         FmuError: The FMU cannot be used.
-        StoppedReplay: The FMU fails; finished rows are written before.
+        SimulationError: The FMU fails; finished rows are written before.
     """
     total = steps_of(log)
     rows_file, residual_file = folder / rows_name("results", format_), folder / rows_name("residual", format_)
@@ -156,12 +152,6 @@ def write_replay(
         claimed = [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
         traits = drive.traits
         findings = gate(log, drive.rate, traits=traits, spikes={})
-        if traits is None and drive.description.author == AUTHOR:
-            message = (
-                f"{fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
-                "the log is checked less and windows start worse; build it again"
-            )
-            findings.append(Finding("warning", "older", "", message))
         if claimed:
             message = (
                 f"the readings have {join_names(claimed)}, which the refine beside {fmu.name} claims and an FMU "
@@ -176,11 +166,12 @@ def write_replay(
         sources: dict[str, Any] = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
         sources |= {"start": dict(given)} if given else {}
         describe_run(folder, sources)
-        free = _free_run(drive, rows_file)
+        parameters = start_parameters(drive)
+        free = _free_run(drive, parameters, rows_file)
         try:
             release_stops()
             findings += outliers(log, find_spikes(log, lambda _: free.outputs))
-            comparison = compare(drive, free, findings)
+            comparison = compare(drive, parameters, free, findings)
             errors = residuals(comparison)
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
@@ -190,12 +181,6 @@ def write_replay(
                 write_text(folder / NEXT_STUDY, proposed)
             if report:
                 write_text(folder / "report.html", render(TEMPLATE, context(comparison, passing=passing)))
-        except OSError as error:
-            if not is_full(error):
-                raise
-            missing = "no report" if residual_file.exists() else f"no {residual_file.name} and no report"
-            reason = f"the disk is full: all {log.rows} rows are in {rows_file.name}, there is {missing}"
-            raise DiskFull("the replay", float(log.time[-1]), reason) from None
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stop_error(stop, float(log.time[-1]), "the comparison")
             ended.left = folder
@@ -203,21 +188,18 @@ def write_replay(
     return comparison
 
 
-def _free_run(drive: Drive, file: Path) -> Replay:
+def _free_run(drive: Drive, parameters: Mapping[str, StartParameter], file: Path) -> Replay:
     """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
     try:
-        free = free_run(drive)
+        free = free_run(drive, parameters)
         hold_stops()  # From here, rows exist that must not be lost.
-    except StoppedReplay as failed:
-        _write_rows(results(drive, as_columns(failed.done, drive.outputs)), file)
-        failed.left = file.parent
-        raise
-    except (KeyboardInterrupt, Terminated) as stop:
+    except (SimulationError, KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
             raise
         rows = results(drive, as_columns(drive.left, drive.outputs))
         _write_rows(rows, file)
-        error = stop_error(stop, rows.time[-1] if rows.time.size else drive.log.time[0], "the replay")
+        time = rows.time[-1] if rows.time.size else drive.log.time[0]
+        error = stop if isinstance(stop, SimulationError) else stop_error(stop, time, "the replay")
         error.left = file.parent
         raise error from None
     _write_rows(results(drive, free.outputs), file)

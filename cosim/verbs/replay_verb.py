@@ -94,8 +94,7 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """
     from cosim.core.text import plain, size
     from cosim.files.results import rows_in
-    from cosim.residuals.compare import as_json
-    from cosim.residuals.replay_sentences import horizon_name, verdict
+    from cosim.residuals.compare import as_json, horizon_name, verdict
     from cosim.residuals.workflow import NEXT_STUDY
 
     with progress_bar("replaying") as progress:

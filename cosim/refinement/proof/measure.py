@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Rows
+from cosim.core.errors import SimulationError
 from cosim.core.linear_algebra import square_roots
 from cosim.estimation.data import data_of, readings_of, start_state
 from cosim.estimation.free_runs import with_likely_starts
@@ -29,7 +30,6 @@ from cosim.estimation.subject.interface import Replayer, Start, Subject
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.refinement.proof.refined_models import Variant
-from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
 from cosim.residuals.windows import Replay, window_rows
 
@@ -80,7 +80,7 @@ def replay_logs(
         for horizon in played:
             try:
                 replay = next(results)
-            except StoppedReplay:
+            except SimulationError:
                 if horizon == judged:
                     raise
                 break  # A stopped FMU must not be called again.

@@ -11,7 +11,7 @@ import numpy as np
 from cosim.core.text import MISSING, append_unit, finer, percent, plain
 from cosim.refinement.record import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
-from cosim.residuals.replay_sentences import horizon_name
+from cosim.residuals.compare import horizon_name
 from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 
 PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
