@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry
+from cosim.calibration.fit_study import Parameter
 from cosim.calibration.identifiability import find_combination, screen
 from cosim.calibration.intervals import Covariance, covariance
 from cosim.calibration.likelihood import Likelihood, Logs
-from cosim.calibration.vary import Parameter
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.logs.channel_noise import noise_level

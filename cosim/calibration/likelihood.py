@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.calibration.vary import Parameter
+from cosim.calibration.fit_study import Parameter
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive, as_columns
@@ -190,43 +190,38 @@ class Likelihood:
 
     def measure_slopes(self, central: bool = False) -> Jacobian:
         """Return the slopes of the residuals at the best point by differences."""
-        point, nothing = self.best, np.full(len(self.unknowns), np.nan)
-        slopes = [np.where(np.isfinite(t)[..., None], 0.0, nothing) for t in point.tables]
+        nothing = np.full(len(self.unknowns), np.nan)
+        slopes = [np.where(np.isfinite(t)[..., None], 0.0, nothing) for t in self.best.tables]
         for j, unknown in enumerate(self.unknowns):
-            columns: dict[int, Array | None] = {}
-            logs = range(len(slopes)) if unknown.log is None else (unknown.log,)
-            if not self.steps[j] and unknown.spread:
-                self.steps[j] = STEP  # the effect of a start value is nearly linear
-            elif not self.steps[j]:
-                columns[logs[0]] = self._choose_step(point, j, logs[0])
+            logs, known = range(len(slopes)) if unknown.log is None else (unknown.log,), dict[int, Array | None]()
+            if not self.steps[j]:  # the effect of a start value is nearly linear
+                self.steps[j], known[logs[0]] = (STEP, None) if unknown.spread else self._choose_step(j, logs[0])
             for k in logs:
-                if k not in columns:
-                    columns[k] = self._slope(point, j, k, self.steps[j], central and not unknown.spread)
-                if (column := columns[k]) is not None:
+                column = known.get(k)
+                if column is None:
+                    column = self._slope(j, k, self.steps[j], central and not unknown.spread)
+                if column is not None:
                     slopes[k][..., j] = column
         return slopes
 
-    def _choose_step(self, point: Point, j: int, k: int) -> Array | None:
-        """Choose the step of an unknown in log k, small unless the rounding of the solver shows; return its slope."""
+    def _choose_step(self, j: int, k: int) -> tuple[float, Array | None]:
+        """Return the step of an unknown in log k, small unless the rounding of the solver shows, and its slope."""
 
         def size(slope: Array) -> float:
             return float(np.sqrt(np.nansum(slope * slope)))
 
-        large, small = (self._slope(point, j, k, step) for step in (STEP, SMALL))
-        self.steps[j] = SMALL
+        large, small = (self._slope(j, k, step) for step in (STEP, SMALL))
         if large is None or small is None or size(small - large) <= ALIKE * size(large):
-            return small
-        tiny = self._slope(point, j, k, TINY)
-        if tiny is not None and size(tiny - small) < size(small - large):
-            return small
-        self.steps[j] = STEP
-        return large
+            return SMALL, small
+        tiny = self._slope(j, k, TINY)
+        is_rough = tiny is None or size(tiny - small) >= size(small - large)
+        return (STEP, large) if is_rough else (SMALL, small)
 
-    def _slope(self, point: Point, j: int, k: int, step: float, central: bool = False) -> Array | None:
+    def _slope(self, j: int, k: int, step: float, central: bool = False) -> Array | None:
         """Return the slope of log k's residuals by unknown j; None if the FMU fails on both sides."""
         size, sides = step * self.scales[j], []
         for side in (size, -size):
-            moved = point.x.copy()
+            moved = self.best.x.copy()
             moved[j] += side
             if not self.low[j] <= moved[j] <= self.high[j]:
                 continue
@@ -236,7 +231,7 @@ class Likelihood:
                     break
         if len(sides) == 2:
             return np.asarray((sides[0][1] - sides[1][1]) / (2.0 * size))
-        return (sides[0][1] - point.tables[k]) / sides[0][0] if sides else None
+        return (sides[0][1] - self.best.tables[k]) / sides[0][0] if sides else None
 
     def maximize(self, report: Callable[[int], None]) -> bool:
         """Move from the best point to the largest likelihood by scipy's trust region; return True if it settled.

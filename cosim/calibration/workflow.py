@@ -14,11 +14,10 @@ import numpy as np
 from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate, Report
 from cosim.calibration.fit_record import Record
-from cosim.calibration.fit_study import Request, request_of
+from cosim.calibration.fit_study import Parameter, Request, candidates, read_vary, request_of
 from cosim.calibration.fitted_fmu import why_no_copy
 from cosim.calibration.likelihood import Logs, OutOfTime
 from cosim.calibration.outcome import Part, prove, write_record
-from cosim.calibration.vary import Parameter, candidates, read_vary
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
 from cosim.core.text import join_names

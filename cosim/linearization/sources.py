@@ -69,13 +69,17 @@ class EquationSource:
             return self
         return EquationSource(replace(self._loaded, model=with_parameters(self.model, texts)), self.name)
 
-    def evaluate(self, t: float, x: Array, u: Array) -> Array:
-        """Return derivatives and outputs in one array."""
-        state, command = tuple(x.tolist()), tuple(u.tolist())
+    def computed(self, t: float, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the value of a function of the equations; raise SimulationError where they have none."""
         try:
-            return np.array([value for f in self._equations for value in f(t, state, command)], float)
+            return function(*arguments)
         except (ArithmeticError, ValueError) as error:
             raise SimulationError(self.name, t, f"the equations have no value there: {error}") from None
+
+    def evaluate(self, t: float, x: Array, u: Array) -> Array:
+        """Return derivatives and outputs in one array."""
+        place = t, tuple(x.tolist()), tuple(u.tolist())
+        return np.concatenate([self.computed(t, function, *place) for function in self._equations], dtype=float)
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point.
@@ -89,10 +93,7 @@ class EquationSource:
         for point in points:
             time, notes, n = point.time, list(shaped), len(self.states)
             values = self.evaluate(time, point.states, point.inputs)
-            try:
-                slopes = self._linearizer(tuple(point.states), tuple(point.inputs), time)
-            except (ArithmeticError, ValueError) as error:
-                raise SimulationError(self.name, time, f"the equations have no value there: {error}") from None
+            slopes = self.computed(time, self._linearizer, tuple(point.states), tuple(point.inputs), time)
             matrices = slopes.A, slopes.B, slopes.C, slopes.D
             if not all(np.isfinite(m).all() for m in (*matrices, values)):
                 text = "the derivatives, the outputs or their slopes are not finite at this point"

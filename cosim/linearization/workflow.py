@@ -18,7 +18,7 @@ from cosim.files.artefact import CODE, FMU, MODEL
 from cosim.files.files import FilePath, check_writable, named_path, write_text
 from cosim.files.folders import new_run, remove_earlier
 from cosim.files.kinds import check_given, kind_of
-from cosim.fmi.building.file import LoadedModel, load_model, named_model
+from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import names_refine, refined_file
 from cosim.linearization.linear_model import missing_states, select
 from cosim.linearization.linear_model import residualize as residualize_states
@@ -161,8 +161,5 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
             return ExchangeSource(stack.enter_context(Worker(*MODULES)), path, description, start, step)
     if step is not None:
         raise InputError.at(option, "is of FMUs only: equations are differentiated exactly; leave it out")
-    if is_model(text):
-        loaded = LoadedModel(named_model(text), text)
-    else:
-        loaded = load_model(str(refined_file(path) if names_refine(path) else text), Path())
+    loaded = load_model(text if is_model(text) else str(refined_file(path)), Path())
     return EquationSource(replace(loaded, model=with_parameters(loaded.model, values)), text)
