@@ -40,7 +40,7 @@ from cosim.logs.model_comparison import input_unit_findings
 from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, steps_of, verdict
-from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, check_files, log_of_fmu, start_values
+from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, log_of_fmu, start_values
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay, StartParameter, free_run, start_parameters
@@ -87,7 +87,6 @@ def replay(
     """
     most = read_limits(limits)
     rows_name("results", format_)  # An unavailable format must fail before the replay.
-    check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
