@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,19 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.compiling import permission
-from cosim.calibration.estimate import Estimate, Report
-from cosim.calibration.fit_record import Record
+from cosim.blocks.compiling import compiling, permission
+from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_study import Parameter, Request, candidates, read_vary, request_of
+from cosim.calibration.fitted import Fitted
 from cosim.calibration.fitted_fmu import why_no_copy
 from cosim.calibration.likelihood import Logs, OutOfTime
 from cosim.calibration.outcome import Part, prove, write_record
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
+from cosim.core.settings import Files, Given, column_names, texts
 from cosim.core.text import join_names
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
-from cosim.files.folders import remove_earlier
+from cosim.files.folders import name_of_file, remove_earlier, results_in
 from cosim.fmi.description import read_description, unit_definition, unit_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
@@ -38,36 +40,75 @@ from cosim.ssp.write import write_parameter_set
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 
 
-@one_stop()
 def fit(
-    request: Request,
-    folder: FilePath,
+    logs: FilePath | Files,
+    fmu: FilePath | None = None,
+    out: FilePath | None = None,
     *,
-    in_process: bool = False,
+    vary: Given | None = None,
+    start: Given | None = None,
+    sealed: Files = (),
+    columns: Given | None = None,
     report: bool = True,
-    progress: Report = lambda stage, share: None,
-) -> tuple[Record, list[str]]:
-    """Estimate an FMU's parameters and start values.
+    force: bool = False,
+    in_process: bool = False,
+    compile: bool = False,
+    limits: str = "",
+    progress: Callable[[str, float], None] | None = None,
+) -> Fitted:
+    """Estimate parameters and start values of an FMU from measured logs.
 
-    Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
+    Args:
+        logs: Logs of the estimate, or a study file, which names them and the FMU.
+        fmu: FMU whose parameters are estimated.
+        out: Folder for fit.json, fitted.ssv, fitted.fmu and report.html; None writes nothing.
+        vary: Parameter → None, "20%", "LOW..HIGH" or (low, high), or texts as on the command line. By default those
+            of the study, or those that the logs determine.
+        start: Further value of the FMU, or first value of a parameter → value.
+        sealed: Logs for the proof, which the estimate does not use.
+        columns: Column of the logs → variable, or "time".
+        report: Write report.html.
+        force: Write even if the folder is not empty; results in it are replaced.
+        in_process: Load the FMU into this process, for a debugger; limits do not apply.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        limits: Limits of time and memory, for example "step: 10 s, total: 1 h"; `total` limits the estimate.
+        progress (in Python): Function of (stage, share).
 
     Returns:
-        The content of fit.json, and warnings and notes with their codes.
+        Estimates with 95 % intervals, and the errors before and after.
 
     Raises:
-        InputError: The study, logs or options have faults.
-        FmuError: The FMU cannot be used.
-        SimulationError: The FMU fails with the values before the fit, or the fit was stopped.
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The FMU fails with the values before the fit, or a limit is reached; the best values so far
+            are in `out`.
     """
+    request = request_of(
+        [logs] if isinstance(logs, (str, os.PathLike)) else list(logs),
+        fmu,
+        vary=texts(vary),
+        start=texts(start),
+        sealed=list(sealed),
+        columns=column_names(columns),
+        limits=limits,
+    )
+    name = name_of_file(request.fmu if request.yaml is None else request.yaml.path, "fit")
+    progress = progress or (lambda stage, share: None)
     begin = time.monotonic()
-    most, path, place = request.limits, request.fmu, named_path(folder)
-    read, chosen, given, fixed = _read(request)
-    files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
-    check_writable(place, FILES, files)
-    progress("probing the FMU", 0.0)
-    if not in_process:
-        _refuse_own_step(request, read[0], given)
-    with ExitStack() as stack:
+    most, path = request.limits, request.fmu
+    with (
+        compiling(compile),
+        results_in(out, "cosim fit", name, force=force) as folder,
+        one_stop(),
+        ExitStack() as stack,
+    ):
+        place = named_path(folder)
+        read, chosen, given, fixed = _read(request)
+        files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
+        check_writable(place, FILES, files)
+        progress("probing the FMU", 0.0)
+        if not in_process:
+            _refuse_own_step(request, read[0], given)
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
 
@@ -135,14 +176,15 @@ def fit(
                 command = shlex.join([*words, *(["--compile"] if permission.get() else [])])
                 record.warnings.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command}` sets them")
         write_json(place / "fit.json", record.model_dump(mode="json"), allow_nan=False)
-        if report:
+        if report and out is not None:
             from cosim.calibration.report import page
 
             write_text(place / "report.html", page(record, estimate, parts))
     if stop is not None:
         stop.left = place
         raise stop
-    return record, [*record.warnings, *map(Note, record.notes)]
+    warnings = *record.warnings, *map(Note, record.notes)
+    return Fitted(record.model_dump(mode="json"), None if out is None else folder, warnings)
 
 
 def check_fit_study(path: Path, checking: Checking) -> list[str]:
