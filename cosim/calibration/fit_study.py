@@ -14,6 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.settings import texts
 from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.units import split_quantity
 from cosim.files.artefact import FIT_STUDY, LOG, STUDY
@@ -24,6 +25,7 @@ from cosim.files.yaml_file import YamlFile, short
 from cosim.fmi.description import unit_of
 from cosim.isolation.limits import Limits, read_limits
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import read_column_names
 from cosim.probing.log_runs import limits_of
 from cosim.refinement.study import FileName, LogLists
 from cosim.residuals.residual_statistics import finite
@@ -64,7 +66,7 @@ class Request:
     Attributes:
         vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those that the logs determine.
         start: Further values as NAME=VALUE; of a varied parameter: its first value.
-        columns: Log column → variable, or COLUMN=VARIABLE texts.
+        columns: Log column → variable.
         yaml: Study file of the request; None for options.
         unused: Keys of a study of `cosim refine` that a fit does not use.
     """
@@ -74,7 +76,7 @@ class Request:
     sealed: Sequence[Path] = ()
     vary: Sequence[str] = ()
     start: Sequence[str] = ()
-    columns: Sequence[str] | Mapping[str, str] = ()
+    columns: Mapping[str, str] = field(default_factory=dict)
     limits: Limits = field(default_factory=Limits)
     yaml: YamlFile | None = None
     unused: Sequence[str] = ()
@@ -121,11 +123,12 @@ def request_of(
     most = read_limits(limits)
     kind = kind_of_file(Path(logs[0])) if len(logs) == 1 else None
     if kind not in {STUDY, FIT_STUDY}:
+        names = read_column_names(columns, Path(logs[0]) if logs else Path("LOG"))
         if fmu is None:
             for log in logs:
                 check_given(Path(log), LOG, STUDY, FIT_STUDY)
             raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
-        return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, columns, most)
+        return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, names, most)
     if fmu is not None or sealed or columns:
         message = f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed"
         raise InputError.at(Path(logs[0]), f"{message} and --column")
@@ -136,14 +139,12 @@ def request_of(
     if not content.model.lower().endswith(".fmu"):
         message = f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters"
         refuse([yaml.fault(("model",), f"{message} of a model file")])
-    named = content.vary
-    first = [f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in content.start.items()]
     return Request(
         _beside(path, content.model),
         [_beside(path, name) for name in content.logs.estimation],
         [_beside(path, name) for name in content.logs.validation],
-        vary or ([f"{n}={json.dumps(v)}" for n, v in named.items()] if isinstance(named, dict) else named),
-        [*first, *start],
+        vary or texts(content.vary),
+        [*texts(content.start), *start],
         content.columns,
         most if limits else content.limits or Limits(),
         yaml,

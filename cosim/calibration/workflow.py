@@ -29,7 +29,7 @@ from cosim.files.folders import name_of_file, remove_earlier, results_in
 from cosim.fmi.description import read_description, unit_definition, unit_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.log import Log, read_column_names
+from cosim.logs.log import Log
 from cosim.logs.model_comparison import input_unit_findings
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
@@ -258,9 +258,7 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any],
         return chosen
 
     def read(path: Path) -> Log:
-        columns = request.columns
-        columns = columns if isinstance(columns, Mapping) else read_column_names(columns, path)
-        return log_of_fmu(path, fmu, columns, alone=len(paths) == 1)
+        return log_of_fmu(path, fmu, request.columns, alone=len(paths) == 1)
 
     chosen: list[Parameter] = attempt(choose, [])
     read_logs = [attempt(read, None, path) for path in paths]

@@ -391,13 +391,11 @@ def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fa
     faults = []
     for text in texts:
         name, _, written = split_assignment(text, variables)
-        kind = getattr(variables.get(name), "type", "")
-        read: Any = written
-        if kind == "Boolean":
-            read = SWITCHES.get(written.lower(), written)
-        elif kind not in NOT_NUMBERS:
-            with suppress(NotYaml):
-                read = Document(written).data
+        kind, read = getattr(variables.get(name), "type", ""), written
+        with suppress(NotYaml):
+            read = Document(written).data
+        if kind in NOT_NUMBERS and not isinstance(read, str):
+            read = SWITCHES.get(written.lower(), written) if kind == "Boolean" else written
         try:
             if not (name and written):
                 raise ValueError("it is NAME=VALUE, as in gain=0.9")
