@@ -12,7 +12,6 @@ from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_record import ParameterEntry, Record, StartEntry
 from cosim.calibration.outcome import Part
-from cosim.core.settings import texts
 from cosim.core.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
 from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
@@ -184,8 +183,8 @@ def _repeat(record: Record, estimate: Estimate) -> list[str]:
         elif p.low is not None and p.high is not None:
             value = f"{name}={p.low!r}..{p.high!r}"
         words += ["--vary", value]
-    for text in texts(record.given):
-        words += ["--start", text]
+    for name, given in record.given.items():
+        words += ["--start", f"{name}={str(given).lower() if isinstance(given, bool) else given}"]
     for path in record.sealed:
         words += ["--sealed", path]
     for column, name in {c: n for d in estimate.logs.drives for c, n in d.log.called.items()}.items():

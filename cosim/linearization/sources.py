@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -16,7 +17,6 @@ from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.derivatives import DifferentiableFmu, slopes_at
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
-from cosim.core.settings import texts
 from cosim.core.text import did_you_mean
 from cosim.core.units import read_quantity
 from cosim.files.yaml_file import short
@@ -142,8 +142,8 @@ class ExchangeSource:
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
         """Return the source with the start values of a scenario's component; own start values take precedence."""
         names = {v.name for v in self._description.modelVariables}
-        given = texts({n: v for n, v in values.items() if n in names})
-        start = start_values(self._path, given, lambda name, message: Fault(self._path, 0, 0, message))
+        texts = [f"{n}={v if isinstance(v, str) else json.dumps(v)}" for n, v in values.items() if n in names]
+        start = start_values(self._path, texts, lambda name, message: Fault(self._path, 0, 0, message))
         return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._step)
 
     @property

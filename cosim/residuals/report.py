@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.settings import texts
 from cosim.core.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
 from cosim.core.version import __version__
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
@@ -69,8 +68,8 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
     measured = [f"{n} ({percent(float(np.isfinite(v).mean()))})" for n, v in log.outputs.items()]
     provenance.append(Row("Measured", ", ".join(measured), "share of the rows"))
     words = [] if passing else ["--plant", str(drive.fmu)]
-    for text in texts(drive.given):
-        words += ["--start", text]
+    for name, value in drive.given.items():
+        words += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
     for column, name in log.called.items():
         words += ["--column", f"{column}={name}"]
     residuals = []
