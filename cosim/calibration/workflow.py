@@ -30,7 +30,6 @@ from cosim.fmi.description import read_description, unit_definition, unit_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log
-from cosim.logs.model_comparison import input_unit_findings
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
 from cosim.residuals.drive import MODULES, Drive, DriveApart, check_files, log_of_fmu, start_values
@@ -289,7 +288,5 @@ def _refuse_bad(drives: Sequence[Drive]) -> None:
     """Refuse logs with faults of clock, units or channels; every fault of every log at once."""
     faults: list[Fault] = []
     for drive in drives:
-        findings = gate(drive.log, drive.rate, traits=drive.traits)
-        findings += input_unit_findings(drive.log, drive.starts, drive.traits.bounds if drive.traits else {})
-        faults += gate_faults(drive.log, findings)
+        faults += gate_faults(drive.log, gate(drive.log, drive.rate, drive.traits, starts=drive.starts))
     refuse(faults)

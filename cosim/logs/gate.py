@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -14,6 +14,7 @@ from cosim.core.linear_algebra import least_squares
 from cosim.core.text import amount, counted, percent, plain
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.log import MISSING, TURN, Finding, Log, Severity, name_list
+from cosim.logs.model_comparison import input_unit_findings
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
 from cosim.model.planar import PlanarFrame
 from cosim.model.traits import Traits, rate_of
@@ -36,7 +37,11 @@ BLOCK = 0.5  # [s] over which a signal's change is compared with the integral of
 
 
 def gate(
-    log: Log, rate: float | None = None, traits: Traits | None = None, spikes: Spikes | None = None
+    log: Log,
+    rate: float | None = None,
+    traits: Traits | None = None,
+    spikes: Spikes | None = None,
+    starts: Mapping[str, float] | None = None,
 ) -> list[Finding]:
     """Return all findings on a log, faults first.
 
@@ -44,10 +49,13 @@ def gate(
         rate: Step of the model [s], None if not declared.
         traits: Signal properties of the model, None without a model.
         spikes: Outliers confirmed by a model; default: search without a model.
+        starts: Start values of inputs in the model, which show the size of each; None to skip this comparison.
     """
     clock = [*_timing(log), *([] if rate is None else _rate(log, rate))]
     channels = [*_inputs(log), *_outputs(log), *outliers(log, find_spikes(log) if spikes is None else spikes)]
     findings = [*clock, *channels, *frame_findings(log, traits)]
+    if starts is not None:
+        findings += input_unit_findings(log, starts, traits.bounds if traits else {})
     if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
         findings = [f for f in findings if f.kind != "scale"]
     findings += [Finding("warning", "undeclared", name, text) for name, text in log.undeclared.items()]

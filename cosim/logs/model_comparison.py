@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from itertools import combinations
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +35,7 @@ DIRECTIONS = {  # of a delay and its likely causes, for positive and other times
 
 
 def input_unit_findings(
-    log: Log, starts: Mapping[str, float], bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    log: Log, starts: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
 ) -> Iterator[Finding]:
     """Yield findings on inputs whose size fits the model only in another unit.
 

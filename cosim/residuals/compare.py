@@ -5,6 +5,7 @@ The noise floor is the error of the model against itself, sampled and disturbed 
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -228,7 +229,8 @@ def floors(
     linear = _linear_run(drive, parameters, free, levels) if horizon == FREE_RUN else None
 
     def predict(readings: Mapping[str, Array]) -> Mapping[str, Array]:
-        other = drive.on(replace(log, outputs=readings))
+        other = copy.copy(drive)
+        other.log = replace(log, outputs=readings)
         if horizon != FREE_RUN:
             replayed = self_started(other, parameters, free, horizon)
             return {} if replayed is None else replayed.outputs

@@ -188,12 +188,6 @@ class Drive:
         other.given = {**self.given, **values}
         return other
 
-    def on(self, log: Log) -> Drive:
-        """Return a copy of this drive for another log."""
-        other = copy.copy(self)
-        other.log = log
-        return other
-
     def answer(self, method: str, given: Mapping[str, Any], *arguments: Any) -> Any:
         """Return the result of a method with other values of every run, for a drive in another process."""
         self.given = dict(given)

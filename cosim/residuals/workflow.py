@@ -47,7 +47,6 @@ from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import SENSORS, Finding, Log, read_column_names
-from cosim.logs.model_comparison import input_unit_findings
 from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, steps_of, verdict
@@ -177,15 +176,13 @@ def write_replay(
         effects = content_of(beside / ANSWER).get("effects") if beside else None
         entries = effects if isinstance(effects, list) else []
         claimed = [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
-        traits = drive.traits
-        findings = gate(log, drive.rate, traits=traits, spikes={})
+        findings = gate(log, drive.rate, drive.traits, {}, drive.starts)
         if claimed:
             message = (
                 f"the readings have {join_names(claimed)}, which the refine beside {fmu.name} claims and an FMU "
                 "does not hold; correct the readings, or see error.after in its refine.json"
             )
             findings.append(Finding("warning", SENSORS, "", message))
-        findings += input_unit_findings(log, drive.starts, traits.bounds if traits else {})
         refuse_faults(log, findings)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
