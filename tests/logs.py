@@ -117,7 +117,7 @@ def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Repla
         if start is None:
             return free_run(drive, start_parameters(drive))
         outputs = as_columns(drive.run(0, log.rows - 1, start), drive.outputs)
-        return Replay(log.time, math.inf, {0: start}, outputs)
+        return Replay(math.inf, {0: start}, outputs)
 
 
 def replay_windows(log: Log, fmu: Path, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:

@@ -60,7 +60,6 @@ class Replay:
         states: Possible first row of a chain of windows → state of a cosim FMU.
     """
 
-    time: Array
     horizon: float
     starts: Mapping[int, Mapping[str, Any]]
     outputs: Mapping[str, Array]
@@ -76,7 +75,7 @@ def free_run(drive: Drive, parameters: Mapping[str, StartParameter]) -> Replay:
     log, chosen = drive.log, first_start(drive, parameters)
     rows = {chain[0] for span in horizons(log) for chain, _ in chains(log, span)} if readable(parameters) else set()
     table, states = drive.run_and_keep(0, log.rows - 1, chosen, rows)
-    return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), states)
+    return Replay(FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), states)
 
 
 def windows(
@@ -98,7 +97,7 @@ def windows(
         last = rows_of(drive.log, first, horizon)
         if last > first:
             table[first + 1 : last + 1] = drive.run(first, last, starts[first], memories.get(first))[1:]
-    return Replay(drive.log.time, horizon, dict(starts), as_columns(table, drive.outputs))
+    return Replay(horizon, dict(starts), as_columns(table, drive.outputs))
 
 
 def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
@@ -131,7 +130,7 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
             times = log.time[np.isfinite(log.outputs[name])]
             earliest = times[0] + SKIPPED * log.slowness - coarse_rounding(log) if times.size else np.inf
             table[: min((k for k in starts if log.time[k] >= earliest), default=log.rows) + 1, j] = np.nan
-    return Replay(log.time, horizon, starts, as_columns(table, drive.outputs))
+    return Replay(horizon, starts, as_columns(table, drive.outputs))
 
 
 def horizons(log: Log) -> tuple[float, ...]:

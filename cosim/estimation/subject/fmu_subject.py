@@ -277,4 +277,4 @@ class LibraryReplayer(Replayer):
                 first = min(begins) + 1
                 table[first:] = kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs[grid[first:]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
-            yield Replay(log.time, horizon, begun, dict(zip(names, table.T, strict=True)))
+            yield Replay(horizon, begun, dict(zip(names, table.T, strict=True)))

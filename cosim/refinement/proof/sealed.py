@@ -52,9 +52,9 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
         with np.errstate(over="ignore"):  # A diverging model overflows.
             a, b = ((x.outputs[name] - replay.outputs[name]) ** 2 for x, replay in ((log, first), (corrected, second)))
         both = np.isfinite(a) & np.isfinite(b)
-        edges = [*(k + 1 for k in sorted(first.starts)), first.time.size]  # a start row belongs to the previous replay
+        edges = [*(k + 1 for k in sorted(first.starts)), log.rows]  # a start row belongs to the previous replay
         if math.isinf(first.horizon):
-            edges = [round(k * first.time.size / PARTS) for k in range(PARTS + 1)]
+            edges = [round(k * log.rows / PARTS) for k in range(PARTS + 1)]
         parts = [slice(x, y) for x, y in pairwise(edges)]
         sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
         ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
