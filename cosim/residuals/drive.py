@@ -154,7 +154,6 @@ class Drive:
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
         texts = {v.name: v.start for v in description.modelVariables}
-        self.variables = frozenset(texts)
         real = [s.name for s in self.block.inputs if s.name in self.inputs and not s.is_whole]
         self.starts = {name: float(texts[name]) for name in real if texts.get(name)}
         step = description.defaultExperiment and description.defaultExperiment.stepSize
@@ -284,8 +283,6 @@ class Drive:
     # -- internals ----------------------------------------------------------------------------
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
-        cures = {name: did_you_mean(name, self.variables) for name in start.keys() - self.variables}
-        refuse(Fault(self.fmu, 0, 0, f'has no parameter "{name}"{cure}') for name, cure in cures.items())
         self.block.begin({**self.given, **start}, float(self.log.time[row]), stop)
         if self._commands:
             self._row[: len(self.inputs)] = self._commands[row]
