@@ -86,10 +86,10 @@ class Request:
         """Return all logs, sealed ones last."""
         return [*self.estimation, *self.sealed]
 
-    def fault(self, place: Sequence[str | int], message: str, option: Path) -> Fault:
-        """Return a fault of a key of the study; without a study, of an option or file."""
+    def fault(self, place: Sequence[str | int], message: str, file: Path | None = None) -> Fault:
+        """Return a fault of a key of the study; without a study, of a file or of the option named as the key."""
         if self.yaml is None:
-            return Fault(option, 0, 0, message)
+            return Fault(file or Path(f"--{place[0]}"), 0, 0, message)
         return self.yaml.fault(tuple(place), message, key=place[0] == "vary")
 
     def log_fault(self, index: int, message: str) -> Fault:

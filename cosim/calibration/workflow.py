@@ -240,16 +240,13 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any],
         attempt(check_files, None, path, fmu)
     refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*paths} else ())
     description = read_description(fmu)
-    given = attempt(
-        start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text, Path("--start"))
-    )
+    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
 
     def choose() -> list[Parameter]:
         numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
         offered = candidates(description, numbers)
         if request.vary:
-            option = Path("--vary")
-            return read_vary(description, offered, request.vary, lambda n, m: request.fault(("vary", n), m, option))
+            return read_vary(description, offered, request.vary, lambda n, text: request.fault(("vary", n), text))
         chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
         if not chosen:
             message = "has no parameter to estimate: no floating-point parameter with a start value may be set"
