@@ -405,29 +405,17 @@ def fill_holes(log: Log) -> Log:
 
     Each input is held or interpolated, whichever predicts the existing rows better.
     """
-    grid = log.grid
-    lost = np.setdiff1d(np.arange(int(grid[-1]) + 1), grid)
-    whole, smooth = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1), set[str]()
+    grid, smooth = log.grid, set[str]()
+    whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
     for name, values in log.inputs.items():
         first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
         hold, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
         if line < SMOOTH * hold:
             smooth.add(name)
-    if not lost.size or not smooth:
+    rows = np.arange(int(grid[-1]) + 1)
+    if rows.size == log.rows or not smooth:
         return log
-    after = np.searchsorted(grid, lost)  # the last row is never lost
-    before = after - 1
-    share = (lost - grid[before]) / (grid[after] - grid[before])
-    times = log.time[before] + share * (log.time[after] - log.time[before])
-    order = np.argsort(np.concatenate([grid, lost]), kind="stable")
-
-    def join(values: Array, added: Array) -> Array:
-        return np.asarray(np.concatenate([values, added])[order])
-
-    inputs = {}
-    for name, values in log.inputs.items():
-        rise = values[after] - values[before] if name in smooth else 0.0
-        inputs[name] = join(values, values[before] + share * rise)
-    nothing = np.full(lost.size, np.nan)
-    outputs = {name: join(values, nothing) for name, values in log.outputs.items()}
-    return replace(log, time=join(log.time, times), inputs=inputs, outputs=outputs)
+    before = np.searchsorted(grid, rows, side="right") - 1
+    inputs = {n: np.interp(rows, grid, v) if n in smooth else v[before] for n, v in log.inputs.items()}
+    outputs = {n: np.where(grid[before] == rows, v[before], np.nan) for n, v in log.outputs.items()}
+    return replace(log, time=np.interp(rows, grid, log.time), inputs=inputs, outputs=outputs)

@@ -237,15 +237,12 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDel
 
 def moving_part(log: Log, values: Array) -> Array:
     """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at the ends."""
-    half = max(1, round(0.5 * SLOW * log.slowness / log.step))
-    out = np.full(values.size, np.nan)
-    if values.size > 2 * half:
-        finite = np.isfinite(values)
-        parts = np.where(finite, values, 0.0), finite.astype(np.float64)
-        sums, counts = (np.concatenate(([0.0], np.cumsum(part))) for part in parts)
-        width = 2 * half + 1
-        count = counts[width:] - counts[:-width]
-        middle = slice(half, values.size - half)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            out[middle] = values[middle] - (sums[width:] - sums[:-width]) / count
-    return out
+    from scipy.ndimage import uniform_filter1d
+
+    half, finite = max(1, round(0.5 * SLOW * log.slowness / log.step)), np.isfinite(values)
+    parts = np.where(finite, values, 0.0), finite.astype(np.float64)
+    mean, share = (uniform_filter1d(part, 2 * half + 1, mode="constant") for part in parts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fast = np.asarray(values - mean / share)
+    fast[:half] = fast[-half:] = np.nan
+    return fast
