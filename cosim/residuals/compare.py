@@ -251,11 +251,10 @@ def floors(
     for name, model in sampled.items():
         squares = []
         for error in (e[name] for e in errors):  # the mean squared error of each window
-            finite = np.isfinite(error)
-            window = np.searchsorted(starts, np.flatnonzero(finite), side="left")
-            counts = np.bincount(window, minlength=len(starts) + 1)
-            sums = np.bincount(window, error[finite] ** 2, minlength=counts.size)
-            squares.append(sums[counts > 0] / counts[counts > 0])
+            rows = np.flatnonzero(np.isfinite(error))
+            window = np.searchsorted(starts, rows, side="left")
+            _, place, counts = np.unique(window, return_inverse=True, return_counts=True)
+            squares.append(np.bincount(place, error[rows] ** 2) / counts)
         astray = 0.0
         if horizon != FREE_RUN:
             error = model - restarted[name]
