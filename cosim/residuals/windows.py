@@ -3,13 +3,11 @@
 A long free run is no useful measure for a model with integrating states. A window starts at row k, at time t_k, from a
 state estimated from past data, and lasts one horizon.
 
-The start state of a replay is estimated for any FMU with start parameters.
-
-The FMU provides fast motion, the measurements the slow part: over the last PAST seconds the difference
-measured − carrier is fitted by a parabola in time, whose end corrects the carrier's state. The carrier is the previous
-window, because even a correct model drifts over a whole log. Angle and rate share one parabola, weighted by their
-noise. Unmeasured states come from the carrier, including states without an output if the FMU is a cosim FMU with
-readable state.
+The start state is estimated for any FMU with start parameters. The FMU provides fast motion, the measurements the slow
+part: over the last PAST seconds the difference measured − carrier is fitted by a parabola in time, whose end corrects
+the carrier's state. The carrier is the previous window, because even a correct model drifts over a whole log. Angle and
+rate share one parabola, weighted by their noise. Unmeasured states come from the carrier, including states without an
+output if the FMU is a cosim FMU with readable state.
 """
 
 from __future__ import annotations
