@@ -168,7 +168,7 @@ class Estimate:
         """
         growth, stays = 0.0, False
         for j, unknown in enumerate(likelihood.unknowns):
-            if unknown.spread:
+            if unknown.log is not None and unknown.spread:
                 parts = np.array_split(likelihood.slopes[unknown.log][..., j] / likelihood.best.sigma, 4)
                 sizes = [float(np.sqrt(np.nanmean(p**2))) if np.isfinite(p).any() else 0.0 for p in parts]
                 growth = max(growth, sizes[-1] / sizes[0] if sizes[0] > 0.0 else 0.0)

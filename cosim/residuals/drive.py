@@ -382,7 +382,8 @@ def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fa
     faults = []
     for text in texts:
         name, _, written = split_assignment(text, variables)
-        kind, read = getattr(variables.get(name), "type", ""), written
+        kind = getattr(variables.get(name), "type", "")
+        read: Any = written
         with suppress(NotYaml):
             read = Document(written).data
         if kind in NOT_NUMBERS and not isinstance(read, str):
