@@ -152,8 +152,10 @@ class Likelihood:
         tables, best = [], getattr(self, "best", None)
         for k in range(len(self.logs.drives)):
             values = self.values(x, k)
-            is_known = best is not None and values == self.values(best.x, k)
-            table = best.tables[k] if is_known else self.logs.errors(k, values)
+            if best is not None and values == self.values(best.x, k):
+                table: Array | None = best.tables[k]
+            else:
+                table = self.logs.errors(k, values)
             if table is None:
                 return None
             tables.append(table)
