@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cosim.logs.log import Log, read_log
 from cosim.model import Moment, Stepper
-from cosim.residuals.drive import Drive
-from cosim.residuals.windows import Replay, free_run, windows
+from cosim.residuals.drive import Drive, as_columns
+from cosim.residuals.windows import Replay, free_run, start_parameters, windows
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 
 Array = NDArray[np.float64]
@@ -114,7 +114,10 @@ def log_of(path: Path, columns: Mapping[str, Array]) -> Log:
 def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Replay:
     """Replay a whole log in a single run of an FMU."""
     with Drive(log, fmu) as drive:
-        return free_run(drive, start)
+        if start is None:
+            return free_run(drive, start_parameters(drive))
+        outputs = as_columns(drive.run(0, log.rows - 1, start), drive.outputs)
+        return Replay(math.inf, {0: start}, outputs)
 
 
 def replay_windows(log: Log, fmu: Path, starts: Mapping[int, Mapping[str, Any]], horizon: float) -> Replay:

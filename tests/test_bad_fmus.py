@@ -8,9 +8,6 @@ from pathlib import Path
 import pytest
 
 import cosim
-from cosim.calibration.fit_record import Record
-from cosim.calibration.fit_study import request_of
-from cosim.calibration.workflow import fit
 from cosim.core.errors import InputError, TimedOut
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.refinement.study import read_study
@@ -33,27 +30,27 @@ def motor(folder: Path, fault: str, ways: tuple[str, ...] = STEPS) -> Path:
     return build(folder / f"{fault}_{len(ways)}.fmu", "dc_motor", ways=ways, fault=fault)
 
 
-def fitted(folder: Path, fault: str, first: float = 1.0) -> Record:
+def fitted(folder: Path, fault: str, first: float = 1.0) -> float:
     """Return the fit of the resistance from a first value."""
-    start = [f"resistance={first}"]
-    request = request_of([folder / "a.csv"], motor(folder, fault), vary=["resistance=0.5..3 ohm"], start=start)
-    return fit(request, folder / f"out_{fault}", report=False)[0]
+    vary, start, out = ["resistance=0.5..3 ohm"], [f"resistance={first}"], folder / f"out_{fault}"
+    fit = cosim.fit([folder / "a.csv"], motor(folder, fault), out, vary=vary, start=start, report=False)
+    return fit.values["resistance"]
 
 
 # -- fit ----------------------------------------------------------------------------------------------
 
 
 def test_parameters_that_are_forgotten_are_set_again(folder: Path) -> None:
-    record = fitted(folder, "forgets_parameters")
-    assert record.parameters["resistance"].value == pytest.approx(RESISTANCE, rel=0.01)
+    assert fitted(folder, "forgets_parameters") == pytest.approx(RESISTANCE, rel=0.01)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("fault", ["idle_reset", "leaks", "counts", "clock", "working_directory", "crashes", "hangs"])
 def test_a_misbehaving_fmu_is_fitted_all_the_same(folder: Path, fault: str) -> None:
     near = fault in {"crashes", "hangs"}  # it fails above 1.05 times the true value
-    record = fitted(folder, fault, RESISTANCE if near else 1.0)
-    assert record.parameters["resistance"].value == pytest.approx(RESISTANCE, rel=0.05)  # of faults of 1 and 5 %
+    assert fitted(folder, fault, RESISTANCE if near else 1.0) == pytest.approx(
+        RESISTANCE, rel=0.05
+    )  # of faults of 1 and 5 %
 
 
 def test_a_step_above_that_of_the_log_is_refused(folder: Path) -> None:

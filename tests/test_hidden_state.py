@@ -13,9 +13,8 @@ from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
 from cosim.logs.log import Log, read_log
 from cosim.model import Stepper
-from cosim.residuals.compare import ChannelSummary, Comparison
+from cosim.residuals.compare import ChannelSummary, Comparison, verdict
 from cosim.residuals.drive import model_signals
-from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.workflow import write_replay
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 
 from cosim.core.arrays import Array
-from cosim.logs.finding import Finding
-from cosim.logs.frames import frame_findings
-from cosim.logs.gate import gate
-from cosim.logs.holes import fill_holes
-from cosim.logs.log import Log, stretches
+from cosim.logs.gate import frame_findings, gate
+from cosim.logs.log import Finding, Log, fill_holes, stretches
 
 NOISE = 0.01
 

@@ -22,7 +22,6 @@ from cosim.core.scratch import LOCK
 from cosim.files.folders import STARTED
 from cosim.files.table import read_columns
 from cosim.isolation.worker import PROGRESS
-from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
 from cosim.verbs.check_verb import check as check_files
@@ -303,7 +302,7 @@ def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path, monkeypatch: pyt
     (temporary := tmp_path / "temporary").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))  # where others replay nothing meanwhile
     log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "DoStep", "segfault", 100)
-    with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep crashed: segmentation fault") as stopped:
+    with pytest.raises(SimulationError, match=r"plant at t = 9.9 s: fmi2DoStep crashed: segmentation fault") as stopped:
         replay(log, tmp_path / "out", fmu)
     assert stopped.value.exit_code == 4
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["replay.json", "results.csv"]
@@ -313,7 +312,7 @@ def test_a_replay_keeps_the_rows_before_a_crash(tmp_path: Path, monkeypatch: pyt
 
 def test_a_replay_ends_at_its_limits_with_the_rows_before(tmp_path: Path) -> None:
     log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "DoStep", "hang", 100)
-    with pytest.raises(StoppedReplay, match=r"plant at t = 9.9 s: fmi2DoStep takes longer than 0.3 s") as stopped:
+    with pytest.raises(SimulationError, match=r"plant at t = 9.9 s: fmi2DoStep takes longer than 0.3 s") as stopped:
         replay(log, tmp_path / "out", fmu, limits="{step: 300 ms}")
     assert stopped.value.exit_code == 124
     assert rows_in(tmp_path / "out") == 100

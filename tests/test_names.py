@@ -99,7 +99,7 @@ def test_odd_names_are_connected_recorded_started_and_repeated(tmp_path: Path, o
 
 
 def test_a_log_with_odd_names_is_replayed(tmp_path: Path, odd: Path) -> None:
-    comparison = replay(log_of(tmp_path / "log.csv"), tmp_path / "out", odd)
+    comparison = replay(log_of(tmp_path / "log.csv"), tmp_path / "out", odd).comparison
     assert set(comparison.log.inputs) == set(ODD)
     assert set(comparison.log.outputs) == {f"out.{name}" for name in ODD}
 

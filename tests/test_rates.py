@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.logs.finding import Finding
+from cosim.logs.log import Finding
 from cosim.residuals.workflow import replay
 from tests.logs import write_log
 from tests.studies import holds, named, proven
@@ -39,7 +39,7 @@ def motor_log(path: Path, seed: int, step: float) -> None:
 
 def findings(folder: Path, plant: Path) -> tuple[Finding, ...]:
     """The log that was sealed, replayed through the refined FMU: nothing is missing."""
-    comparison = replay(folder / "c.csv", folder / "replayed", plant, report=False)
+    comparison = replay(folder / "c.csv", folder / "replayed", plant, report=False).comparison
     assert all(c.is_matched for c in comparison.channels), comparison.channels
     return tuple(comparison.findings)
 

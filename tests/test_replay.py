@@ -13,8 +13,8 @@ from cosim.core.errors import InputError
 from cosim.files.results import read_results
 from cosim.files.table import read_columns
 from cosim.logs.log import Log, read_log
+from cosim.residuals.compare import verdict
 from cosim.residuals.drive import log_of_fmu, model_signals
-from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import window_rows
 from cosim.residuals.workflow import write_replay

@@ -13,7 +13,7 @@ import pytest
 from cosim.core.arrays import Array
 from cosim.logs.log import Log
 from cosim.residuals.drive import as_columns
-from cosim.residuals.starts import (
+from cosim.residuals.windows import (
     StartParameter,
     first_start,
     noise_levels,

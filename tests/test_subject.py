@@ -154,7 +154,7 @@ class RailReplayer(Replayer):
                     state = propagate(by, 1.0, state, float(log.inputs["push"][row - 1]), log.step / 4, 4)
                     position[row] = state[0]
             given = {k: dict(start.states) for k, start in begins.items()}
-            yield Replay(log.time, horizon, given, {"position": position}, {"position": "m"})
+            yield Replay(horizon, given, {"position": position})
 
 
 def number(name: str, default: float, unit: str, doc: str, **more: float | tuple[float, float]) -> Parameter:

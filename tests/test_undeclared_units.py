@@ -15,9 +15,8 @@ from cosim.core.errors import InputError
 from cosim.core.units import SYMBOLS, coherent, parse
 from cosim.files.results import read_results
 from cosim.files.table import read_columns
-from cosim.logs.finding import Finding
 from cosim.logs.gate import gate
-from cosim.logs.log import Log, read_log
+from cosim.logs.log import Finding, Log, read_log
 from cosim.logs.model_comparison import scales
 from tests.typed import typed_fmu
 

@@ -12,8 +12,7 @@ from cosim.files.csv_source import write_table
 from cosim.fmi.building.file import load_model
 from cosim.logs.log import Log, read_log
 from cosim.logs.log_check import log_findings
-from cosim.logs.model_comparison import scales
-from cosim.logs.unit_mistakes import input_unit_findings
+from cosim.logs.model_comparison import input_unit_findings, scales
 from plant.hovercraft import INPUTS, OUTPUTS
 
 HOVERCRAFT = Path(__file__).parent.parent / "examples" / "hovercraft"

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry
+from cosim.calibration.fit_study import Parameter
 from cosim.calibration.identifiability import find_combination, screen
 from cosim.calibration.intervals import Covariance, covariance
-from cosim.calibration.likelihood import Likelihood, Logs, Unknown
-from cosim.calibration.vary import Parameter
+from cosim.calibration.likelihood import Likelihood, Logs
 from cosim.core.arrays import Array
-from cosim.core.errors import InputError, SimulationError
+from cosim.core.errors import InputError
 from cosim.logs.channel_noise import noise_level
 from cosim.residuals.windows import horizons
 
@@ -76,7 +77,7 @@ class Estimate:
         likelihood = self._fit(likelihood)
         if self.logs.horizon is None and (reason := self._why_windows(likelihood)):
             self._use_windows(reason)
-            chosen = [u.parameter for u in likelihood.unknowns if u.log is None]
+            chosen = [u for u in likelihood.unknowns if u.log is None]
             chosen += self.held.values()
             self.combinations, self.held = [], {}
             likelihood = self._fit(self._begin(chosen))
@@ -86,15 +87,14 @@ class Estimate:
         """Return the likelihood of these parameters with its value before the fit; windows need no start values."""
         named, values = [p for p in parameters if p.per_log], {p.name: p.start for p in parameters}
         while True:
-            unknowns = [Unknown(p, p.start, p.scale) for p in parameters if not p.per_log]
+            unknowns = [p for p in parameters if not p.per_log]
             if self.logs.horizon is None:
-                unknowns += [Unknown(p, p.start, p.scale, k) for k in range(len(self.logs.drives)) for p in named]
-                unknowns += self.logs.start_unknowns(values)
+                unknowns += [replace(p, log=k) for k in range(len(self.logs.drives)) for p in named]
+                unknowns += self.logs.shown_starts(values)
             else:
                 self.dropped = [p.name for p in named]
-            likelihood = Likelihood(self.logs, unknowns, {})
-            first = np.array([u.first for u in unknowns])
-            if likelihood.point(np.clip(first, likelihood.low, likelihood.high)) is not None:
+            likelihood = Likelihood(self.logs, unknowns)
+            if likelihood.point(np.clip(likelihood.prior, likelihood.low, likelihood.high)) is not None:
                 self.likelihood = likelihood
                 return likelihood
             if self.logs.horizon is not None or not self._has_windows():
@@ -110,7 +110,7 @@ class Estimate:
         for slope in likelihood.slopes:
             acts |= np.nanmax(np.abs(slope / likelihood.best.sigma[:, None]), axis=(0, 1), initial=0.0) > 0.0
         pairs = [*zip(likelihood.unknowns, acts, strict=True)]
-        if idle := {u.name: u.parameter for u, act in pairs if not act}:
+        if idle := {u.name: u for u, act in pairs if not act}:
             if not any(u.log is None and act for u, act in pairs):
                 raise _nothing_identifiable([f"{name}: no effect on any measured output" for name in idle])
             self.idle, self.held = [*idle], {**self.held, **idle}
@@ -121,7 +121,7 @@ class Estimate:
                 break
             self.combinations.append(combination)
             is_held = [u.log is None and u.name == combination.held for u in likelihood.unknowns]
-            self.held |= {u.name: u.parameter for u in likelihood.unknowns if u.name == combination.held}
+            self.held |= {u.name: u for u in likelihood.unknowns if u.name == combination.held}
             likelihood = likelihood.restricted(~np.array(is_held))
         self.likelihood = likelihood
         if self.logs.horizon is None and self._start_effects(likelihood)[0] > GROWS and self._has_windows():
@@ -154,7 +154,7 @@ class Estimate:
         """Return whether every log has windows."""
         return all(
             starts.keys() & d.log.outputs.keys() and float(d.log.time[-1] - d.log.time[0]) > 3.0 * horizons(d.log)[-1]
-            for d, starts in zip(self.logs.drives, self.logs.all_starts, strict=True)
+            for d, starts in zip(self.logs.drives, self.logs.starts, strict=True)
         )
 
     def _use_windows(self, reason: str) -> None:
@@ -168,7 +168,7 @@ class Estimate:
         """
         growth, stays = 0.0, False
         for j, unknown in enumerate(likelihood.unknowns):
-            if unknown.log is not None and unknown.is_shown:
+            if unknown.log is not None and unknown.spread:
                 parts = np.array_split(likelihood.slopes[unknown.log][..., j] / likelihood.best.sigma, 4)
                 sizes = [float(np.sqrt(np.nanmean(p**2))) if np.isfinite(p).any() else 0.0 for p in parts]
                 growth = max(growth, sizes[-1] / sizes[0] if sizes[0] > 0.0 else 0.0)
@@ -184,13 +184,21 @@ class Estimate:
             return f"the plant is unstable: a small change of the start grows {growth:.0e} times over a log"
         if not stays:
             return ""
-        point = likelihood.best
-        first = {**likelihood.given, **{u.name: u.parameter.start for u in likelihood.unknowns if u.log is None}}
-        every = range(len(self.logs.drives))
+
+        def squares(values: Sequence[Mapping[str, float]]) -> Array:
+            """Return the mean square errors over windows, infinite after a failure."""
+            every = []
+            for k, each in enumerate(values):
+                table = self.logs.errors(k, each, horizons(self.logs.drives[k].log)[-1])
+                nothing = np.full(len(self.logs.channels), np.inf)
+                every.append(nothing if table is None else np.nansum(table**2, axis=0) / np.isfinite(table).sum(axis=0))
+            return np.asarray(np.mean(every, axis=0))
+
+        point, count = likelihood.best, len(self.logs.drives)
+        first = {**likelihood.given, **{u.name: u.start for u in likelihood.unknowns if u.log is None}}
         with np.errstate(invalid="ignore", divide="ignore"):
-            after = np.mean([self._window_squares(k, likelihood.values(point.x, k)) for k in every], axis=0)
-            before = np.mean([self._window_squares(k, first) for k in every], axis=0)
-            ratio = np.nan_to_num(point.sigma / np.sqrt(np.fmin(after, before)))
+            after = squares([likelihood.values(point.x, k) for k in range(count)])
+            ratio = np.nan_to_num(point.sigma / np.sqrt(np.fmin(after, squares([first] * count))))
         worst = int(np.argmax(ratio))
         if not ratio[worst] > DRIFTS:
             return ""
@@ -198,20 +206,6 @@ class Estimate:
             f"the effect of the start does not fade, and a free run misses {self.logs.channels[worst]} "
             f"{ratio[worst]:.0f} times as far as windows, even after a fit"
         )
-
-    def _window_squares(self, k: int, values: Mapping[str, float]) -> Array:
-        """Return the mean square errors of a log over windows, infinite after a failure."""
-        log, squares = self.logs.drives[k].log, np.full(len(self.logs.channels), np.inf)
-        try:
-            outputs = self.logs.outputs(k, values, horizons(log)[-1])
-        except SimulationError:
-            return squares
-        for c, name in enumerate(self.logs.channels):
-            if name in outputs and name in log.outputs:
-                error = log.outputs[name] - outputs[name]
-                if np.isfinite(error).any():
-                    squares[c] = np.mean(error[np.isfinite(error)] ** 2)
-        return squares
 
 
 def _nothing_identifiable(reasons: Sequence[str]) -> InputError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
@@ -119,8 +118,3 @@ class Record(BaseModel):
     seconds: Finite
     warnings: list[str]
     notes: list[str]
-
-
-def finite(value: float) -> float | None:
-    """Return a number, None for infinity and NaN."""
-    return float(value) if math.isfinite(value) else None

@@ -2,63 +2,33 @@
 
 from __future__ import annotations
 
-import re
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from pathlib import Path
-from xml.parsers import expat
 
 import numpy as np
 
 from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError, SimulationError
 from cosim.files.archive import DESCRIPTION, description_of
+from cosim.fmi.wrapping.wrapped_description import parsed, set_starts, xml_of
 from cosim.residuals.drive import Drive
 
-START = re.compile(rb"(\sstart\s*=\s*)(\"[^\"]*\"|'[^']*')")
-TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
-TYPED = {"Float64", "Float32"}  # elements of FMI 3 that are variables themselves
 EQUAL = 1e-9  # difference of outputs relative to their range
 
 
 def write_copy(fmu: Path, values: Mapping[str, float], path: Path) -> None:
-    """Write a copy of an FMU with other start values; every other byte and file stays, with its date and place.
+    """Write a copy of an FMU with other start values; every other file stays, with its date and place.
 
     Raises:
-        ValueError: A start value is not found.
+        ValueError: A variable has no start value.
     """
-    text = description_of(fmu)
-    places: dict[str, int] = {}  # variable → position of the element that holds its start value
-    inside = ""
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal inside
-        if tag == "ScalarVariable":
-            inside = attributes.get("name", "")
-        elif tag in TYPED and "name" in attributes:
-            places[attributes["name"]] = parser.CurrentByteIndex
-        elif tag == "Real" and inside:
-            places[inside] = parser.CurrentByteIndex
-
-    def end(tag: str) -> None:
-        nonlocal inside
-        inside = "" if tag == "ScalarVariable" else inside
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    with suppress(expat.ExpatError):
-        parser.Parse(text, True)
-    for name in sorted(values, key=lambda name: -places.get(name, 0)):
-        place = places.get(name, 0)
-        tag = TAG.match(text, place)
-        if name not in places or tag is None or not START.search(tag[0]):
-            raise ValueError(f"the start value of {name} was not found in modelDescription.xml")
-        number = repr(float(values[name])).encode()
-        text = text[:place] + START.sub(rb'\g<1>"' + number + b'"', tag[0], count=1) + text[tag.end() :]
+    root = parsed(description_of(fmu))
+    set_starts(root, values, fmu.name)
     with draft_of(path) as draft, zipfile.ZipFile(fmu) as old, zipfile.ZipFile(draft, "w") as new:
         for member in old.infolist():
-            content = text if member.filename == DESCRIPTION else old.read(member)
+            content = xml_of(root) if member.filename == DESCRIPTION else old.read(member)
             new.writestr(member, content, member.compress_type)
 
 

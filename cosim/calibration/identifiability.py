@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry, Form, finite
+from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry, Form
 from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Array, Flags, Rows
 from cosim.core.linear_algebra import least_squares, orthonormal
 from cosim.core.text import join_names, plain
+from cosim.residuals.residual_statistics import finite
 
 CHANGES = (0.01, 0.1)  # of a screened parameter, relative to its scale
 NO_EFFECT = 1e-9  # change of every output, relative to its spread, that is rounding
@@ -78,7 +79,7 @@ def _changes(likelihood: Likelihood, move: Array) -> list[Array] | None:
     x = best.x + move
     if np.any((x < likelihood.low) | (x > likelihood.high)):
         return None
-    tables = likelihood.tables(x, best)
+    tables = likelihood.tables(x)
     return tables and [table - base for table, base in zip(tables, best.tables, strict=True)]
 
 

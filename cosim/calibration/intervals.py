@@ -31,17 +31,13 @@ class Covariance:
 
     Attributes:
         matrix: Covariance of all unknowns.
-        factors: Half-width of the 95 % interval of each unknown in standard deviations.
+        halves: Half-width of the 95 % interval of each unknown.
         colour: Channel → variance of a mean of its residuals relative to white residuals.
     """
 
     matrix: Array
-    factors: Array
+    halves: Array
     colour: Array
-
-    def half(self, j: int) -> float:
-        """Return the half-width of the 95 % interval of an unknown."""
-        return float(self.factors[j]) * math.sqrt(max(0.0, float(self.matrix[j, j])))
 
 
 class Autoregression(NamedTuple):
@@ -59,7 +55,8 @@ def covariance(likelihood: Likelihood) -> Covariance:
 
     point, slopes = likelihood.best, likelihood.slopes
     sigma, unknowns = point.sigma, point.x.size
-    information, _ = likelihood.equations(point, slopes)
+    weighted = [(s / sigma[:, None])[np.isfinite(t)] for s, t in zip(slopes, point.tables, strict=True)]
+    information = np.diag(likelihood.precision) + sum(rows.T @ rows for rows in weighted)
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
 
@@ -89,9 +86,9 @@ def covariance(likelihood: Likelihood) -> Covariance:
     matrix, spread, models = sandwich(point.tables)
     colour = np.array([m.colour for m in models])
     freedom = max(1.0, float(np.sum(point.counts / np.maximum(1.0, colour))) - unknowns)
-    factors = np.full(unknowns, float(stdtrit(freedom, 0.975)))
+    factors, roots = np.full(unknowns, float(stdtrit(freedom, 0.975))), np.sqrt(np.maximum(0.0, np.diag(matrix)))
     if freedom >= MANY * unknowns:
-        return Covariance(matrix, factors, colour)
+        return Covariance(matrix, factors * roots, colour)
     # In each repetition the autoregressions make new residuals, from which the linearized estimate and its standard
     # deviation are computed as from the log (bootstrap-t). That allows for the part of slow residuals that the
     # parameters absorb, and for the uncertain colour.
@@ -114,7 +111,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
         shift = -inverse @ gradient
         repeated, _, _ = sandwich([e + s @ shift for s, e in zip(slopes, drawn, strict=True)])
         ratios.append(np.abs(shift) / np.sqrt(np.maximum(np.diag(repeated), 1e-300)))
-    return Covariance(matrix, np.maximum(factors, np.quantile(ratios, 0.95, axis=0)), colour)
+    return Covariance(matrix, np.maximum(factors, np.quantile(ratios, 0.95, axis=0)) * roots, colour)
 
 
 def _autoregression(parts: Sequence[Array]) -> Autoregression:

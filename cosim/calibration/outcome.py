@@ -18,18 +18,16 @@ from cosim.calibration.fit_record import (
     Record,
     StartEntry,
     Verdict,
-    finite,
 )
 from cosim.calibration.fit_study import Request
+from cosim.core.arrays import Array
 from cosim.core.text import amount, counted, join_names, plain, size
 from cosim.logs.log import Log
 from cosim.refinement.proof.measure import find_rises
+from cosim.residuals.compare import floors, horizon_name
 from cosim.residuals.drive import Drive
-from cosim.residuals.floor import floors
-from cosim.residuals.replay_sentences import horizon_name
-from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
-from cosim.residuals.starts import start_parameters
-from cosim.residuals.windows import Replay, free_run, horizons, self_started
+from cosim.residuals.residual_statistics import FREE_RUN, finite, pool_errors, remaining_excess
+from cosim.residuals.windows import Replay, free_run, horizons, self_started, start_parameters
 
 CLEAR = 0.95  # ratio of errors from which the model is better
 MOST = 2  # outputs in a headline
@@ -41,68 +39,17 @@ class Part:
 
     Attributes:
         sealed: True for logs that were opened after the fit.
-        horizon: Decisive horizon [s], FREE_RUN for free runs.
-        before, after: For each log, its replays by horizon.
-        floor: Channel → noise floor over the decisive horizon, root mean square over the logs.
+        rises: Outputs whose error rises significantly on sealed logs.
+        log: The last log.
+        before, after: Its outputs over the decisive horizon.
     """
 
     sealed: bool
-    horizon: float
-    logs: Sequence[Log]
-    before: Sequence[Mapping[float, Replay]]
-    after: Sequence[Mapping[float, Replay]]
-    floor: Mapping[str, float]
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Return the units of all signals."""
-        return {n: u for log in self.logs for n, u in log.units.items()}
-
-    def errors(self, horizon: float) -> dict[str, tuple[float, float]]:
-        """Return channel → root mean square error before and after, pooled over the logs."""
-        old, new = (
-            pool_errors(replays[horizon].errors(log) for log, replays in zip(self.logs, side, strict=True))
-            for side in (self.before, self.after)
-        )
-        return {name: (old[name], new[name]) for name in old}
-
-    def entry(self) -> PartErrors:
-        """Return the errors for fit.json."""
-        channels, units = {}, self.units
-        for name, (before, after) in self.errors(self.horizon).items():
-            channels[name] = ChannelErrors(
-                unit=units[name],
-                before=finite(before),
-                after=finite(after),
-                noise_floor=finite(self.floor.get(name, math.nan)),
-                excess_left=finite(remaining_excess(before, after, self.floor.get(name, 0.0))),
-            )
-        common = set.intersection(*map(set, (*self.before, *self.after)))
-        horizons = {
-            "free run" if h == FREE_RUN else f"{h:g} s": {
-                n: (finite(a), finite(b)) for n, (a, b) in self.errors(h).items()
-            }
-            for h in sorted(common, key=lambda h: (h != self.horizon, h))
-        }
-        return PartErrors(horizon=finite(self.horizon), channels=channels, horizons=horizons)
-
-    def rises(self) -> list[str]:
-        """Return the outputs whose error rises significantly on sealed logs."""
-        if not self.sealed:
-            return []
-        before, after = (
-            [(log, r[self.horizon]) for log, r in zip(self.logs, side, strict=True)]
-            for side in (self.before, self.after)
-        )
-        return [*find_rises(before, after)]
-
-    def verdict(self) -> Verdict:
-        """Return the verdict, by the geometric mean over the channels of the error after relative to that before."""
-        pairs = [(a, b) for a, b in self.errors(self.horizon).values() if a > 0.0 and b > 0.0 and math.isfinite(a * b)]
-        ratio = math.exp(float(np.mean([math.log(b / a) for a, b in pairs]))) if pairs else math.nan
-        if ratio > 1.0 / CLEAR or self.rises():
-            return "worse"
-        return "improved" if ratio < CLEAR else "unchanged"
+    errors: PartErrors
+    rises: Sequence[str]
+    log: Log
+    before: Mapping[str, Array]
+    after: Mapping[str, Array]
 
 
 def prove(
@@ -118,22 +65,58 @@ def prove(
     Args:
         horizon: Horizon of the noise floor of the values after; FREE_RUN for free runs.
     """
-    old, new, squares = list[Mapping[float, Replay]](), list[Mapping[float, Replay]](), dict[str, list[float]]()
-    for side, every in ((old, before), (new, after)):
+    logs, sides, squares = [d.log for d in drives], list[list[dict[float, Replay]]](), dict[str, list[float]]()
+    for every in (before, after):
+        sides.append([])
         for drive, values in zip(drives, every, strict=True):
             moved = drive.with_values(values)
-            parameters, free = start_parameters(moved), free_run(moved)
+            parameters = start_parameters(moved)
+            free = free_run(moved, parameters)
             replays = {FREE_RUN: free}
             if (windowed := self_started(moved, parameters, free, horizons(moved.log)[-1])) is not None:
                 replays[windowed.horizon] = windowed
-            if side is new:
+            if every is after:
                 for name, floor in floors(moved, parameters, free, replays.get(horizon, free)).items():
                     squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
-            side.append(replays)
-    if not all(horizon in replays for replays in (*old, *new)):
-        horizon = FREE_RUN
-    pooled = {name: math.sqrt(float(np.mean(each))) for name, each in squares.items() if each}
-    return Part(sealed, horizon, [d.log for d in drives], old, new, pooled)
+            sides[-1].append(replays)
+    common = set.intersection(*(set(replays) for side in sides for replays in side))
+    horizon = horizon if horizon in common else FREE_RUN
+    units = {n: u for log in logs for n, u in log.units.items()}
+
+    def errors(span: float) -> dict[str, tuple[float, float]]:
+        """Return channel → root mean square error before and after, pooled over the logs."""
+        old, new = (pool_errors(r[span].errors(log) for log, r in zip(logs, side, strict=True)) for side in sides)
+        return {name: (old[name], new[name]) for name in old}
+
+    channels = {}
+    for name, (old, new) in errors(horizon).items():
+        floor_square = float(np.mean(each)) if (each := squares.get(name)) else math.nan
+        channels[name] = ChannelErrors(
+            unit=units[name],
+            before=finite(old),
+            after=finite(new),
+            noise_floor=finite(math.sqrt(floor_square)),
+            excess_left=finite(remaining_excess(old, new, math.sqrt(np.nan_to_num(floor_square)))),
+        )
+    spans = {
+        "free run" if h == FREE_RUN else f"{h:g} s": {n: (finite(a), finite(b)) for n, (a, b) in errors(h).items()}
+        for h in sorted(common, key=lambda h: (h != horizon, h))
+    }
+    shown = [[(log, r[horizon]) for log, r in zip(logs, side, strict=True)] for side in sides]
+    rises = [*find_rises(*shown)] if sealed else []
+    curves = (side[-1][1].outputs for side in shown)
+    return Part(
+        sealed, PartErrors(horizon=finite(horizon), channels=channels, horizons=spans), rises, logs[-1], *curves
+    )
+
+
+def _verdict(part: Part) -> Verdict:
+    """Return the verdict, by the geometric mean over the channels of the error after relative to that before."""
+    ratios = [c.after / c.before for c in part.errors.channels.values() if c.before and c.after]
+    ratio = math.exp(float(np.mean(np.log(ratios)))) if ratios else math.nan
+    if ratio > 1.0 / CLEAR or part.rises:
+        return "worse"
+    return "improved" if ratio < CLEAR else "unchanged"
 
 
 def write_record(
@@ -156,15 +139,14 @@ def write_record(
     parameters, starts = dict[str, ParameterEntry](), list[StartEntry]()
 
     def interval(j: int) -> tuple[float, float] | None:
-        value, half = float(point.x[j]), math.nan if spread is None else spread.half(j)
+        value, half = float(point.x[j]), math.nan if spread is None else float(spread.halves[j])
         return (value - half, value + half) if math.isfinite(half) else None
 
-    for j, (unknown, value) in enumerate(zip(unknowns, point.x.tolist(), strict=True)):
-        p = unknown.parameter
+    for j, (p, value) in enumerate(zip(unknowns, point.x.tolist(), strict=True)):
         common = {"value": value, "unit": p.unit}
-        if unknown.log is not None:
-            path = str(logs.drives[unknown.log].log.path)
-            starts.append(StartEntry(**common, log=path, name=p.name, ci95=interval(j), named=not unknown.is_shown))
+        if p.log is not None:
+            path = str(logs.drives[p.log].log.path)
+            starts.append(StartEntry(**common, log=path, name=p.name, ci95=interval(j), named=not p.spread))
             continue
         parameters[p.name] = ParameterEntry(
             **common,
@@ -185,7 +167,7 @@ def write_record(
         fmu=str(request.fmu),
         logs=[str(p) for p in request.estimation],
         sealed=[str(p) for p in request.sealed],
-        verdict=parts[-1].verdict() if parts else "stopped",
+        verdict=_verdict(parts[-1]) if parts else "stopped",
         sentence="",
         windows=logs.horizon,
         windows_reason=estimate.reason,
@@ -197,7 +179,7 @@ def write_record(
         combinations=estimate.combinations,
         screening=list(estimate.screened),
         noise={n: NoiseEntry(sigma=s, colour=finite(c)) for n, s, c in noise},
-        errors={"sealed" if part.sealed else "estimation": part.entry() for part in parts},
+        errors={"sealed" if part.sealed else "estimation": part.errors for part in parts},
         simulations=logs.count,
         failed_simulations=logs.failed,
         seconds=seconds,
@@ -219,13 +201,14 @@ def _sentence(record: Record, parts: Sequence[Part]) -> str:
     if not parts:
         return f"The fit was stopped before its proof. The best values so far: {effort}"
     part = parts[-1]  # sealed logs, or those of the estimate without any
-    logs = counted(len(part.logs), "sealed log" if part.sealed else "log")
+    logs = counted(len(record.sealed), "sealed log") if part.sealed else counted(len(record.logs), "log")
     where = f"On {logs}" if part.sealed else f"On the {logs} of the estimate"
-    error = "free-run error" if part.horizon == FREE_RUN else f"error over {horizon_name(part.horizon)}"
-    errors = {n: (a, b) for n, (a, b) in part.errors(part.horizon).items() if a > 0.0 and b > 0.0}
-    units = part.units
-    order = sorted(errors, key=lambda n: errors[n][1] / errors[n][0], reverse=record.verdict == "worse")
-    texts = [f"{n} from {size(errors[n][0], units[n])} to {size(errors[n][1], units[n])}" for n in order[:MOST]]
+    horizon = part.errors.horizon
+    error = "free-run error" if horizon is None else f"error over {horizon_name(horizon)}"
+    ratios = {n: c.after / c.before for n, c in part.errors.channels.items() if c.before and c.after}
+    worst_or_best = sorted(ratios, key=lambda n: ratios[n], reverse=record.verdict == "worse")[:MOST]
+    chosen = {n: part.errors.channels[n] for n in worst_or_best}
+    texts = [f"{n} from {size(c.before or 0.0, c.unit)} to {size(c.after or 0.0, c.unit)}" for n, c in chosen.items()]
     change = {"improved": "falls", "worse": "does not fall"}.get(record.verdict, "hardly changes")
     unproven = " No sealed log confirms it." if record.verdict == "improved" and not part.sealed else ""
     return f"{where} the {error} {change}: {join_names(texts) or 'there is none'}.{unproven} {effort}"
@@ -259,7 +242,7 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
         yield f"{count} simulations failed and were rejected, first at {shown}: {error}"
     if estimate.dropped:
         yield f"windows have start values of their own, so {join_names(estimate.dropped)} is not estimated"
-    if parts and (risen := parts[-1].rises()):
+    if parts and (risen := parts[-1].rises):
         yield f"on sealed logs the error of {join_names(risen)} rises by more than its scatter from part to part"
     if estimate.covariance is not None and (names := estimate.above_noise()):
         yield (

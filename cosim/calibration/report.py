@@ -18,8 +18,7 @@ from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import Panel, Trace
 from cosim.report.template import render
-from cosim.residuals.replay_sentences import horizon_name
-from cosim.residuals.residual_statistics import FREE_RUN
+from cosim.residuals.compare import horizon_name
 
 TEMPLATE = Path(__file__).with_name("templates") / "fit.html.j2"
 MOST_OUTPUTS = 8  # with a chart
@@ -78,8 +77,7 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
             }
             for name, c in part.channels.items()
         ]
-        horizon = horizon_name(FREE_RUN if part.horizon is None else part.horizon)
-        errors.append({"title": f"{title}, {horizon}", "rows": table})
+        errors.append({"title": f"{title}, {horizon_name(part.horizon)}", "rows": table})
     way = "free runs" if record.windows is None else f"windows of {record.windows:g} s: {record.windows_reason}"
     failed = f", {record.failed_simulations} failed" if record.failed_simulations else ""
     provenance = [
@@ -92,16 +90,15 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     ]
     proof, plots = parts[-1] if parts else None, list[Plot]()
     if proof is not None:  # measured, before and after on the last log, the most improved output first
-        log, panels = proof.logs[-1], list[Panel]()
-        before, after = (side[-1][proof.horizon].outputs for side in (proof.before, proof.after))
-        changes = proof.errors(proof.horizon).items()
-        ratios = {n: b / a if a > 0.0 and math.isfinite(b / a) else 1.0 for n, (a, b) in changes}
+        log, panels = proof.log, list[Panel]()
+        channels = proof.errors.channels.items()
+        ratios = {n: 1.0 if c.after is None or not c.before else c.after / c.before for n, c in channels}
         for name in sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]:
             unit, factor = display(log.units[name])
             curves = (
                 (log.outputs[name], "measured", "estimate"),
-                (before[name], "before", "s1"),
-                (after[name], "after", "true"),
+                (proof.before[name], "before", "s1"),
+                (proof.after[name], "after", "true"),
             )
             panels.append(Panel(name, unit or "1", [Trace(label, v * factor, style) for v, label, style in curves]))
         plots = charts.over(log.time).plots(panels)
@@ -115,9 +112,9 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
             "badges": badges,
             "warnings": [*record.warnings, *record.notes],
             "plots": plots,
-            "log": "" if proof is None else proof.logs[-1].path.name,
+            "log": "" if proof is None else proof.log.path.name,
             "is_sealed": proof is not None and proof.sealed,
-            "horizon": "" if proof is None else horizon_name(proof.horizon),
+            "horizon": "" if proof is None else horizon_name(proof.errors.horizon),
             "parameters": [_parameter(n, p) for n, p in record.parameters.items()],
             "starts": starts,
             "correlation": {"columns": names, "rows": rows} if len(matrix) > 1 else None,

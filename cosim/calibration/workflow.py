@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,66 +12,102 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.compiling import permission
-from cosim.calibration.estimate import Estimate, Report
-from cosim.calibration.fit_record import Record
-from cosim.calibration.fit_study import Request, request_of
+from cosim.blocks.compiling import compiling, permission
+from cosim.calibration.estimate import Estimate
+from cosim.calibration.fit_study import Parameter, Request, candidates, read_vary, request_of
+from cosim.calibration.fitted import Fitted
 from cosim.calibration.fitted_fmu import why_no_copy
 from cosim.calibration.likelihood import Logs, OutOfTime
 from cosim.calibration.outcome import Part, prove, write_record
-from cosim.calibration.vary import Parameter, candidates, read_vary
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
+from cosim.core.settings import Files, Given, column_names, texts
 from cosim.core.text import join_names
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
-from cosim.files.folders import remove_earlier
+from cosim.files.folders import name_of_file, remove_earlier, results_in
 from cosim.fmi.description import read_description, unit_definition, unit_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.log import Log, read_column_names
-from cosim.logs.unit_mistakes import input_unit_findings
+from cosim.logs.log import Log
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
-from cosim.residuals.drive import Drive, check_files, log_of_fmu
-from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.residuals.replay_settings import start_values
+from cosim.residuals.drive import MODULES, Drive, DriveApart, check_files, log_of_fmu, start_values
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
 
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 
 
-@one_stop()
 def fit(
-    request: Request,
-    folder: FilePath,
+    logs: FilePath | Files,
+    fmu: FilePath | None = None,
+    out: FilePath | None = None,
     *,
-    in_process: bool = False,
+    vary: Given | None = None,
+    start: Given | None = None,
+    sealed: Files = (),
+    columns: Given | None = None,
     report: bool = True,
-    progress: Report = lambda stage, share: None,
-) -> tuple[Record, list[str]]:
-    """Estimate an FMU's parameters and start values.
+    force: bool = False,
+    in_process: bool = False,
+    compile: bool = False,
+    limits: str = "",
+    progress: Callable[[str, float], None] | None = None,
+) -> Fitted:
+    """Estimate parameters and start values of an FMU from measured logs.
 
-    Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
+    Args:
+        logs: Logs of the estimate, or a study file, which names them and the FMU.
+        fmu: FMU whose parameters are estimated.
+        out: Folder for fit.json, fitted.ssv, fitted.fmu and report.html; None writes nothing.
+        vary: Parameter → None, "20%", "LOW..HIGH" or (low, high), or texts as on the command line. By default those
+            of the study, or those that the logs determine.
+        start: Further value of the FMU, or first value of a parameter → value.
+        sealed: Logs for the proof, which the estimate does not use.
+        columns: Column of the logs → variable, or "time".
+        report: Write report.html.
+        force: Write even if the folder is not empty; results in it are replaced.
+        in_process: Load the FMU into this process, for a debugger; limits do not apply.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        limits: Limits of time and memory, for example "step: 10 s, total: 1 h"; `total` limits the estimate.
+        progress (in Python): Function of (stage, share).
 
     Returns:
-        The content of fit.json, and warnings and notes with their codes.
+        Estimates with 95 % intervals, and the errors before and after.
 
     Raises:
-        InputError: The study, logs or options have faults.
-        FmuError: The FMU cannot be used.
-        SimulationError: The FMU fails with the values before the fit, or the fit was stopped.
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The FMU fails with the values before the fit, or a limit is reached; the best values so far
+            are in `out`.
     """
+    request = request_of(
+        [logs] if isinstance(logs, (str, os.PathLike)) else list(logs),
+        fmu,
+        vary=texts(vary),
+        start=texts(start),
+        sealed=list(sealed),
+        columns=column_names(columns),
+        limits=limits,
+    )
+    name = name_of_file(request.fmu if request.yaml is None else request.yaml.path, "fit")
+    progress = progress or (lambda stage, share: None)
     begin = time.monotonic()
-    most, path, place = request.limits, request.fmu, named_path(folder)
-    read, chosen, given, fixed = _read(request)
-    files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
-    check_writable(place, FILES, files)
-    progress("probing the FMU", 0.0)
-    if not in_process:
-        _refuse_own_step(request, read[0], given)
-    with ExitStack() as stack:
+    most, path = request.limits, request.fmu
+    with (
+        compiling(compile),
+        results_in(out, "cosim fit", name, force=force) as folder,
+        one_stop(),
+        ExitStack() as stack,
+    ):
+        place = named_path(folder)
+        read, chosen, given, fixed = _read(request)
+        files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
+        check_writable(place, FILES, files)
+        progress("probing the FMU", 0.0)
+        if not in_process:
+            _refuse_own_step(request, read[0], given)
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
 
@@ -122,7 +159,7 @@ def fit(
         likelihood, point = estimate.likelihood, estimate.likelihood.best
         if len(opened) == 1:  # named start values of a single log may be start values of the FMU
             each = zip(likelihood.unknowns, point.x.tolist(), strict=True)
-            values |= {u.name: v for u, v in each if u.log is not None and not u.is_shown}
+            values |= {u.name: v for u, v in each if u.log is not None and not u.spread}
         described = read_description(path)
         units = {v.name: unit_of(v) for v in described.modelVariables}
         sets = {n: v for n, v in fixed.items() if isinstance(v, float)} | values
@@ -138,14 +175,15 @@ def fit(
                 command = shlex.join([*words, *(["--compile"] if permission.get() else [])])
                 record.warnings.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command}` sets them")
         write_json(place / "fit.json", record.model_dump(mode="json"), allow_nan=False)
-        if report:
+        if report and out is not None:
             from cosim.calibration.report import page
 
             write_text(place / "report.html", page(record, estimate, parts))
     if stop is not None:
         stop.left = place
         raise stop
-    return record, [*record.warnings, *map(Note, record.notes)]
+    warnings = *record.warnings, *map(Note, record.notes)
+    return Fitted(record.model_dump(mode="json"), None if out is None else folder, warnings)
 
 
 def check_fit_study(path: Path, checking: Checking) -> list[str]:
@@ -202,14 +240,13 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any],
         attempt(check_files, None, path, fmu)
     refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*paths} else ())
     description = read_description(fmu)
-    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text, fmu))
+    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
 
     def choose() -> list[Parameter]:
         numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
         offered = candidates(description, numbers)
         if request.vary:
-            option = Path("--vary")
-            return read_vary(description, offered, request.vary, lambda n, m: request.fault(("vary", n), m, option))
+            return read_vary(description, offered, request.vary, lambda n, text: request.fault(("vary", n), text))
         chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
         if not chosen:
             message = "has no parameter to estimate: no floating-point parameter with a start value may be set"
@@ -217,9 +254,7 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any],
         return chosen
 
     def read(path: Path) -> Log:
-        columns = request.columns
-        columns = columns if isinstance(columns, Mapping) else read_column_names(columns, path)
-        return log_of_fmu(path, fmu, columns, alone=len(paths) == 1)
+        return log_of_fmu(path, fmu, request.columns, alone=len(paths) == 1)
 
     chosen: list[Parameter] = attempt(choose, [])
     read_logs = [attempt(read, None, path) for path in paths]
@@ -250,7 +285,5 @@ def _refuse_bad(drives: Sequence[Drive]) -> None:
     """Refuse logs with faults of clock, units or channels; every fault of every log at once."""
     faults: list[Fault] = []
     for drive in drives:
-        findings = gate(drive.log, drive.rate, traits=drive.traits)
-        findings += input_unit_findings(drive.log, drive.starts, drive.traits.bounds if drive.traits else {})
-        faults += gate_faults(drive.log, findings)
+        faults += gate_faults(drive.log, gate(drive.log, drive.rate, drive.traits, starts=drive.starts))
     refuse(faults)

@@ -22,8 +22,7 @@ from cosim.model.model import Model
 from cosim.probing.log_runs import sine_course
 from cosim.probing.places import probe_places
 from cosim.probing.prober import quantities
-from cosim.residuals.drive import model_signals
-from cosim.residuals.remote_drive import MODULES, DriveApart
+from cosim.residuals.drive import MODULES, DriveApart, model_signals
 from cosim.terms.fmu_model import FmuModel, fmu_model
 from cosim.terms.language import Term, with_place
 

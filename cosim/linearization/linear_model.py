@@ -79,21 +79,19 @@ def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
     """
     if not fast:
         return linear
-    z = [linear.states.index(n) for n in fast]
-    own = linear.A[np.ix_(z, z)]
-    if np.linalg.matrix_rank(own) < len(z):
+    import control
+
+    inputs, feedthrough = np.column_stack([linear.B, linear.rates]), np.pad(linear.D, ((0, 0), (0, 1)))
+    system = control.ss(linear.A, inputs, linear.C, feedthrough, remove_useless_states=False)
+    places = [linear.states.index(n) for n in fast]
+    try:
+        slow = control.model_reduction(system, places, "matchdc", warn_unstable=False)
+    except ValueError:
         text = "they do not settle while the other states are constant (their block of A is singular)"
-        raise ValueError(f"{', '.join(fast)} cannot be residualized: {text}; leave out states that only integrate")
-    to_states, to_inputs, to_rates = (np.linalg.solve(own, part[z]) for part in (linear.A, linear.B, linear.rates))
-    eliminated = replace(
-        linear,
-        A=linear.A - linear.A[:, z] @ to_states,
-        B=linear.B - linear.A[:, z] @ to_inputs,
-        C=linear.C - linear.C[:, z] @ to_states,
-        D=linear.D - linear.C[:, z] @ to_inputs,
-        rates=linear.rates - linear.A[:, z] @ to_rates,
-    )
-    return select(eliminated, [n for n in linear.states if n not in fast], linear.inputs, linear.outputs)
+        cure = "leave out states that only integrate"
+        raise ValueError(f"{', '.join(fast)} cannot be residualized: {text}; {cure}") from None
+    kept = select(linear, [n for n in linear.states if n not in fast], linear.inputs, linear.outputs)
+    return replace(kept, A=slow.A, B=slow.B[:, :-1], C=slow.C, D=slow.D[:, :-1], rates=slow.B[:, -1])
 
 
 def missing_states(linear: Linear, states: Sequence[str]) -> list[str]:

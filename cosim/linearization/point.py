@@ -201,11 +201,8 @@ def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inp
     states, outputs = [], []
     for k in range(len(time)):
         if k:
-            try:
-                moment = stepper.step(moment, tuple(inputs[k - 1].tolist()), float(time[k] - time[k - 1]))
-            except (ArithmeticError, ValueError) as error:
-                text = f"the equations have no value there: {error}"
-                raise SimulationError(source.name, float(time[k]), text) from None
+            command, length = tuple(inputs[k - 1].tolist()), float(time[k] - time[k - 1])
+            moment = source.computed(float(time[k]), stepper.step, moment, command, length)
         states.append(np.array(moment.state, float))
         outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[len(source.states) :])
     return np.array(states), np.array(outputs)

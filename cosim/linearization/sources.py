@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -28,7 +29,7 @@ from cosim.isolation.watch import Watch, fmi_calls
 from cosim.linearization.linear_model import Linear, Point
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
-from cosim.scenario.start_values import start_value
+from cosim.residuals.drive import start_values
 
 MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
 NAME = "fmu"
@@ -68,13 +69,17 @@ class EquationSource:
             return self
         return EquationSource(replace(self._loaded, model=with_parameters(self.model, texts)), self.name)
 
-    def evaluate(self, t: float, x: Array, u: Array) -> Array:
-        """Return derivatives and outputs in one array."""
-        state, command = tuple(x.tolist()), tuple(u.tolist())
+    def computed(self, t: float, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the value of a function of the equations; raise SimulationError where they have none."""
         try:
-            return np.array([value for f in self._equations for value in f(t, state, command)], float)
+            return function(*arguments)
         except (ArithmeticError, ValueError) as error:
             raise SimulationError(self.name, t, f"the equations have no value there: {error}") from None
+
+    def evaluate(self, t: float, x: Array, u: Array) -> Array:
+        """Return derivatives and outputs in one array."""
+        place = t, tuple(x.tolist()), tuple(u.tolist())
+        return np.concatenate([self.computed(t, function, *place) for function in self._equations], dtype=float)
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point.
@@ -88,10 +93,7 @@ class EquationSource:
         for point in points:
             time, notes, n = point.time, list(shaped), len(self.states)
             values = self.evaluate(time, point.states, point.inputs)
-            try:
-                slopes = self._linearizer(tuple(point.states), tuple(point.inputs), time)
-            except (ArithmeticError, ValueError) as error:
-                raise SimulationError(self.name, time, f"the equations have no value there: {error}") from None
+            slopes = self.computed(time, self._linearizer, tuple(point.states), tuple(point.inputs), time)
             matrices = slopes.A, slopes.B, slopes.C, slopes.D
             if not all(np.isfinite(m).all() for m in (*matrices, values)):
                 text = "the derivatives, the outputs or their slopes are not finite at this point"
@@ -140,7 +142,8 @@ class ExchangeSource:
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
         """Return the source with the start values of a scenario's component; own start values take precedence."""
         names = {v.name for v in self._description.modelVariables}
-        start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in names})
+        texts = [f"{n}={v if isinstance(v, str) else json.dumps(v)}" for n, v in values.items() if n in names]
+        start = start_values(self._path, texts, lambda name, message: Fault(self._path, 0, 0, message))
         return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._step)
 
     @property
@@ -335,20 +338,3 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
                 faults.append(f"{effect}{dot}{fault}; correct this value")
     refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
     return model.with_values(values)
-
-
-def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return start values in the type and unit of their variables.
-
-    Raises:
-        InputError: Every unsuitable value.
-    """
-    variables = {v.name: v for v in description.modelVariables}
-    converted, faults = dict[str, Any](), []
-    for name, value in values.items():
-        try:
-            converted[name] = start_value(description, variables, name, value)
-        except ValueError as error:
-            faults.append(Fault(path, 0, 0, str(error)))
-    refuse(faults)
-    return converted

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.authoring.single import start_pairs
 from cosim.blocks.compiling import compiling
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import BASE, is_model
@@ -19,7 +18,7 @@ from cosim.files.artefact import CODE, FMU, MODEL
 from cosim.files.files import FilePath, check_writable, named_path, write_text
 from cosim.files.folders import new_run, remove_earlier
 from cosim.files.kinds import check_given, kind_of
-from cosim.fmi.building.file import LoadedModel, load_model, named_model
+from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import names_refine, refined_file
 from cosim.linearization.linear_model import missing_states, select
 from cosim.linearization.linear_model import residualize as residualize_states
@@ -30,11 +29,11 @@ from cosim.linearization.sources import (
     ExchangeSource,
     Source,
     settle,
-    typed_values,
     with_parameters,
 )
 from cosim.linearization.system_structure import structure
 from cosim.linearization.write import FILES, Outcome, write
+from cosim.residuals.drive import start_values
 
 
 def linearize(
@@ -158,12 +157,9 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
             if step is not None and not 0.0 < step < 1.0:
                 raise InputError.at(option, f"{step:g} is not between 0 and 1; give a small number, such as 1e-5")
             (description,) = read_fmus([path])
-            start = typed_values(path, description, start_pairs(path, values, description))
+            start = start_values(path, values, lambda name, message: Fault(Path("--set"), 0, 0, message))
             return ExchangeSource(stack.enter_context(Worker(*MODULES)), path, description, start, step)
     if step is not None:
         raise InputError.at(option, "is of FMUs only: equations are differentiated exactly; leave it out")
-    if is_model(text):
-        loaded = LoadedModel(named_model(text), text)
-    else:
-        loaded = load_model(str(refined_file(path) if names_refine(path) else text), Path())
+    loaded = load_model(text if is_model(text) else str(refined_file(path)), Path())
     return EquationSource(replace(loaded, model=with_parameters(loaded.model, values)), text)

@@ -9,7 +9,7 @@ from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,6 +35,9 @@ HINTS, SHOWN = 50, 40  # columns with a suggestion, and names in a message
 DRIFT = 2.0  # steps by which the last row of a log may be off before rows count as missing
 SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
 MISSING = 1.5  # steps between rows from which a row is missing
+SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess
+SENSORS = "sensors"  # kind of a finding on claimed errors of sensors
+Severity = Literal["note", "warning", "fault"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,34 @@ class Log:
         missing = np.rint(ahead).astype(np.intp)
         # a late row does not shift later rows
         return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A finding on a log.
+
+    Attributes:
+        severity: A fault makes the log unusable; a warning or a note does not.
+        kind: One word for programs.
+        channel: "time", a column, or "" for the whole log.
+        numbers: Values in the sentence.
+    """
+
+    severity: Severity
+    kind: str
+    channel: str
+    sentence: str
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> str:
+        """Return the sentence, preceded by the channel if the finding is on a column."""
+        return self.sentence if self.channel in ("", "time") else f"{self.channel} {self.sentence}"
+
+    @property
+    def line(self) -> str:
+        """Return the sentence with channel and severity, a line of the command line output."""
+        return f"{self.severity}: {self.whole}"
 
 
 def rename_signals(log: Log, names: Mapping[str, str]) -> Log:
@@ -367,3 +398,24 @@ def stretches(log: Log) -> list[Log]:
     if pieces == [(0, log.rows)]:
         return [log]
     return [_cut(log, slice(*piece)) for piece in pieces]
+
+
+def fill_holes(log: Log) -> Log:
+    """Return the log with lost rows inserted if an input is smooth.
+
+    Each input is held or interpolated, whichever predicts the existing rows better.
+    """
+    grid, smooth = log.grid, set[str]()
+    whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
+    for name, values in log.inputs.items():
+        first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
+        hold, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
+        if line < SMOOTH * hold:
+            smooth.add(name)
+    rows = np.arange(int(grid[-1]) + 1)
+    if rows.size == log.rows or not smooth:
+        return log
+    before = np.searchsorted(grid, rows, side="right") - 1
+    inputs = {n: np.interp(rows, grid, v) if n in smooth else v[before] for n, v in log.inputs.items()}
+    outputs = {n: np.where(grid[before] == rows, v[before], np.nan) for n, v in log.outputs.items()}
+    return replace(log, time=np.interp(rows, grid, log.time), inputs=inputs, outputs=outputs)

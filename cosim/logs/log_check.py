@@ -21,7 +21,6 @@ from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import first_rows, read_log
 from cosim.logs.model_comparison import output_findings
 from cosim.logs.spikes import drop_outliers, find_spikes
-from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.model.traits import Traits
 
 ROWS = 1000  # first rows of a log in which the model's outputs are predicted
@@ -52,9 +51,7 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
     log = read_log(path, model.inputs, model.outputs, columns=columns)
     stepping = with_substep(loaded)[0].model
     spikes = find_spikes(log, partial(predicted_outputs, stepping, log))
-    traits = Traits.of(model)
-    findings = gate(log, model.rate, traits=traits, spikes=spikes)
-    findings += input_unit_findings(log, {q.name: q.start for q in model.inputs}, traits.bounds)
+    findings = gate(log, model.rate, Traits.of(model), spikes, {q.name: q.start for q in model.inputs})
     refuse_faults(log, findings)
     first = first_rows(log, ROWS)
     free = predicted_outputs(stepping, first, dict.fromkeys(log.outputs, np.arange(first.rows)))

@@ -1,4 +1,4 @@
-"""Comparison of a log with predictions of the model, to find errors of clocks, units, signs and columns."""
+"""Comparison of a log with the model, to find errors of clocks, units, signs and columns."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from cosim.core.arrays import Array, correlation_at_lags
 from cosim.core.text import amount, plain
-from cosim.core.units import factor
+from cosim.core.units import alternatives, factor
 from cosim.logs.channel_noise import noise_level
-from cosim.logs.finding import Finding
-from cosim.logs.log import Log
-from cosim.logs.unit_mistakes import OTHER_SIZE, SAME_SIZE, other_unit
+from cosim.logs.log import Finding, Log
 
+OTHER_SIZE = 5.0  # ratio to the model from which a size is another one
+SAME_SIZE = (0.7, 1.4)  # ratio to the model within which a size is the same
+MIN_SHARE_OF_BOUND = 0.02  # least size relative to its bound in the right unit
 SLOW = 1.0  # [s] slower changes also come from drift and the unknown start
 LONGEST_DELAY = 0.5  # [s]
 LIKE = 0.85  # correlation of a signal with its model beyond chance
@@ -33,6 +34,40 @@ DIRECTIONS = {  # of a delay and its likely causes, for positive and other times
 }
 
 
+def input_unit_findings(
+    log: Log, starts: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
+) -> Iterator[Finding]:
+    """Yield findings on inputs whose size fits the model only in another unit.
+
+    Args:
+        starts: Start value of each input in the model.
+        bounds: Limits declared by the model; a value beyond them is a fault.
+    """
+    for name, values in log.inputs.items():
+        size, start = float(np.abs(values).max()), abs(starts.get(name, 0.0))
+        bound = max(map(abs, bounds.get(name, (math.inf,))))
+        unit = log.units[name]
+        if size > OTHER_SIZE * bound and unit != "rad":  # angles are checked against their bounds elsewhere
+            # in the right unit, the input would lie within its bound
+            question = other_unit(name, unit, size / bound, (MIN_SHARE_OF_BOUND, 1.0))
+            text = f"reaches {amount(size, unit)}, far beyond the {amount(bound, unit)} that the model allows"
+            text += f"; {question}" if question else ": is it scaled, or in another unit?"
+            yield Finding("fault", "unit", name, text)
+        elif start and (question := other_unit(name, unit, size / start)):
+            text = f"reaches {amount(size, unit)}, where the model starts at {amount(start, unit)}; {question}"
+            yield Finding("warning", "unit", name, text)
+
+
+def other_unit(name: str, unit: str, ratio: float, around: tuple[float, float] = SAME_SIZE) -> str:
+    """Return the question whether a column is in another unit, which brings the ratio of sizes, log to model, into a
+    range; "" without such a unit."""
+    if not unit or 1.0 / OTHER_SIZE < ratio < OTHER_SIZE:
+        return ""
+    sizes = {other: factor(other, unit) for other in (*alternatives(unit), "rpm")}
+    other = next((u for u, f in sizes.items() if f and around[0] < ratio * f < around[1]), "")
+    return other and f'is its unit {other}? Then call the column "{name} [{other}]"'
+
+
 def output_findings(log: Log, model: Mapping[str, Array]) -> list[Finding]:
     """Return findings on outputs that follow their predictions late, in another unit, mirrored or in another column."""
     return [*scales(log, model), *swaps(log, model), *delays(log, model)]
@@ -42,7 +77,7 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield findings on channels with a delay of half a row or more; slow channels are too uncertain."""
     estimates = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
     fastest = max((d.frequency for d in estimates.values()), default=0.0)
-    for name, (time, error, rho, frequency) in estimates.items():
+    for name, (time, error, _, frequency) in estimates.items():
         if frequency < 0.6 * fastest or abs(time) < max(4.0 * error, 0.4 * log.step):
             continue
         confirmed = _same_when_faster(log, log.outputs[name], model[name], estimates[name])
@@ -52,8 +87,7 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         doubt = "or clocks that differ" if confirmed else REGULAR
         size = f"{amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}"
         message = f"{direction} the model by {size}: {cause}, {doubt}"
-        numbers = {"delay": time, "error": error, "correlation": rho}
-        yield Finding("warning" if serious else "note", "delay", name, message, numbers)
+        yield Finding("warning" if serious else "note", "delay", name, message, {"delay": time, "error": error})
 
 
 def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
@@ -61,8 +95,7 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     for name, measured in log.outputs.items():
         if name not in model or (fit := fit_slope(log, measured, model[name])) is None:
             continue
-        unit, written = log.units[name], log.written.get(name, "")
-        numbers = {"slope": fit.slope, "error": fit.error, "correlation": fit.correlation}
+        unit, written, numbers = log.units[name], log.written.get(name, ""), {"slope": fit.slope}
         times = f"{plain(fit.slope)} ± {plain(fit.error, 1)} times as far"
         is_alike = fit.correlation > LIKE
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
@@ -79,9 +112,8 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
                     f"was converted from {written} to {unit}, but agrees with the model without this conversion: leave "
                     f'"[{written}]" out of the header'
                 )
-            elif other := other_unit(unit, fit.slope):
-                cure = f'is its unit {other}? Then call the column "{name} [{other}]"'
-                message = f"moves with the model, but {times}; {cure}"
+            elif question := other_unit(name, unit, fit.slope):
+                message = f"moves with the model, but {times}; {question}"
             else:
                 continue
             yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
@@ -89,10 +121,8 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             size, own = (float(np.nanstd(moving_part(log, values))) for values in (measured, model[name]))
             ratio = size / own if own > 0.0 else 0.0
             moves = ratio > OTHER_SIZE and size > MIN_SIGNAL * noise_level(measured)
-            if moves and (other := other_unit(unit, ratio)):
-                cure = f'is its unit {other}? Then call the column "{name} [{other}]"'
-                message = f"moves {plain(ratio, 2)} times as far as the model; {cure}"
-                yield Finding("warning", "unit", name, message, {"ratio": ratio})
+            if moves and (question := other_unit(name, unit, ratio)):
+                yield Finding("warning", "unit", name, f"moves {plain(ratio, 2)} times as far as the model; {question}")
 
 
 def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
@@ -115,7 +145,7 @@ def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
                 f"moves as {other} does in the model (correlation {plain(least, 2)}), and {other} as {one}: are "
                 "the columns swapped?"
             )
-            yield Finding("warning", "swapped", one, text, {"correlation": least})
+            yield Finding("warning", "swapped", one, text)
 
 
 def _longest_lag(log: Log) -> int:
@@ -207,15 +237,12 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDel
 
 def moving_part(log: Log, values: Array) -> Array:
     """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at the ends."""
-    half = max(1, round(0.5 * SLOW * log.slowness / log.step))
-    out = np.full(values.size, np.nan)
-    if values.size > 2 * half:
-        finite = np.isfinite(values)
-        parts = np.where(finite, values, 0.0), finite.astype(np.float64)
-        sums, counts = (np.concatenate(([0.0], np.cumsum(part))) for part in parts)
-        width = 2 * half + 1
-        count = counts[width:] - counts[:-width]
-        middle = slice(half, values.size - half)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            out[middle] = values[middle] - (sums[width:] - sums[:-width]) / count
-    return out
+    from scipy.ndimage import uniform_filter1d
+
+    half, finite = max(1, round(0.5 * SLOW * log.slowness / log.step)), np.isfinite(values)
+    parts = np.where(finite, values, 0.0), finite.astype(np.float64)
+    mean, share = (uniform_filter1d(part, 2 * half + 1, mode="constant") for part in parts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fast = np.asarray(values - mean / share)
+    fast[:half] = fast[-half:] = np.nan
+    return fast

@@ -33,8 +33,7 @@ from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.holes import fill_holes
-from cosim.logs.log import Log, read_log, rename_signals, stretches
+from cosim.logs.log import Log, fill_holes, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.probing.places import probe_places
 from cosim.residuals.drive import log_of_fmu

@@ -64,7 +64,7 @@ from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
-from cosim.residuals.replay_sentences import horizon_name
+from cosim.residuals.compare import horizon_name
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
 Progress = Callable[[str, float], None]

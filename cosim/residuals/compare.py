@@ -1,34 +1,68 @@
-"""Comparison of a log with an FMU: free run, windows, noise floor and statistics."""
+"""Comparison of a log with an FMU: free run, windows, statistics, and sentences derived from the numbers.
+
+The noise floor is the error of the model against itself, sampled and disturbed like the log.
+"""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
-from cosim.core.text import plain, size
+import numpy as np
+
+from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
+from cosim.core.text import amount, join_names, plain, size
 from cosim.logs.channel_noise import least_noise_level
-from cosim.logs.finding import Finding
 from cosim.logs.gate import ORDER, refuse_faults
-from cosim.logs.log import Log
+from cosim.logs.log import SENSORS, Finding, Log
 from cosim.logs.model_comparison import output_findings
-from cosim.residuals.drive import Drive
-from cosim.residuals.floor import EXACT, ChannelFloor, draws, floors
+from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.residual_statistics import (
     FREE_RUN,
     InputCorrelation,
     Score,
     Whiteness,
+    finite,
     input_correlations,
     lags_of,
+    pool_errors,
+    rmse,
     score,
     whiteness,
 )
-from cosim.residuals.starts import start_parameters
-from cosim.residuals.windows import HORIZONS, Replay, horizons, self_started
+from cosim.residuals.windows import (
+    HORIZONS,
+    Replay,
+    StartParameter,
+    chains,
+    first_start,
+    horizons,
+    self_started,
+)
 
+WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # least number of windows drawn
+BY_CHANCE = 1e-4  # false alarm probability of a correct model for each channel
+AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are estimates
+ROUNDING = 1e-9  # share of a channel's size
+STEP = 1e-6  # change of a start value without known noise
+EXACT = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
 FOLLOWS = 2.5  # multiple of the 95 % band, five standard errors: beyond chance despite slow start errors
+
+
+class ChannelFloor(NamedTuple):
+    """RMSE of one channel explained by noise, and the limit of a correct model relative to the RMSE.
+
+    Attributes:
+        astray: RMSE of the model restarted from its own noise-free outputs; 0 at rounding level.
+    """
+
+    rmse: float
+    limit: float
+    astray: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +108,9 @@ class Comparison:
     findings: tuple[Finding, ...]
 
 
-def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Comparison:
+def compare(
+    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, findings: Sequence[Finding]
+) -> Comparison:
     """Return the complete comparison for a free run, with windows, noise floor and statistics.
 
     Args:
@@ -83,7 +119,7 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Com
     Raises:
         InputError: The comparison shows a wrong unit.
     """
-    log, replays, parameters = drive.log, {FREE_RUN: free}, start_parameters(drive)
+    log, replays = drive.log, {FREE_RUN: free}
     *_, measure = spans = horizons(log)
     against = output_findings(log, free.outputs)
     refuse_faults(log, against)
@@ -149,10 +185,6 @@ def as_json(comparison: Comparison) -> list[dict[str, Any]]:
 
     Infinite values are None; `horizon` [s] is that of the verdict, None for the free run.
     """
-
-    def finite(value: float) -> float | None:
-        return float(value) if math.isfinite(value) else None
-
     channels = []
     for c in comparison.channels:
         scores = {h: {"rmse": finite(s.rmse), "fit": finite(s.fit), "rows": s.rows} for h, s in c.scores.items()}
@@ -170,3 +202,172 @@ def as_json(comparison: Comparison) -> list[dict[str, Any]]:
             }
         )
     return channels
+
+
+# -- noise floor ----------------------------------------------------------------------------------
+
+
+def draws(log: Log, horizon: float) -> int:
+    """Return the number of random draws that estimate the noise floor of a log; few windows need more draws."""
+    runs = [] if horizon == FREE_RUN else chains(log, horizon)
+    count = sum(sum(row >= begin for row in rows[:-1]) for rows, begin in runs)
+    return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
+
+
+def floors(
+    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, measured: Replay
+) -> dict[str, ChannelFloor]:
+    """Return channel → noise floor over the horizon of `measured`.
+
+    The model is replayed against its free run, with the noise and gaps of the log, and with gaps only. An error without
+    noise comes from a state that no output shows.
+    """
+    log, horizon = drive.log, measured.horizon
+    sampled = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
+    levels = {name: least_noise_level(values, free.outputs[name]) for name, values in log.outputs.items()}
+
+    linear = _linear_run(drive, parameters, free, levels) if horizon == FREE_RUN else None
+
+    def predict(readings: Mapping[str, Array]) -> Mapping[str, Array]:
+        other = copy.copy(drive)
+        other.log = replace(log, outputs=readings)
+        if horizon != FREE_RUN:
+            replayed = self_started(other, parameters, free, horizon)
+            return {} if replayed is None else replayed.outputs
+        if not parameters.keys() & readings.keys():  # a start without measurement is unchanged
+            return free.outputs
+        if linear is not None:
+            other.run = linear  # type: ignore[method-assign, assignment]
+        return as_columns(other.run(0, log.rows - 1, first_start(other, parameters)), drive.outputs)
+
+    restarted, errors = predict(sampled), []
+    for draw in range(count := draws(log, horizon)):
+        rng = np.random.default_rng([SEED, draw])
+        noise = {n: (0.0 if math.isnan(s) else s) * rng.standard_normal(log.rows) for n, s in levels.items()}
+        noisy = predict({n: values + noise[n] for n, values in sampled.items()})
+        errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})
+    totals, starts = pool_errors(errors), sorted(measured.starts)
+    found = {}
+    for name, model in sampled.items():
+        squares = []
+        for error in (e[name] for e in errors):  # the mean squared error of each window
+            rows = np.flatnonzero(np.isfinite(error))
+            window = np.searchsorted(starts, rows, side="left")
+            _, place, counts = np.unique(window, return_inverse=True, return_counts=True)
+            squares.append(np.bincount(place, error[rows] ** 2) / counts)
+        astray = 0.0
+        if horizon != FREE_RUN:
+            error = model - restarted[name]
+            values = model[np.isfinite(error)]
+            if values.size:
+                size = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values))))
+                astray = rest if (rest := rmse(error)) > size else 0.0
+        found[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
+    return found
+
+
+def _linear_run(
+    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
+) -> Callable[[int, int, Mapping[str, Any]], Array] | None:
+    """Return a run of the FMU's linearization about the free run, with respect to the start values, to save FMU runs.
+
+    Each start value needs one FMU run, instead of five runs per draw. The result is None if a run fails.
+    """
+    table = np.column_stack([free.outputs[name] for name in drive.outputs])
+    start = free.starts[0]
+    about = {p.name: float(start.get(p.name, p.value(free.outputs[name][0]))) for name, p in parameters.items()}
+    slopes = {}
+    try:
+        for name, p in parameters.items():
+            level = levels.get(name, math.nan)
+            step = level / abs(p.gain) if level > 0.0 else STEP * max(1.0, abs(about[p.name]))
+            step = step if about[p.name] + step <= p.high else -step
+            outputs = drive.run(0, drive.log.rows - 1, {**start, **about, p.name: about[p.name] + step})
+            slopes[p.name] = (outputs - table) / step
+    except SimulationError:
+        return None
+
+    def run(first: int, last: int, start: Mapping[str, Any]) -> Array:
+        changes = {name: start[name] - value for name, value in about.items() if name in start}
+        moved = table + sum(change * slopes[name] for name, change in changes.items())
+        return np.asarray(moved[: last + 1])
+
+    return run
+
+
+def _limit(squares: Array, count: int) -> float:
+    """Return the largest error of a correct model relative to the floor, at probability BY_CHANCE.
+
+    A sum of squares follows χ² with 2·mean²/variance degrees of freedom per window (Satterthwaite 1946), and the ratio
+    follows Fisher's F. `count` is the number of draws.
+    """
+    from scipy.special import fdtri
+
+    mean, spread = (float(np.mean(squares)), float(np.var(squares))) if squares.size else (0.0, 0.0)
+    if not spread > 0.0:
+        return AT_LEAST
+    freedom = max(1.0, 2.0 * mean**2 / spread) * squares.size / count
+    return max(AT_LEAST, math.sqrt(float(fdtri(freedom, freedom * count, 1.0 - BY_CHANCE))))
+
+
+# -- sentences ------------------------------------------------------------------------------------
+
+
+def horizon_name(horizon: float | None) -> str:
+    """Return the name of a horizon, such as `2 s` or `free run`."""
+    return "free run" if horizon in (None, FREE_RUN) else f"{horizon:g}\u00a0s"
+
+
+def verdict(comparison: Comparison) -> str:
+    """Return the verdict, from the first rule that applies to the channels."""
+    channels = [c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels
+    measure = channels[0].measure
+    seconds = float(comparison.log.time[-1] - comparison.log.time[0])
+    over = f"a free run of {plain(seconds)}\u00a0s" if measure == FREE_RUN else f"{measure:g}\u00a0s"
+    sizes = join_names([f"{c.name} by {size(c.scores[measure].rmse, c.unit)}" for c in channels])
+    lead = f"Over {over} the model misses {sizes} (rms)."
+    beyond = sorted((c for c in channels if not (c.is_matched or c.lost)), key=lambda c: -c.excess)
+    hidden = ""
+    if lost := [c for c in channels if c.lost]:
+        own = join_names([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
+        free = join_names([f"{c.name} by {size(c.scores[FREE_RUN].rmse, c.unit)}" for c in lost])
+        hidden = (
+            f"The windows do not measure {join_names([c.name for c in lost])}: this FMU keeps a state that no output "
+            f"shows. Restarted from its own outputs it misses {own}. Its free run misses {free}."
+        )
+    if not beyond:
+        if hidden:
+            return f"{lead} {hidden}"
+        if following := [c for c in channels if c.is_matched and not c.is_explained]:
+            return f"{lead} Noise could explain that in size, but not in kind. {_cause(comparison, following)}"
+        return f"{lead} The noise of the sensors explains that: this log shows nothing that the model lacks."
+    cause = _cause(comparison, beyond)
+    if measure == FREE_RUN:
+        worst = min(beyond, key=lambda c: c.scores[FREE_RUN].fit)
+        return f"{lead} The fit of {worst.name} is {amount(worst.scores[FREE_RUN].fit, '%', 2)}. {cause}"
+    times = join_names([f"{plain(c.excess, 2)} times for {c.name}" for c in beyond])
+    return f"{lead} That is more than the noise of the sensors explains: {times}. {cause} {hidden}".rstrip()
+
+
+def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
+    """Return the probable cause of the error: a claimed error of a sensor, a delay, or the input that it follows."""
+    if claimed := next((f.whole for f in comparison.findings if f.kind == SENSORS), ""):
+        return f"{claimed[:1].upper()}{claimed[1:]}."
+    names = {c.name for c in channels}
+    late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
+    if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
+        first = max(late, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"])
+        return f"{first.whole}."
+    pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
+    if not pairs:
+        return (
+            "No command stands out in the residual: the cause may be an effect that depends on the motion, "
+            "a disturbance or a sensor. `cosim refine` distinguishes them."
+        )
+    channel, follows = max(pairs, key=lambda pair: pair[1].strength)
+    rho = plain(float(follows.rho[follows.peak]), 2)
+    why = "" if follows.ahead else ", or the loop answers a disturbance"
+    return (
+        f"The residual of {channel.name} follows {follows.name} (correlation {rho}): "
+        f"the model's answer to that command is wrong or incomplete{why}."
+    )

@@ -1,4 +1,4 @@
-"""Drive: simulation of one FMU instance along a log with the recorded commands."""
+"""Drive: simulation of one FMU instance along a log with the recorded commands, here or in a worker process."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import copy
 import ctypes
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -13,23 +14,34 @@ from typing import Any, Self
 
 import numpy as np
 
+from cosim.blocks.compiling import with_permission
 from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock, RestartableFmu
+from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
-from cosim.core.text import did_you_mean
+from cosim.core.scratch import ScratchFolder, scratch
+from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.times import rounding, roundings
 from cosim.core.units import Conversion, conversion
 from cosim.files.artefact import FMU, LOG
 from cosim.files.kinds import check_given
+from cosim.files.yaml_file import Document, NotYaml, short
 from cosim.fmi.description import read_description, takes_any_step
 from cosim.fmi.sampled import traits_of
 from cosim.fmi.state import Memory, Own
-from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Remote, Worker
+from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows, allocate, mapped_table, read_table
+from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log, read_log
+from cosim.scenario.start_values import NOT_NUMBERS, start_value
 
 PLANT = "plant"  # component name in results and messages
+MODULES = ("cosim.residuals.drive", "fmpy.fmi2", "fmpy.logging")
 PROGRESS_EVERY = 500
+SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 COARSE = 1e3  # times the tolerance of times, for logs whose times are printed
 PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
 
@@ -93,18 +105,6 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
     return read_log(path, *signals, columns=columns, alone=alone)
 
 
-class StoppedReplay(SimulationError):
-    """Failure of the FMU, with the outputs before, shape (rows done, outputs)."""
-
-    def __init__(self, error: SimulationError, done: Array) -> None:
-        Exception.__init__(self, str(error))
-        self.component, self.time, self.done = error.component, error.time, done
-        self.reason, self.exit_code = error.reason, error.exit_code
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (SimulationError(self.component, self.time, self.reason), self.done), self.__dict__
-
-
 class Drive:
     """Replay of a log through one FMU, as a context: the FMU is loaded at the first run and freed at the end.
 
@@ -116,7 +116,7 @@ class Drive:
     Attributes:
         starts: Start values of the real inputs with one.
         frame: Signal names of a planar motion that the FMU declares.
-        left: Finished outputs of an interrupted run to the end of the log; None without interruption.
+        left: Finished outputs of a run that failed or was interrupted; None otherwise.
     """
 
     left: Array | None = None
@@ -154,7 +154,6 @@ class Drive:
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
         texts = {v.name: v.start for v in description.modelVariables}
-        self.variables = frozenset(texts)
         real = [s.name for s in self.block.inputs if s.name in self.inputs and not s.is_whole]
         self.starts = {name: float(texts[name]) for name in real if texts.get(name)}
         step = description.defaultExperiment and description.defaultExperiment.stepSize
@@ -186,12 +185,6 @@ class Drive:
         """Return a drive of the same loaded FMU that sets further values in every run."""
         other = copy.copy(self)
         other.given = {**self.given, **values}
-        return other
-
-    def on(self, log: Log) -> Drive:
-        """Return a copy of this drive for another log."""
-        other = copy.copy(self)
-        other.log = log
         return other
 
     def answer(self, method: str, given: Mapping[str, Any], *arguments: Any) -> Any:
@@ -237,9 +230,9 @@ class Drive:
             memory: State of a cosim FMU at the first row, instead of the state after initialization.
 
         Raises:
-            StoppedReplay: The FMU fails.
+            SimulationError: The FMU fails; the finished rows are in `left`.
         """
-        steps, states = self._steps(first, last), dict[int, Own]()
+        steps, states, self.left = self._steps(first, last), dict[int, Own](), None
         written = self._new_rows(len(steps.reached), len(self.outputs))
         table, done, doing = written.table, written.made, written.doing
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
@@ -281,16 +274,15 @@ class Drive:
                     whole = done[0] = whole + 1
                 if self.progress is not None and made % PROGRESS_EVERY == 0:
                     self.progress(self._driven[0] + made)
-        except SimulationError as error:
-            raise StoppedReplay(error, self._at_rows(table[:whole], steps.reached, first, last)) from None
+        except SimulationError:
+            self.left = self._at_rows(table[:whole], steps.reached, first, last)
+            raise
         self._count(steps)
         return self._at_rows(table, steps.reached, first, last), states
 
     # -- internals ----------------------------------------------------------------------------
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
-        cures = {name: did_you_mean(name, self.variables) for name in start.keys() - self.variables}
-        refuse(Fault(self.fmu, 0, 0, f'has no parameter "{name}"{cure}') for name, cure in cures.items())
         self.block.begin({**self.given, **start}, float(self.log.time[row]), stop)
         if self._commands:
             self._row[: len(self.inputs)] = self._commands[row]
@@ -371,3 +363,135 @@ def coarse_rounding(log: Log) -> float:
 def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:
     """Return the columns of an array by name."""
     return dict(zip(names, np.ascontiguousarray(table.T), strict=True))
+
+
+def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fault] | None = None) -> dict[str, Any]:
+    """Return values for texts such as `angle=12 deg`.
+
+    Args:
+        fault: Function of (name, message) that adds the place; by default the option --start.
+
+    Raises:
+        InputError: Every invalid text.
+    """
+    if not texts:
+        return {}
+    description = read_description(fmu)
+    variables = {v.name: v for v in description.modelVariables}
+    values: dict[str, Any] = {}
+    faults = []
+    for text in texts:
+        name, _, written = split_assignment(text, variables)
+        kind = getattr(variables.get(name), "type", "")
+        read: Any = written
+        with suppress(NotYaml):
+            read = Document(written).data
+        if kind in NOT_NUMBERS and not isinstance(read, str):
+            read = SWITCHES.get(written.lower(), written) if kind == "Boolean" else written
+        try:
+            if not (name and written):
+                raise ValueError("it is NAME=VALUE, as in gain=0.9")
+            values[name] = start_value(description, variables, name, read)
+        except ValueError as error:
+            message = f"{short(text)}: {error}"
+            faults.append(Fault(Path("--start"), 0, 0, message) if fault is None else fault(name, message))
+    refuse(faults)
+    return values
+
+
+# -- in a worker process -------------------------------------------------------------------------
+
+
+def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], table: Path) -> Drive:
+    """Return a drive in the worker that writes its rows into a file; its FMU is loaded at the first run."""
+    claim(fmu)
+    drive, progress = Drive(log, fmu, interpolated=interpolated), here.progress
+    here.share_log(drive.block)
+    drive._new_rows = lambda rows, columns: Rows(
+        mapped_table(table, rows, columns), made=progress.made, doing=progress.doing
+    )
+    return drive
+
+
+def _there(method: str) -> Any:
+    """Return a method that is called in the worker."""
+    return lambda self, *arguments: self._ask(method, *arguments)
+
+
+class DriveApart(Drive):
+    """Drive whose FMU runs in a worker process, and is reloaded there after a crash."""
+
+    initial, own, state = map(_there, ("initial", "own", "state"))
+
+    def __init__(
+        self,
+        worker: Worker,
+        log: Log,
+        fmu: Path,
+        progress: Callable[[int], None] | None = None,
+        *,
+        interpolated: Container[str] = (),
+        limits: Limits | None = None,
+        given: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        super().__init__(log, fmu, progress, interpolated, given)
+        self._worker, self._limits, self._full = worker, limits or Limits(), log  # base of copies with other readings
+        self._most = max(len(self._steps(0, log.rows - 1).times), log.rows) + 2  # largest number of rows of a run
+
+    def __enter__(self) -> Self:
+        self._held: ScratchFolder = scratch("cosim-replay-rows-")
+        self._file = self._held.path / "rows"
+        between = frozenset(name for name, ramps in zip(self.inputs, self._ramps, strict=True) if ramps)
+        drive = self._full, self.fmu.resolve(), between, self._file
+        self._remote = Remote(self._worker, with_permission, self.block.compiles, hosted_drive, *drive)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._remote.free("__exit__", None, None, None, watch=self._watch(()))
+        finally:
+            self._held.remove()
+
+    def run_and_keep(
+        self,
+        first: int,
+        last: int,
+        start: Mapping[str, Any],
+        rows: Container[int],
+        memory: Memory | None = None,
+    ) -> tuple[Array, dict[int, Own]]:
+        """Run the FMU as `Drive.run_and_keep`, also with the rows before an interrupt in `left`."""
+        steps = self._steps(first, last)
+        self.left = None
+        try:
+            answer: tuple[Array, dict[int, Own]]
+            answer = self._ask("run_and_keep", first, last, start, rows, memory, times=steps.reached)
+        except BaseException:
+            finished = read_table(self._file, self._worker.progress.made[0], len(self.outputs))
+            self.left = self._at_rows(finished, steps.reached, first, last)
+            raise
+        self._count(steps)
+        return answer
+
+    def _ask(self, method: str, *arguments: Any, times: Any = ()) -> Any:
+        """Call a method in the worker; `times` are the times of the rows that the call computes."""
+        if not self._remote.is_made:
+            self._worker.start()
+            self._worker.take_along(self._file.parent)
+            allocate(self._file, 8 * self._most * len(self.outputs))
+            self._remote.make(self._watch(()))
+        return self._remote.call("answer", method, self.given, *arguments, watch=self._watch(times))
+
+    def _watch(self, times: Any) -> Watch:
+        begin = float(self.log.time[0])
+        driven, progress = self._driven[0], self.progress
+        return Watch(
+            [PLANT],
+            [fmi_calls(self.description)],
+            lambda made, call: times[min(max(0, made - 1), len(times) - 1)] if times else begin,
+            self._limits,
+            8 * len(self.outputs),
+            self._worker.spent,
+            None if progress is None else lambda made: progress(driven + made),
+        )

@@ -38,9 +38,7 @@ def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
     if files[1] is None:
         return None
     record = replay_record(folder)
-    units = record.get("units")
-    texts = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
     places = [file or folder / "results.csv" for file in files]
-    rows, missed = (read_results(file, texts) for file in places)
+    rows, missed = (read_results(file, record.get("units")) for file in places)
     place = folder if kept else None
-    return Replay("replay", rows, place, Signals("residual", missed, place), str(record.get("sentence", "")))
+    return Replay("replay", rows, place, Signals("residual", missed, place), record.get("sentence", ""))

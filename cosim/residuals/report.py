@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Rows
 from cosim.core.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
 from cosim.core.version import __version__
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, held_panels
-from cosim.residuals.compare import ChannelSummary, Comparison
-from cosim.residuals.replay_sentences import horizon_name, verdict
+from cosim.residuals.compare import ChannelSummary, Comparison, horizon_name, verdict
 from cosim.residuals.residual_statistics import FREE_RUN, Whiteness
 from cosim.residuals.windows import SKIPPED, horizons
 
@@ -128,18 +126,6 @@ def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
     return panels
 
 
-def every_lag(count: int, most: int) -> Rows:
-    """Return about `most` of `count` lags [rows]."""
-    return np.arange(1, count + 1)[:: max(1, (count + 1) // most)]
-
-
-def lag_drawing(charts: Charts, rows: Rows, step: float) -> Drawing:
-    """Return panels over the lag [s], with half a lag free at both ends."""
-    half = 0.5 * (rows[1] - rows[0] if rows.size > 1 else 1)
-    ends = float(step * (rows[0] - half)), float(step * (rows[-1] + half))
-    return charts.over(step * rows.astype(np.float64), Abscissa(("lag", "s"), ends))
-
-
 def neighbours(test: Whiteness) -> str:
     """Return the autocorrelation of neighbouring rows as text."""
     return plain(float(test.rho[1]), 2) if test.rho.size > 1 else MISSING
@@ -152,9 +138,11 @@ def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
         size = c.whiteness.rho.size
         if size < 2:
             continue
-        rows = every_lag(size - 1, STEMS)
-        if size not in drawings:
-            drawings[size] = lag_drawing(charts, rows, comparison.log.step)
+        apart, step = max(1, size // STEMS), comparison.log.step
+        rows = np.arange(1, size, apart)
+        if size not in drawings:  # half a lag is free at both ends
+            ends = float(step * (rows[0] - 0.5 * apart)), float(step * (rows[-1] + 0.5 * apart))
+            drawings[size] = charts.over(step * rows.astype(np.float64), Abscissa(("lag", "s"), ends))
         width = np.full(rows.size, c.whiteness.band)
         stem = Trace("residual", c.whiteness.rho[rows], "error", stems=True)
         band = Band("95 % band if white", -width, width)

@@ -156,3 +156,8 @@ def pool_errors(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
         for name, error in log.items():
             channels.setdefault(name, []).append(error)
     return {name: rmse(*parts) for name, parts in channels.items()}
+
+
+def finite(value: float) -> float | None:
+    """Return a number, None for infinity and NaN."""
+    return float(value) if math.isfinite(value) else None

@@ -2,36 +2,49 @@
 
 A long free run is no useful measure for a model with integrating states. A window starts at row k, at time t_k, from a
 state estimated from past data, and lasts one horizon.
+
+The start state is estimated for any FMU with start parameters. The FMU provides fast motion, the measurements the slow
+part: over the last PAST seconds the difference measured − carrier is fitted by a parabola in time, whose end corrects
+the carrier's state. The carrier is the previous window, because even a correct model drifts over a whole log. Angle and
+rate share one parabola, weighted by their noise. Unmeasured states come from the carrier, including states without an
+output if the FMU is a cosim FMU with readable state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, Rows
+from cosim.core.errors import SimulationError
+from cosim.core.linear_algebra import least_squares
 from cosim.fmi.state import MEMORY, STATE, Memory, Own
+from cosim.logs.channel_noise import least_noise_level, noise_level
 from cosim.logs.log import Log, stretches
+from cosim.model.namespaces import SCALAR
+from cosim.model.planar import local_vector, world_velocity
+from cosim.model.traits import rate_of
 from cosim.residuals.drive import Drive, as_columns, coarse_rounding, rows_of
 from cosim.residuals.residual_statistics import FREE_RUN
-from cosim.residuals.starts import (
-    FIRST,
-    PAST,
-    StartParameter,
-    first_start,
-    noise_levels,
-    readable,
-    start_parameters,
-    window_start,
-)
 
 SKIPPED = 2.0  # [s] at the start of a log, in which a filter settles
 HORIZONS = (0.5, 2.0)  # [s], the second one is decisive
+PAST = 0.5  # [s] before a window
+FIRST = 1.0  # [s] after the start of the log, without a past
+REACHES = (1.0, 0.5, 0.25, 0.12)  # shares of that time; the longest valid one is used
+FITS = 2.5  # multiple of the noise variance; exceeded by noise once in 10⁴ for half a second at 50 Hz
+FEWEST = 6  # samples of a parabola
+LEAST = 4  # samples of a channel; slow sensors use a longer time
+PASSES = 4  # passes over the first second
+OLDEST = 2.0  # [s] oldest useful sample, even of a slow sensor
+REALS = {"Real", "Float64"}
+Error = tuple[Array, float, bool]  # measured − carrier, its noise, True for the rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +58,9 @@ class Replay:
         states: Possible first row of a chain of windows → state of a cosim FMU.
     """
 
-    time: Array
     horizon: float
     starts: Mapping[int, Mapping[str, Any]]
     outputs: Mapping[str, Array]
-    units: Mapping[str, str]
     states: Mapping[int, Own] = field(default_factory=dict)
 
     def errors(self, log: Log) -> dict[str, Array]:
@@ -57,13 +68,12 @@ class Replay:
         return {name: values - self.outputs[name] for name, values in log.outputs.items()}
 
 
-def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
-    """Return the whole log as one run, with start values of its parameters or those of the first measurements."""
-    log, parameters = drive.log, start_parameters(drive)
-    chosen = first_start(drive, parameters) if start is None else start
+def free_run(drive: Drive, parameters: Mapping[str, StartParameter]) -> Replay:
+    """Return the whole log as one run, from the start values of its first measurements."""
+    log, chosen = drive.log, first_start(drive, parameters)
     rows = {chain[0] for span in horizons(log) for chain, _ in chains(log, span)} if readable(parameters) else set()
     table, states = drive.run_and_keep(0, log.rows - 1, chosen, rows)
-    return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units, states)
+    return Replay(FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), states)
 
 
 def windows(
@@ -81,15 +91,11 @@ def windows(
         memories: First row → state of a cosim FMU, for states that `starts` does not set.
     """
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
-    done = -1
     for first in sorted(starts):
         last = rows_of(drive.log, first, horizon)
-        if first < done:
-            raise ValueError(f"the window at row {first} begins before the one before it ends, at row {done}")
         if last > first:
             table[first + 1 : last + 1] = drive.run(first, last, starts[first], memories.get(first))[1:]
-        done = last
-    return Replay(drive.log.time, horizon, dict(starts), as_columns(table, drive.outputs), drive.units)
+    return Replay(horizon, dict(starts), as_columns(table, drive.outputs))
 
 
 def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
@@ -122,7 +128,7 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
             times = log.time[np.isfinite(log.outputs[name])]
             earliest = times[0] + SKIPPED * log.slowness - coarse_rounding(log) if times.size else np.inf
             table[: min((k for k in starts if log.time[k] >= earliest), default=log.rows) + 1, j] = np.nan
-    return Replay(log.time, horizon, starts, as_columns(table, drive.outputs), drive.units)
+    return Replay(horizon, starts, as_columns(table, drive.outputs))
 
 
 def horizons(log: Log) -> tuple[float, ...]:
@@ -157,3 +163,204 @@ def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]
             rows.append(k)
         k = max(last, k + 1)
     return rows
+
+
+# -- starts ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class StartParameter:
+    """A start parameter shown by an output: output = gain·parameter after initialization.
+
+    Attributes:
+        tried: The two parameter values of the test.
+        places: Indices in the state of a cosim FMU; empty if the state cannot be read.
+    """
+
+    name: str
+    gain: float
+    low: float
+    high: float
+    tried: tuple[float, float]
+    places: tuple[int, ...] = ()
+
+    def value(self, output: float) -> float:
+        """Return the start parameter that gives an output value, within its limits."""
+        return min(max(output / self.gain, self.low), self.high)
+
+
+def start_parameters(drive: Drive) -> dict[str, StartParameter]:
+    """Return output → start parameter, determined by trial initializations.
+
+    `angle` and `angle_actual` may be set by `angle_start`, or `angle` by its own start value, which must be exact.
+    Parameters without proportional output are ignored.
+    """
+    variables = {}
+    for v in drive.description.modelVariables:
+        is_state = v.causality == "output" and getattr(v, "initial", None) == "exact" and v.start is not None
+        if v.type in REALS and not getattr(v, "shape", None) and (v.causality == "parameter" or is_state):
+            variables[v.name] = v
+    parameters: dict[str, StartParameter] = {}
+    for output in drive.outputs:
+        names = (f"{output}_start", f"{output.removesuffix('_actual')}_start", output)
+        variable = next((variables[n] for n in names if n in variables), None)
+        if variable is None:
+            continue
+        default = float(variable.start or 0.0)
+        low = -math.inf if variable.min is None else float(variable.min)
+        high = math.inf if variable.max is None else float(variable.max)
+        width = 0.1 * max(1.0, abs(default))
+        tries = [v for v in (default + share * width for share in (1, 2, -1, -2)) if low <= v <= high][:2]
+        if len(tries) < 2:
+            continue
+        try:
+            one, two = (drive.initial({variable.name: v}, 0)[output] for v in tries)
+        except SimulationError:
+            continue
+        gain = (two - one) / (tries[1] - tries[0])
+        if abs(one - gain * tries[0]) <= 1e-6 * max(abs(one), abs(two)) and not abs(gain) <= 1e-9:
+            parameters[output] = StartParameter(variable.name, gain, low, high, (tries[0], tries[1]))
+    if not parameters or not drive.has_readable_state:
+        return parameters
+    tried = {p.name: p.tried[0] for p in parameters.values()}
+    try:
+        before = drive.own(tried)[STATE]
+        after = {output: drive.own(tried | {p.name: p.tried[1]})[STATE] for output, p in parameters.items()}
+    except (SimulationError, ValueError, KeyError, TypeError):
+        return parameters
+    # the indices of the state that each parameter moves
+    places = {n: tuple(k for k, a in enumerate(s) if a != before[k]) for n, s in after.items()}
+    if not all(places.values()):
+        return parameters
+    return {n: replace(p, places=places[n]) for n, p in parameters.items()}
+
+
+def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
+    """Return the start of the free run, the best fit to the first second.
+
+    Unmeasured states keep the FMU's start values.
+    """
+    log = drive.log
+    fixed = {p.name: drive.given[p.name] for p in parameters.values() if p.name in drive.given}
+    first = {n: float(v[np.isfinite(v)][0]) for n, v in log.outputs.items() if n in parameters}
+    start = {parameters[n].name: parameters[n].value(value) for n, value in first.items()} | fixed
+    sigma = noise_levels(log)
+    last = max(rows_of(log, 0, FIRST * log.slowness), min(FEWEST, log.rows - 1))
+    for _ in range(PASSES if first else 0):
+        carrier = as_columns(drive.run(0, last, start), drive.outputs)
+        state = {name: float(carrier[name][0]) for name in parameters}
+        corrected = _corrections(drive, carrier, sigma, state, 0, np.arange(last + 1))
+        start = start | {parameters[n].name: parameters[n].value(value) for n, value in corrected.items()} | fixed
+    return start
+
+
+def window_start(
+    drive: Drive,
+    parameters: Mapping[str, StartParameter],
+    sigma: Mapping[str, float],
+    carrier: Mapping[str, Array],
+    since: int,
+    k: int,
+) -> dict[str, float]:
+    """Return the start values of a window at row k, from the carrier run and from past measurements.
+
+    If the state of the FMU can be read, the result has only corrected states; the state of the carrier provides the
+    others.
+
+    Args:
+        carrier: Outputs of the previous window or free run, valid from row `since`.
+        sigma: Channel → noise level.
+    """
+    log = drive.log
+    state = {name: float(carrier[name][k]) for name in parameters}
+    oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * log.slowness))
+    corrected = _corrections(drive, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1))
+    state = corrected if readable(parameters) else state | corrected
+    return {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
+
+
+def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:
+    """Return channel → noise level, more accurate with outputs of the model."""
+    return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
+
+
+def readable(parameters: Mapping[str, StartParameter]) -> bool:
+    """Return True if some start parameter has known indices (`places`) in the FMU's state."""
+    return any(p.places for p in parameters.values())
+
+
+def _corrections(
+    drive: Drive,
+    carrier: Mapping[str, Array],
+    sigma: Mapping[str, float],
+    state: Mapping[str, float],
+    at: int,
+    rows: Rows,
+) -> dict[str, float]:
+    """Return output → value at row `at`, corrected by the measurements in `rows`, for corrected outputs only."""
+    log, changes, slopes = drive.log, dict[str, float](), dict[str, float]()
+    rates = {rate_of(name, log.outputs) for name in log.outputs}
+    for name in log.outputs:
+        if name not in carrier or name in rates:
+            continue  # a rate is corrected together with its integral
+        rate = rate_of(name, carrier)
+        channels = [name, rate] if rate is not None and rate in log.outputs else [name]
+        errors = [(log.outputs[c][rows] - carrier[c][rows], sigma[c], c == rate) for c in channels]
+        value, slope = _parabola(log, errors, at, rows)
+        if value is not None:
+            changes[name] = value
+        if slope is not None:
+            slopes[name] = slope
+            if rate is not None:
+                changes[rate] = slope
+    corrected = {name: state[name] + change for name, change in changes.items() if name in state}
+    frame = drive.frame
+    if frame is None or frame.forward in log.outputs:
+        return corrected
+    if not ({frame.x, frame.y} <= slopes.keys() and frame.local <= state.keys()):
+        return corrected
+    # The position is measured and the velocity is not: the local velocity at the corrected heading.
+    x, y = world_velocity(SCALAR, state[frame.heading], state[frame.forward], state[frame.right])
+    heading = corrected.get(frame.heading, state[frame.heading])
+    forward, right = local_vector(SCALAR, heading, x + slopes[frame.x], y + slopes[frame.y])
+    return corrected | {frame.forward: forward, frame.right: right}
+
+
+def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[float | None, float | None]:
+    """Return value and slope at row `at` of the parabola through measured − carrier.
+
+    The longest stretch that fits within the noise counts, so a poor model is extrapolated less.
+    """
+    ahead = bool(rows.size and rows[-1] > at)
+    estimate: tuple[float | None, float | None] = None, None
+    for share in REACHES:
+        reach = share * log.slowness * (FIRST if ahead else PAST)
+        designs, sides = [], []
+        for error, sigma, derived in errors:
+            good = np.isfinite(error)
+            tau = log.time[rows[good]] - log.time[at]
+            near = np.flatnonzero(np.abs(tau) <= reach + 1e-9)
+            if near.size < LEAST:  # of a slow sensor, the nearest few readings
+                nearest = np.argsort(np.abs(tau), kind="stable")[:LEAST]
+                near = np.sort(nearest[np.abs(tau[nearest]) <= OLDEST * log.slowness])
+            tau, one, zero = tau[near], np.ones(near.size), np.zeros(near.size)
+            designs.append(np.column_stack((zero, one, tau) if derived else (one, tau, 0.5 * tau**2)) / sigma)
+            sides.append(error[good][near] / sigma)
+        side = np.concatenate(sides)
+        order = 3 if side.size >= FEWEST else 2 if side.size >= 3 else 1
+        if side.size < order:
+            break
+        design = np.vstack(designs)[:, :order]
+        value, *rest = least_squares(design, side)
+        estimate = float(value), float(rest[0]) if rest else None
+        residual = side - design @ (value, *rest)
+        if float(residual @ residual) <= FITS * max(1, side.size - order):
+            break
+    return estimate
+
+
+def sigma_of(values: Array, model: Array | None = None) -> float:
+    """Return the noise level of a channel, more accurate with the output of the model."""
+    level = noise_level(values) if model is None else least_noise_level(values, model)
+    floor = 1e-6 * float(np.nanmax(np.abs(values)))
+    return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)

@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from cosim.blocks.compiling import compiling
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.drafts import is_full
-from cosim.core.errors import DiskFull, Terminated, stop_error
+from cosim.core.errors import DiskFull, SimulationError, Terminated, stop_error
 from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
+from cosim.core.settings import Given, column_names, texts
 from cosim.core.text import as_yaml, join_names
 from cosim.files.files import (
     FilePath,
@@ -27,28 +30,32 @@ from cosim.files.files import (
     write_json,
     write_text,
 )
-from cosim.files.folders import REPLAY, SCHEMA_VERSION, content_of, describe_run, remove_earlier
+from cosim.files.folders import (
+    REPLAY,
+    SCHEMA_VERSION,
+    content_of,
+    describe_run,
+    name_of_file,
+    remove_earlier,
+    results_in,
+)
 from cosim.files.results import Results, rows_name
 from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import ANSWER, folder_of
 from cosim.fmi.fmu_build import build as build_fmu
-from cosim.fmi.sampled import AUTHOR
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
-from cosim.logs.finding import SENSORS, Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
-from cosim.logs.log import Log, read_column_names
+from cosim.logs.log import SENSORS, Finding, Log, read_column_names
 from cosim.logs.spikes import find_spikes
-from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.report.template import render
-from cosim.residuals.compare import Comparison, compare, steps_of
-from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
-from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.residuals.replay_sentences import verdict
-from cosim.residuals.replay_settings import start_values
+from cosim.residuals.compare import Comparison, compare, steps_of, verdict
+from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, log_of_fmu, start_values
+from cosim.residuals.replay_signals import Replay, read_replay
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN
-from cosim.residuals.windows import Replay, free_run
+from cosim.residuals.windows import Replay as Replayed
+from cosim.residuals.windows import StartParameter, free_run, start_parameters
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 NEXT_STUDY = "study.yaml"
@@ -60,61 +67,75 @@ HEAD = """\
 """
 
 
-@one_stop()
 def replay(
     log: FilePath,
-    folder: FilePath,
+    out: FilePath | None = None,
     fmu: FilePath | None = None,
     *,
-    start: Sequence[str] = (),
-    columns: Sequence[str] = (),
+    start: Given | None = None,
+    columns: Given | None = None,
     report: bool = True,
+    force: bool = False,
     in_process: bool = False,
+    compile: bool = False,
     limits: str = "",
-    format_: str = "csv",
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
-) -> Comparison:
-    """Replay a log file through an FMU, by default through the base model's FMU.
-
-    Writes results.csv, residual.csv, replay.json and report.html to `folder`, and study.yaml if a named FMU lacks
-    something.
+) -> Replay:
+    """Simulate an FMU with the recorded inputs of a log, and compare the outputs.
 
     Args:
-        start: Start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`.
-        columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
-        in_process: Load the FMU into this process, for a debugger.
-        limits: Limits of the FMU, such as `step: 10 s, memory: 2 GB`; default: none.
+        log: Measured log.
+        out: Folder for results.csv, residual.csv, replay.json and report.html; None writes nothing.
+        fmu: FMU to simulate; None takes the plant of the base model.
+        start: Start value or parameter of the FMU → value.
+        columns: Column of the log → variable, or "time".
+        report: Write report.html.
+        force: Write even if the folder is not empty; results in it are replaced.
+        in_process: Load the FMU into this process, for a debugger; limits do not apply.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
+        progress (in Python): Function of (completed steps, all steps).
+
+    Returns:
+        Signals of FMU and log, and the residual of each horizon.
 
     Raises:
-        InputError: The log or an argument has faults.
-        FmuError: The FMU cannot be used.
-        SimulationError: The FMU fails.
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
-    most = read_limits(limits)
-    rows_name("results", format_)  # An unavailable format must fail before the replay.
-    check_files(Path(log), None if fmu is None else Path(fmu))
-    place = named_path(folder)
+    path, values = Path(log), texts(start)
     with ExitStack() as stack:
+        stack.enter_context(compiling(compile))
+        folder = stack.enter_context(results_in(out, "cosim replay", name_of_file(path), force=force))
+        stack.enter_context(one_stop())
+        most = read_limits(limits)
+        rows_name("results", format)  # An unavailable format must fail before the replay.
+        place = named_path(folder)
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # The worker starts while files are read.
         scratch = stack.enter_context(temporary_folder("replay"))
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
-        names = read_column_names(columns, Path(log))
-        read = log_of_fmu(Path(log), driven, names)
-        return write_replay(
+        names = read_column_names(column_names(columns), path)
+        comparison = write_replay(
             place,
-            read,
+            log_of_fmu(path, driven, names),
             driven,
-            given=start_values(driven, start),
-            report=report,
+            given=start_values(driven, values),
+            report=report and out is not None,
             passing=fmu is None,
-            proposed="" if fmu is None else _next_study(place, driven, Path(log), names, start),
+            proposed="" if fmu is None else _next_study(place, driven, path, names, values),
             worker=worker,
             limits=most,
-            format_=format_,
+            format_=format,
             progress=progress,
         )
+        result = read_replay(folder, kept=out is not None)
+    assert result is not None  # else an error was raised
+    return replace(result, comparison=comparison)
 
 
 @far_beyond
@@ -143,7 +164,7 @@ def write_replay(
     Raises:
         InputError: The log has faults, gate included.
         FmuError: The FMU cannot be used.
-        StoppedReplay: The FMU fails; finished rows are written before.
+        SimulationError: The FMU fails; finished rows are written before.
     """
     total = steps_of(log)
     rows_file, residual_file = folder / rows_name("results", format_), folder / rows_name("residual", format_)
@@ -155,21 +176,13 @@ def write_replay(
         effects = content_of(beside / ANSWER).get("effects") if beside else None
         entries = effects if isinstance(effects, list) else []
         claimed = [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
-        traits = drive.traits
-        findings = gate(log, drive.rate, traits=traits, spikes={})
-        if traits is None and drive.description.author == AUTHOR:
-            message = (
-                f"{fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
-                "the log is checked less and windows start worse; build it again"
-            )
-            findings.append(Finding("warning", "older", "", message))
+        findings = gate(log, drive.rate, drive.traits, {}, drive.starts)
         if claimed:
             message = (
                 f"the readings have {join_names(claimed)}, which the refine beside {fmu.name} claims and an FMU "
                 "does not hold; correct the readings, or see error.after in its refine.json"
             )
             findings.append(Finding("warning", SENSORS, "", message))
-        findings += input_unit_findings(log, drive.starts, traits.bounds if traits else {})
         refuse_faults(log, findings)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
@@ -177,11 +190,12 @@ def write_replay(
         sources: dict[str, Any] = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
         sources |= {"start": dict(given)} if given else {}
         describe_run(folder, sources)
-        free = _free_run(drive, rows_file)
+        parameters = start_parameters(drive)
+        free = _free_run(drive, parameters, rows_file)
         try:
             release_stops()
             findings += outliers(log, find_spikes(log, lambda _: free.outputs))
-            comparison = compare(drive, free, findings)
+            comparison = compare(drive, parameters, free, findings)
             errors = residuals(comparison)
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
@@ -191,12 +205,6 @@ def write_replay(
                 write_text(folder / NEXT_STUDY, proposed)
             if report:
                 write_text(folder / "report.html", render(TEMPLATE, context(comparison, passing=passing)))
-        except OSError as error:
-            if not is_full(error):
-                raise
-            missing = "no report" if residual_file.exists() else f"no {residual_file.name} and no report"
-            reason = f"the disk is full: all {log.rows} rows are in {rows_file.name}, there is {missing}"
-            raise DiskFull("the replay", float(log.time[-1]), reason) from None
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stop_error(stop, float(log.time[-1]), "the comparison")
             ended.left = folder
@@ -204,21 +212,18 @@ def write_replay(
     return comparison
 
 
-def _free_run(drive: Drive, file: Path) -> Replay:
+def _free_run(drive: Drive, parameters: Mapping[str, StartParameter], file: Path) -> Replayed:
     """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
     try:
-        free = free_run(drive)
+        free = free_run(drive, parameters)
         hold_stops()  # From here, rows exist that must not be lost.
-    except StoppedReplay as failed:
-        _write_rows(results(drive, as_columns(failed.done, drive.outputs)), file)
-        failed.left = file.parent
-        raise
-    except (KeyboardInterrupt, Terminated) as stop:
+    except (SimulationError, KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
             raise
         rows = results(drive, as_columns(drive.left, drive.outputs))
         _write_rows(rows, file)
-        error = stop_error(stop, rows.time[-1] if rows.time.size else drive.log.time[0], "the replay")
+        time = rows.time[-1] if rows.time.size else drive.log.time[0]
+        error = stop if isinstance(stop, SimulationError) else stop_error(stop, time, "the replay")
         error.left = file.parent
         raise error from None
     _write_rows(results(drive, free.outputs), file)

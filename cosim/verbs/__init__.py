@@ -14,16 +14,16 @@ from cosim.core.registry import ExtensionWarning, Verb, added_verbs, names
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
+    from cosim.calibration.workflow import fit as fit
     from cosim.experiment.excite import excite as excite
     from cosim.fmi.building.build import build as build
     from cosim.linearization.workflow import linearize as linearize
+    from cosim.residuals.workflow import replay as replay
     from cosim.sweeps.workflow import sweep as sweep
     from cosim.verbs.check_verb import check as check
     from cosim.verbs.compare_verb import compare as compare
-    from cosim.verbs.fit_verb import fit as fit
     from cosim.verbs.read_verb import read as read
     from cosim.verbs.refine_verb import refine as refine
-    from cosim.verbs.replay_verb import replay as replay
     from cosim.verbs.run_verb import run as run
     from cosim.verbs.simulate_verb import simulate as simulate
 
@@ -47,8 +47,8 @@ GROUPS = {  # groups and verbs in the order of `cosim -h`: name → place of the
         "linearize": "cosim.linearization.workflow:linearize",
     },
     "Measured data": {
-        "replay": "cosim.verbs.replay_verb:replay",
-        "fit": "cosim.verbs.fit_verb:fit",
+        "replay": "cosim.residuals.workflow:replay",
+        "fit": "cosim.calibration.workflow:fit",
         "refine": "cosim.verbs.refine_verb:refine",
         "excite": "cosim.experiment.excite:excite",
     },

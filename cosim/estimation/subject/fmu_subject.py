@@ -34,9 +34,8 @@ from cosim.logs.log import Log
 from cosim.model.quantities import parameters_of
 from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
-from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.residuals.starts import start_parameters
-from cosim.residuals.windows import Replay
+from cosim.residuals.drive import MODULES, DriveApart
+from cosim.residuals.windows import Replay, start_parameters
 from cosim.terms.alike import experiments_for
 from cosim.terms.code import term_code
 from cosim.terms.fmu_model import FmuModel, fmu_model
@@ -253,13 +252,13 @@ class LibraryReplayer(Replayer):
         self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
-        units = {q.name: q.unit for q in self.subject.outputs}
+        names = [q.name for q in self.subject.outputs]
         layout, grid = self.kernel.layout, np.asarray(log.grid, np.intp)
         clean = {n: float(p.default) for n, p in self.subject.sensor_parameters.items()}
         given = {**self.subject.values, **values, **clean}
         p = np.array([given.get(n, 1.0) for n in layout.parameters])
         for horizon, begins in starts.items():
-            table = np.full((log.rows, len(units)), np.nan)
+            table = np.full((log.rows, len(names)), np.nan)
             # a library in co-simulation begins at the start of a log only
             rows = [] if self.subject.is_stepped and math.isfinite(horizon) else sorted(begins)
             ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
@@ -271,4 +270,4 @@ class LibraryReplayer(Replayer):
             for k, last, run in zip(rows, ends, simulate_all(self.kernel, runs), strict=False):
                 table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
-            yield Replay(log.time, horizon, begun, dict(zip(units, table.T, strict=True)), units)
+            yield Replay(horizon, begun, dict(zip(names, table.T, strict=True)))

@@ -26,7 +26,7 @@ from cosim.isolation.process import Worker
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.model.traits import Traits
-from cosim.residuals.remote_drive import MODULES
+from cosim.residuals.drive import MODULES
 from cosim.residuals.windows import Replay
 
 Predict = Callable[[Mapping[str, Rows]], Mapping[str, Array]]  # one-step predictions of outputs without some readings

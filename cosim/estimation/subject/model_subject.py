@@ -27,8 +27,7 @@ from cosim.model.model import Effect, Model, overrides
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
-from cosim.residuals.drive import Drive
-from cosim.residuals.remote_drive import DriveApart
+from cosim.residuals.drive import Drive, DriveApart
 from cosim.residuals.windows import Replay, windows
 
 FILES = {"refined": REFINED, "nearest": NEAREST}

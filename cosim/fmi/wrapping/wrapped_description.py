@@ -30,6 +30,23 @@ def xml_of(root: Any) -> bytes:
     return text + b"\n"
 
 
+def parsed(text: bytes) -> Any:
+    """Return the root element of a model description, with its comments and annotations."""
+    from lxml import etree
+
+    return etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
+
+
+def set_starts(root: Any, values: Mapping[str, float], file: str) -> None:
+    """Set start values of variables that have one; raise CannotWrap for another."""
+    nodes = {node.get("name"): node for node in root.find("ModelVariables")}
+    for name, value in values.items():
+        node = nodes[name] if root.get("fmiVersion").startswith("3") else nodes[name].find("Real")
+        if node.get("start") is None:
+            raise CannotWrap(f"{name} of {file} has no start value; only variables with one take another")
+        node.set("start", repr(float(value)))
+
+
 def describe_wrapped(
     text: bytes, file: str, kept: Iterable[str], terms: TermCode, values: Mapping[str, float], first: int
 ) -> tuple[Any, list[str]]:
@@ -43,7 +60,7 @@ def describe_wrapped(
     """
     from lxml import etree
 
-    root: Any = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
+    root = parsed(text)
     fmi, parameters = int(root.get("fmiVersion")[0]), terms.parameters
     withdrawn: list[str] = []
     for interface in [node for node in root if node.tag in INTERFACES]:
@@ -80,13 +97,8 @@ def describe_wrapped(
             if dependencies is not None and (is_rate or changed & set(dependencies.split())):
                 for name in ("dependencies", "dependenciesKind"):
                     unknown.attrib.pop(name, None)
-    nodes, ours = {node.get("name"): node for node in variables}, {p.name for p in parameters}
-    for name, value in values.items():
-        if name not in ours:
-            node = nodes[name] if fmi == 3 else nodes[name].find("Real")
-            if node.get("start") is None:
-                raise CannotWrap(f"{name} of {file} has no start value; only variables with one take another")
-            node.set("start", repr(float(value)))
+    ours = {p.name for p in parameters}
+    set_starts(root, {name: value for name, value in values.items() if name not in ours}, file)
     units, group = {p.unit for p in parameters if p.unit}, root.find("UnitDefinitions")
     if group is None and units:
         group = etree.Element("UnitDefinitions")

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Rows
+from cosim.core.errors import SimulationError
 from cosim.core.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.free_runs import with_likely_starts
@@ -32,7 +33,6 @@ from cosim.estimation.subject.interface import Replayer, Start, Subject
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.refinement.search.fits import Hypothesis
-from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
 from cosim.residuals.windows import Replay, window_rows
 
@@ -124,7 +124,7 @@ def replay_logs(
         for horizon in played:
             try:
                 replay = next(results)
-            except StoppedReplay:
+            except SimulationError:
                 if horizon == judged:
                     raise
                 break  # A stopped FMU must not be called again.
@@ -395,9 +395,9 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
         with np.errstate(over="ignore"):  # A diverging model overflows.
             a, b = ((x.outputs[name] - replay.outputs[name]) ** 2 for x, replay in ((log, first), (corrected, second)))
         both = np.isfinite(a) & np.isfinite(b)
-        edges = [*(k + 1 for k in sorted(first.starts)), first.time.size]  # a start row belongs to the previous replay
+        edges = [*(k + 1 for k in sorted(first.starts)), log.rows]  # a start row belongs to the previous replay
         if math.isinf(first.horizon):
-            edges = [round(k * first.time.size / PARTS) for k in range(PARTS + 1)]
+            edges = [round(k * log.rows / PARTS) for k in range(PARTS + 1)]
         parts = [slice(x, y) for x, y in pairwise(edges)]
         sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
         ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]

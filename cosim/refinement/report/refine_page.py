@@ -39,7 +39,7 @@ from cosim.refinement.search.fits import Hypothesis
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
-from cosim.residuals.replay_sentences import horizon_name
+from cosim.residuals.compare import horizon_name
 from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 from cosim.residuals.windows import SKIPPED
 
