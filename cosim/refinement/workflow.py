@@ -181,7 +181,10 @@ def refine(
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():
             remove_earlier(folder, read=study.files)
-            for path in (*files, scratch / ANSWER):
+            results = [*files, scratch / ANSWER]
+            for name in {*REFINED, *NEAREST, "report.html"} - {path.name for path in results}:
+                (folder / name).unlink(missing_ok=True)  # of an earlier study, be its answer there or not
+            for path in results:
                 path.replace(folder / path.name)
         release_stops()
     searched, horizon = result.search.problem, subject.horizon

@@ -106,12 +106,11 @@ def replay(
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The simulation failed; the rows so far are in `out`.
     """
-    path, values = Path(log), texts(start)
+    path, values, most = Path(log), texts(start), read_limits(limits)
     with ExitStack() as stack:
         stack.enter_context(compiling(compile))
         folder = stack.enter_context(results_in(out, "cosim replay", name_of_file(path), force=force))
         stack.enter_context(one_stop())
-        most = read_limits(limits)
         rows_name("results", format)  # An unavailable format must fail before the replay.
         place = named_path(folder)
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
