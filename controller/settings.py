@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from cosim.model import SCALAR, parameter, parameters_of
+from cosim.model import SCALAR, parameter, parameters_of, parametric
 from cosim.model.model import Parametric
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.powertrain import ground_effect
@@ -49,7 +48,7 @@ def variances_of(p: Any, kind: str, names: Sequence[str]) -> tuple[float, ...]:
     return tuple(getattr(p, f"{kind}_variance_{name}", 0.0) for name in names)
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Noise(Parametric):
     """Noise that every filter assumes, by step or reading, and its sample time."""
 
@@ -67,7 +66,7 @@ class Noise(Parametric):
     sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Settings(Noise):
     """Parameters of the controller FMU; the estimator is one of `estimators`."""
 
@@ -151,7 +150,7 @@ def mirrored(row: Sequence[float]) -> dict[str, Any]:
 PLACED_SETTINGS = Settings(**mirrored(PLACED))
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class IntegralSettings(Settings):
     """Parameters of the LQR with integrals of measured x and ψ as states six and seven."""
 
@@ -192,7 +191,7 @@ def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class FullSettings(Settings):
     """Parameters with roll and motors, for the fourteen states linearized at hover."""
 
@@ -214,7 +213,7 @@ class FullSettings(Settings):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class PredictionSettings(Settings):
     """Parameters of predictive laws: weights, limits, horizon. The gains `k_i_j` are unused."""
 
@@ -242,7 +241,7 @@ class PredictionSettings(Settings):
         return [*super().invalid_values(), *(said for _, said in conflicts(self))]
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class PredictiveSettings(PredictionSettings, FullSettings):
     """Parameters of the predictive law linearized once."""
 
@@ -253,7 +252,7 @@ AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
 PLANT_STATES = tuple(q.name for q in Hovercraft.base_states)
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class ExtendedSettings(Noise):
     """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
 
@@ -289,7 +288,7 @@ def equation_noise(default: float, unit: str, of: str) -> Any:
     return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     """Parameters of the craft's equations besides the design model, and noise of the extended filter.
 
@@ -326,34 +325,23 @@ OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in
 
 
 def craft_of(p: Any) -> Hovercraft:
-    """Return the craft with these parameters.
+    """Return the craft with these parameters; its thrust line, eq 4.20, is so that Γ·T_OGE(δ_N) = T_N.
 
     Raises:
         ValueError: The parameters are invalid for a craft.
     """
     values = {name: getattr(p, name) for name in OF_CRAFT}
-    return Hovercraft(**values, thrust_offset=_thrust_offset(p)).with_values({"yaw_damping.coefficient": p.yaw_damping})
+    gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
+    offset = float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)
+    return Hovercraft(**values, thrust_offset=offset).with_values({"yaw_damping.coefficient": p.yaw_damping})
 
 
 def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
     """Return names and reasons of parameters invalid for a craft."""
-    low, high = CRAFT["thrust_offset"].bounds
-    if not low <= _thrust_offset(p) <= high:
-        names = "thrust_nominal", "thrust_slope", "duty_nominal"
-        said = (
-            f"a thrust line of {p.thrust_slope:g} gf/% through thrust_nominal {p.thrust_nominal:g} N at"
-            f" {p.duty_nominal:g} % has {_thrust_offset(p):.4g} gf at no duty; take numbers that give"
-            f" {low:g} to {high:g} gf"
-        )
-        return [(names, said)]
     try:
         craft_of(p)
     except ValueError as error:
-        return [(("yaw_damping",), str(error))]
+        names = "thrust_nominal", "thrust_slope", "duty_nominal", "yaw_damping"
+        said = f"thrust_nominal {p.thrust_nominal:g} N at {p.duty_nominal:g} % and {p.thrust_slope:g} gf/% give a craft"
+        return [(names, f"{said} that cannot be: {error}")]
     return []
-
-
-def _thrust_offset(p: Any) -> float:
-    """Return the offset a [gf] of the thrust line T_OGE = a + b·δ, eq 4.20, so that Γ·T_OGE(δ_N) = T_N."""
-    gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
-    return float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)

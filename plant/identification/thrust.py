@@ -44,12 +44,12 @@ def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Ar
         count = math.ceil(MEMORY * (m.bench.lag + m.test.low_pass) / r.step)
         before = np.pad(r.duty, (count, 0), mode="edge")
         recent.append(np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1))
-        v, window = r.volts["z"], r.rows(m.test.window)
+        v, window = r.volts["z"], m.inside(r)
         beyond = at_rail(m.bench, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
         end = min(end, float(recent[-1][window & beyond].min(initial=np.inf)) - MARGIN)
         tops.append(float(r.duty[window].max()))
     end = min(end, max(tops))
-    inside = [r.rows(m.test.window) & (d <= end) for r, d in zip(m.recordings, recent, strict=True)]
+    inside = [m.inside(r) & (d <= end) for r, d in zip(m.recordings, recent, strict=True)]
     delayed = [_delayed_duty(m, r, -np.inf)[k] for r, k in zip(m.recordings, inside, strict=True)]
     whole = sum(d.size for d in delayed)
     if min(d.size for d in delayed) < MIN_LINE_ROWS:
@@ -117,7 +117,7 @@ def thrust_line(m: Measurement) -> Result:
             f"{idle} of {whole} readings are without thrust, which begins at {begins:.2f} %: "
             "T = max(0, a + b·δ) is no line there, and they are left out"
         )
-    top = max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings)
+    top = max(float(r.duty[m.inside(r)].max()) for r in m.recordings)
     if end < top - 1e-9:
         result.notes.append(
             f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are "
@@ -133,10 +133,8 @@ def thrust_line(m: Measurement) -> Result:
     half = stats.t.ppf(0.975, len(result.each) - 1) * np.sqrt(np.einsum("ik,ij,jk->k", basis, covariance, basis))
     fitted, some = a + b * grid, slice(None, None, max(1, duty.size // 1500))
     bins = np.linspace(duty.min(), duty.max(), 9)
-    place = np.clip(np.digitize(duty, bins) - 1, 0, 7)
-    filled = [k for k in range(8) if (place == k).sum() > 1]
-    spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
-    middle = 0.5 * (bins[1:] + bins[:-1])[filled]
+    spread = stats.binned_statistic(duty, raw - a - b * duty, _reach, bins).statistic
+    middle, spread = (0.5 * (bins[1:] + bins[:-1]))[spread > 0], spread[spread > 0]
     axes, unbiased = ("duty [%]", "gf"), ("unbiased", grid, fitted, "true")
     readings, estimator = (
         ("readings", duty[some], raw[some], "dots"),
@@ -155,6 +153,11 @@ def thrust_line(m: Measurement) -> Result:
         Figure("Thrust over duty: line with its 95 % band", *axes, banded, band, bars, counterpart="Fig 4.11"),
     ]
     return result
+
+
+def _reach(values: Array) -> float:
+    """Return 1.96 standard deviations of some values, 0 for fewer than two."""
+    return 1.96 * float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
 
 
 def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float], duty: Array, thrust: Array) -> None:
@@ -203,14 +206,12 @@ def _bow(m: Measurement, r: Recording, line: Array, begins: float) -> Array:
 def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
     """Return the lowest degree about as good as the best, and the mean error of repetitions left out by degree."""
     means, spreads = {}, {}
+    every = [np.stack((d - MIDDLE_DUTY, y)) for d, y in zip(duty, thrust, strict=True)]
     for degree in DEGREES:
-        x = [np.vander(d - MIDDLE_DUTY, degree + 1) for d in duty]
-        gram = [a.T @ a for a in x]
-        side = [a.T @ y for a, y in zip(x, thrust, strict=True)]
         rmse = []
-        for k, (a, y) in enumerate(zip(x, thrust, strict=True)):
-            theta = np.linalg.solve(sum(gram) - gram[k], sum(side) - side[k])
-            rmse.append(float(np.sqrt(np.mean((a @ theta - y) ** 2))))
+        for k, (x, y) in enumerate(every):
+            curve = np.polyfit(*np.concatenate([*every[:k], *every[k + 1 :]], axis=1), degree)
+            rmse.append(float(np.sqrt(np.mean((np.polyval(curve, x) - y) ** 2))))
         means[degree], spreads[degree] = float(np.mean(rmse)), float(stats.sem(rmse))
     best = min(means, key=lambda d: means[d])
     return next(d for d in DEGREES if means[d] <= means[best] + spreads[best]), means
@@ -237,7 +238,7 @@ def ground_effect_exponent(m: Measurement) -> Result:
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
         """Return mean forces, shape (heights, repetitions), free height last."""
         least = min(len(chosen[h]) for h in (*heights, free))
-        rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:least]] for h in (*heights, free)]
+        rows = [[float(force(r)[m.inside(r)].mean()) for r in chosen[h][:least]] for h in (*heights, free)]
         return np.array(rows)
 
     def gains(using: Cells, estimate: Callable[[Array], Array] = np.asarray) -> Array:
@@ -248,16 +249,13 @@ def ground_effect_exponent(m: Measurement) -> Result:
         return np.asarray(count * whole - (count - 1) * np.array(fewer))
 
     def fitted(gain: Array) -> Array:
-        """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton."""
-        k, weights = CHEESEMAN_BENNETT, radius / heights
-        for _ in range(12):
-            here = relative(k)
-            slope = (relative(k + 1e-6) - here) / 1e-6
-            step = float((weights * slope * (gain - here)).sum() / (weights * slope**2).sum())
-            k = float(np.clip(k + np.clip(step, -0.5, 0.5), 0.3, 6.0))
-            if abs(step) < 1e-10:
-                break
-        return np.array([k])
+        """Return the best k for measured Γ with weights 1/Z̄ (4.27)."""
+        roots = np.sqrt(radius / heights)
+
+        def weighted(k: Array) -> Array:
+            return np.asarray(roots * (relative(k[0]) - gain))
+
+        return np.asarray(optimize.least_squares(weighted, CHEESEMAN_BENNETT, "3-point", (0.3, 6.0), xtol=1e-12).x)
 
     # thesis: ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄, over all usable ratios
     raw = forces(lambda r: m.printed_force(r, "z"))
