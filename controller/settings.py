@@ -11,7 +11,7 @@ from cosim.model.model import Parametric
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.powertrain import ground_effect
 
-ESTIMATORS = ("appendix_f", "lagged", "consistent")
+ESTIMATORS, DOUBLE_INTEGRATION = ("appendix_f", "lagged", "consistent"), "double_integration"
 SENSED = ("psi", "psi_dot", "ax")
 GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
 CRAFT = {p.name: p for p in parameters_of(Hovercraft)}
@@ -67,21 +67,10 @@ class Noise(Parametric):
 
 
 @parametric
-class Settings(Noise):
-    """Parameters of the controller FMU; the estimator is one of `estimators`."""
+class FilterSettings(Noise):
+    """Parameters of a filter on the design model, or of double integration; the estimator is one of `estimators`."""
 
-    estimators: ClassVar[tuple[str, ...]] = ESTIMATORS
-
-    k_1_1: float = gain(K_X, "right", "x")
-    k_1_2: float = gain(K_VX, "right", "vx")
-    k_1_3: float = gain(K_PSI, "right", "psi")
-    k_1_4: float = gain(K_PSI_DOT, "right", "psi_dot")
-    k_1_5: float = gain(K_A, "right", "a")
-    k_2_1: float = gain(K_X, "left", "x")
-    k_2_2: float = gain(K_VX, "left", "vx")
-    k_2_3: float = gain(-K_PSI, "left", "psi")
-    k_2_4: float = gain(-K_PSI_DOT, "left", "psi_dot")
-    k_2_5: float = gain(K_A, "left", "a")
+    estimators: ClassVar[tuple[str, ...]] = (*ESTIMATORS, DOUBLE_INTEGRATION)
 
     mass: float = of_craft("mass", DESIGN)
     izz: float = of_craft("izz", DESIGN)
@@ -95,7 +84,6 @@ class Settings(Noise):
     yaw_damping: float = parameter(
         0.0, unit="N.m.s/rad", bounds=(0, 10), doc="design model: viscous yaw moment per yaw rate; the thesis has none"
     )
-    tilt_max: float = parameter(math.radians(12), unit="rad", bounds=(0, math.pi / 2), doc="tilt saturation, App G")
     process_variance_a: float = variance(1e-4, "m2/s4", "process noise of the thrust acceleration per step, eq 5.47")
 
     estimator: str = "appendix_f"
@@ -109,11 +97,6 @@ class Settings(Noise):
         return faults
 
     @property
-    def gain_matrix(self) -> tuple[tuple[float, ...], ...]:
-        """Return K, shape (2, 5)."""
-        return tuple(tuple(getattr(self, f"k_{i}_{j}") for j in range(1, 6)) for i in (1, 2))
-
-    @property
     def process_variances(self) -> tuple[float, ...]:
         """Return the diagonal of V, eq 5.47, shape (5,)."""
         return variances_of(self, "process", ("x", "vx", "psi", "psi_dot", "a"))
@@ -122,6 +105,30 @@ class Settings(Noise):
     def measurement_variances(self) -> tuple[float, ...]:
         """Return the diagonal of W, eq 5.46, shape (3,)."""
         return variances_of(self, "measurement", SENSED)
+
+
+@parametric
+class Settings(FilterSettings):
+    """Parameters of the controller FMU."""
+
+    estimators: ClassVar[tuple[str, ...]] = ESTIMATORS
+
+    k_1_1: float = gain(K_X, "right", "x")
+    k_1_2: float = gain(K_VX, "right", "vx")
+    k_1_3: float = gain(K_PSI, "right", "psi")
+    k_1_4: float = gain(K_PSI_DOT, "right", "psi_dot")
+    k_1_5: float = gain(K_A, "right", "a")
+    k_2_1: float = gain(K_X, "left", "x")
+    k_2_2: float = gain(K_VX, "left", "vx")
+    k_2_3: float = gain(-K_PSI, "left", "psi")
+    k_2_4: float = gain(-K_PSI_DOT, "left", "psi_dot")
+    k_2_5: float = gain(K_A, "left", "a")
+    tilt_max: float = parameter(math.radians(12), unit="rad", bounds=(0, math.pi / 2), doc="tilt saturation, App G")
+
+    @property
+    def gain_matrix(self) -> tuple[tuple[float, ...], ...]:
+        """Return K, shape (2, 5)."""
+        return tuple(tuple(getattr(self, f"k_{i}_{j}") for j in range(1, 6)) for i in (1, 2))
 
 
 # -- other laws --------------------------------------------------------------------------------

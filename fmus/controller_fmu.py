@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 from pythonfmu.enums import Fmi2Status
@@ -105,10 +104,7 @@ class HovercraftController(SampledSlave):
 
     def initialize(self, given: dict[str, Value]) -> None:
         """Start the control loop; its filter starts at `*_hat_start` with P = 0, without an update."""
-        names = {p.name for p in parameters_of(self.settings)} | {"estimator"}
-        every = dict(zip((port.name for port in self.ports), self.values, strict=True))
-        values: dict[str, Any] = {name: v for name, v in every.items() if name in names}
-        settings = replace(self.settings, **values)
+        settings = self.settings_of(type(self.settings))
         x_hat = [float(given.get(name, 0.0)) for name in STARTS]
         _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs  # y_ref exists only for laws with y
         law = self.law(settings, given)

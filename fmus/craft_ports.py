@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any, ClassVar
 
 from cosim.fmi.ports import Port
@@ -57,6 +58,12 @@ class SampledSlave(Slave):
     who: ClassVar[str]
     sample: float
     running: Any
+
+    def settings_of(self, kind: Any) -> Any:
+        """Return an object of a dataclass with the values of the variables that are named as its fields."""
+        names = {field.name for field in fields(kind)}
+        values = zip((port.name for port in self.ports), self.values, strict=True)
+        return kind(**{name: value for name, value in values if name in names})
 
     def check_sample(self, h: float) -> None:
         """Raise ValueError for a step that is no sample."""
