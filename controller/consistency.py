@@ -203,20 +203,15 @@ def common_verdict(rows: Sequence[ConsistencyRow]) -> str:
     return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
 
 
-def worst(cases: Sequence[Sequence[ConsistencyRow]]) -> Sequence[ConsistencyRow] | None:
-    """Return the inconsistent case whose errors are largest relative to the claimed variance; None without one."""
-    largest = max(cases, key=lambda rows: rows[0].result.factor)
-    return None if largest[0].result.factor <= 1.0 or common_verdict(largest) == CONSISTENT else largest
-
-
 def headline(rows: Sequence[ConsistencyRow]) -> str:
-    """Return a headline: the number of consistent cases, then the case with the largest errors."""
+    """Return a headline: the number of consistent cases, then the case with the largest errors if it is not one."""
     cases = by_case(rows)
-    right, largest = sum(common_verdict(case) == CONSISTENT for case in cases), worst(cases)
-    opening = f"{right} of {len(cases)} cases are consistent: errors match the variance that the estimator claims."
-    if largest is None:
-        return opening
+    right = sum(common_verdict(case) == CONSISTENT for case in cases)
+    largest = max(cases, key=lambda case: case[0].result.factor)
     first, factor = largest[0], largest[0].result.factor
+    opening = f"{right} of {len(cases)} cases are consistent: errors match the variance that the estimator claims."
+    if factor <= 1.0 or common_verdict(largest) == CONSISTENT:
+        return opening
     told = f"{first.case}, {first.flight}: mean square error {factor:.3g} times the claimed variance."
     return f"{opening} Largest errors: {told}"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from controller.consistency import CONSISTENT, ConsistencyRow, by_case, common_verdict, headline, worst
+from controller.consistency import CONSISTENT, ConsistencyRow, by_case, common_verdict, headline
 from cosim.core.text import counted, percent, plain
 from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
@@ -22,7 +22,7 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
     """Return the self-contained HTML page of a consistency test."""
     charts, runs, cases = Charts(), rows[0].result.runs, by_case(rows)
-    flights, main = {row.flight: row.motion for row in rows}, worst(cases) or cases[0]
+    flights = {row.flight: row.motion for row in rows}
     judged: dict[str, dict[str, Any]] = {}
     for case in cases:
         verdict, first = common_verdict(case), case[0]
@@ -43,8 +43,6 @@ def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
             "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
             "headline": headline(rows),
             "tone": "good" if all(common_verdict(case) == CONSISTENT for case in cases) else "bad",
-            "shown": f"{main[0].case}, {main[0].flight}",
-            "first": [_plot(row, charts) for row in main],
             "flights": list(flights.items()),
             "judged": [{"case": name, "flights": list(of.values())} for name, of in judged.items()],
             "rows": cells,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy import optimize, stats
@@ -228,12 +229,13 @@ def ground_effect_exponent(m: Measurement) -> Result:
     main, *others = sets_by_duty(m.recordings, m.test)
     heights = np.array(sorted(h for h in main if h < m.test.free_height))
     free, radius = max(main), m.bench.propeller_radius
-    count = min(len(main[h]) for h in main)
+
+    def gamma(exponent: float, z: Any, radius: float = radius) -> Array:
+        return np.asarray(ground_effect(arrays(), np.asarray(z, float), radius, exponent))
 
     def relative(exponent: float) -> Array:
         """Return Γ relative to that at the free height."""
-        near, far = (ground_effect(arrays(), np.asarray(z, float), radius, exponent) for z in (heights, [free]))
-        return np.asarray(near / far)
+        return gamma(exponent, heights) / gamma(exponent, [free])
 
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
         """Return mean forces, shape (heights, repetitions), free height last."""
@@ -243,8 +245,9 @@ def ground_effect_exponent(m: Measurement) -> Result:
 
     def gains(using: Cells, estimate: Callable[[Array], Array] = np.asarray) -> Array:
         """Return jackknife pseudo-values of an estimate from Γ, by default Γ itself, shape (repetitions, heights)."""
-        f, every = forces(lambda r: m.force(r, "z", using)), np.arange(count)
-        chosen = [every, *(np.delete(every, k) for k in range(count))]
+        f = forces(lambda r: m.force(r, "z", using))
+        every, count = np.arange(f.shape[1]), f.shape[1]
+        chosen = [every, *(np.delete(every, k) for k in every)]
         whole, *fewer = (estimate(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()) for rows in chosen)
         return np.asarray(count * whole - (count - 1) * np.array(fewer))
 
@@ -287,7 +290,7 @@ def ground_effect_exponent(m: Measurement) -> Result:
     grid = np.linspace(0.5, 3.3, 90)
 
     def curve(k: float) -> Array:
-        return np.asarray(ground_effect(arrays(), grid, 1.0, k))
+        return gamma(k, grid, 1.0)
 
     measured, (mean, half, *_) = forces(lambda r: m.force(r, "z")), interval(gains(m.cells))
     single, over = measured[:-1] / measured[-1], heights / radius
