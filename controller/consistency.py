@@ -28,6 +28,7 @@ from controller import monte_carlo
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.settings import Count, Seed
+from cosim.core.text import percent, plain
 
 LEVEL = 0.95
 SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region
@@ -187,6 +188,20 @@ class ConsistencyRow(NamedTuple):
         names = ("degrees", "runs", "mean", "region", "share", "above", "below", "most", "times", "verdict", "factor")
         of_row = dict(zip(self._fields[:4], self, strict=False))
         return of_row | {name: getattr(self.result, name) for name in names}
+
+    def as_text(self) -> dict[str, str]:
+        """Return names, measures and verdict as texts for tables."""
+        r = self.result
+        return {
+            "case": self.case,
+            "flight": self.flight,
+            "of": self.of,
+            "degrees": str(r.degrees),
+            "mean": plain(r.mean, 4),
+            "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}",
+            **{name: percent(getattr(r, name)) for name in ("above", "below", "most")},
+            "sentence": r.sentence,
+        }
 
 
 def by_case(rows: Sequence[ConsistencyRow]) -> list[list[ConsistencyRow]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from controller.consistency import CONSISTENT, ConsistencyRow, by_case, common_verdict, headline
-from cosim.core.text import counted, percent, plain
+from cosim.core.text import counted, plain
 from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
@@ -28,15 +28,11 @@ def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
         verdict, first = common_verdict(case), case[0]
         cell = {"verdict": verdict, "good": verdict == CONSISTENT, "factor": plain(first.result.factor, 3)}
         judged.setdefault(first.case, dict.fromkeys(flights))[first.flight] = cell
-    cells = []
-    for row in rows:
-        r = row.result
-        verdict, _, more = r.sentence.partition(": ")
-        shares = {name: percent(getattr(r, name)) for name in ("above", "below", "most")}
-        region = f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}"
-        numbers = {"degrees": str(r.degrees), "mean": plain(r.mean, 4), "region": region, **shares}
-        names = {"case": row.case, "flight": row.flight, "of": row.of}
-        cells.append({**names, **numbers, "verdict": verdict, "more": more, "good": verdict == CONSISTENT})
+    cells = [
+        {**row.as_text(), "verdict": verdict, "more": more, "good": verdict == CONSISTENT}
+        for row in rows
+        for verdict, _, more in [row.result.sentence.partition(": ")]
+    ]
     return render(
         TEMPLATE,
         {

@@ -12,11 +12,10 @@ from controller.observers import DoubleIntegration, LinearFilter
 from controller.settings import DOUBLE_INTEGRATION, ESTIMATORS, ExtendedSettings, FilterSettings
 from cosim.fmi.ports import Port, Value, parameter_port
 from cosim.model import parameters_of
-from fmus.craft_ports import ESTIMATE, ESTIMATES, SampledSlave, believed_ports, fix_ports
+from fmus.craft_ports import ESTIMATE, ESTIMATES, FIXES, SIGMA, STARTS, SampledSlave
 from fmus.craft_ports import MEASURED as IMU
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 
-SIGMA, STARTS = believed_ports("estimator")
 NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right"
 SIGNALS = (
     *IMU,
@@ -24,7 +23,7 @@ SIGNALS = (
     Port("duty_left", "input", DUTY_NOMINAL, "%", "duty command of the left motor, as it has acted"),
     Port("tilt_right", "input", 0.0, "rad", "tilt command of the right propeller, as it has acted"),
     Port("tilt_left", "input", 0.0, "rad", "tilt command of the left propeller, as it has acted"),
-    *fix_ports(),
+    *FIXES,
     *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
     *SIGMA,

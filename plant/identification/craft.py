@@ -16,7 +16,7 @@ recorded commands; both results are given.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -280,16 +280,16 @@ def _path(run: Log, model: Model, output: str) -> Array:
 def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> Callable[[float], float] | None:
     """Return the distance of the craft's observer (App. F), None for other models or missing sensors."""
     from controller.observers import kalman_filter
-    from controller.settings import Settings
+    from controller.settings import FilterSettings
     from controller.synthesis import numbers_of
     from plant.hovercraft import Hovercraft
 
-    names = {f.name for f in fields(Settings)}
     measured = all(name in run.outputs and np.isfinite(run.outputs[name]).all() for name in IMU)
-    if not (isinstance(model, Hovercraft) and measured and output == "x" and parameter in names):
+    if not (isinstance(model, Hovercraft) and measured and output == "x"):
         return None
-    numbers: dict[str, Any] = {n: v for n, v in numbers_of(model).items() if n in names}
-    base = replace(Settings(), **numbers, sample_time=run.step)
+    base = FilterSettings(**numbers_of(model), sample_time=run.step)
+    if not hasattr(base, parameter):
+        return None
     tilts = np.column_stack([run.inputs["tilt_right"], run.inputs["tilt_left"]])
     readings = np.column_stack([run.outputs[name] for name in IMU])
 

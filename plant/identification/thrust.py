@@ -72,12 +72,10 @@ def zero_thrust(duty: Array, thrust: Array) -> float:
         return product * product / max(float(ramp @ ramp), 1e-12)
 
     edges = np.linspace(duty.min(), duty.max(), 401)[:-1]
-    best = max(edges.tolist(), key=explained)
-    middle = float(duty.mean())
-    slope, offset = np.polyfit(duty - middle, thrust, 1)
-    crossing = middle - offset / slope if slope > 0 else -np.inf
-    missed = float(((thrust - offset - slope * (duty - middle)) ** 2).sum())
-    if crossing <= edges[0] and float(thrust @ thrust) - missed >= explained(best):
+    slope, offset = np.polyfit(duty, thrust, 1).tolist()
+    crossing = -offset / slope if slope > 0 else np.inf
+    best = max([crossing] * (crossing <= edges[0]) + edges.tolist(), key=explained)
+    if best == crossing:
         return float(crossing)
     around = best - (edges[1] - edges[0]), best + (edges[1] - edges[0])
     return float(optimize.minimize_scalar(lambda start: -explained(start), bounds=around, options={"xatol": 1e-9}).x)

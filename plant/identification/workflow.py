@@ -202,7 +202,7 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
         unread = list[Fault]()
         for file in test.files:
             try:
-                measured.setdefault(name, []).append(read_recording(protocol.folder / file))
+                measured.setdefault(name, []).append(read_recording(protocol.yaml.path.parent / file))
             except InputError as error:
                 unread += error.faults
         if cells is not None and test.files and not unread:
@@ -210,7 +210,7 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
         faults += unread
     refuse(faults)
     text = protocol.file.model
-    model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
+    model = named_model(text) if is_model(text) else load_model(text, protocol.yaml.path.parent, protocol.yaml).model
     if not NUMBERS & {p.name for p in model.parameters}:
         reason = f"{text} has none of {', '.join(sorted(NUMBERS))}: nothing that is identified is a parameter of it"
         refuse([protocol.yaml.fault(("model",), f"{reason}; name the model of what stands on the bench")])
@@ -229,7 +229,7 @@ def _recorded(
         total = sum(run.time.size for run in every) or 1
         tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
         with temporary_folder("identify") as folder:
-            fmu = protocol.folder / protocol.file.bench
+            fmu = protocol.yaml.path.parent / protocol.file.bench
             if protocol.file.bench == BENCH:
                 fmu = build(resolve(model_entry(BENCH).recipe)(), folder / "bench.fmu")
             played = iter(play_on_fmu(fmu, protocol.file.parameters, every, tell))
