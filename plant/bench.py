@@ -157,6 +157,7 @@ class Bench(Model):
             moment = assembly_moment(m, tilt, self.assembly_mass, self.gravity, self.assembly_arm)
             return z + load_z, x + load_x, moment + load_m
 
+        curves = [[getattr(self, f"{c}_{power}") for power in ("zero", "slope", "square", "cube")] for c in CHANNELS]
         overshoot = next((e for e in self.awake if isinstance(e, BenchSecondOrder)), None)
 
         def tilting(state: Values, target: Number) -> tuple[Number, Values]:
@@ -171,11 +172,6 @@ class Bench(Model):
 
         def converted(state: Values, command: Values) -> Values:
             step = self.converter_range / self.converter_levels
-            curves = (
-                (self.z_zero, self.z_slope, self.z_square, self.z_cube),
-                (self.x_zero, self.x_slope, self.x_square, self.x_cube),
-                (self.m_zero, self.m_slope, self.m_square, self.m_cube),
-            )
             volts = []
             for f, (zero, slope, square, cube), noise in zip(forces(state, command), curves, command[6:9], strict=True):
                 v = zero + f * (slope + f * (square + f * cube)) + noise

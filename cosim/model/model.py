@@ -41,7 +41,7 @@ class Parametric:
             raise ValueError("; ".join(faults))
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Effect(Parametric):
     """A term of the equations, with optional continuous states and with memory that is updated once per substep.
 
@@ -123,7 +123,7 @@ class Equations(NamedTuple):
     output: Callable[[Number, Values, Values], Values]
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Model(Parametric):
     """Base class of models: declared quantities, parameters as fields, additive effects."""
 
