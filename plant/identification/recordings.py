@@ -88,8 +88,9 @@ def commands(test: Any, bench: Bench, step: float) -> list[Recording]:
     for label, height, phases, w in sets:
         times, duties, angles = np.array(phases, float).T
         time = np.asarray(step * np.arange(round(times[-1] / step) + 1), dtype=np.float64)
-        # a step acts in its own row, whatever the rounding of the time
-        duty, angle = (np.interp(time + 1e-9, times, values) for values in (duties, angles))
+        in_row = step * np.rint(times / step)
+        times = np.where(np.abs(in_row - times) < 1e-9, in_row, times)  # a step acts in its own row, despite rounding
+        duty, angle = (np.interp(time, times, values) for values in (duties, angles))
         if w:
             angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
         servo_duty = bench.servo_neutral + np.radians(angle) / bench.servo_slope

@@ -74,7 +74,7 @@ def zero_thrust(duty: Array, thrust: Array) -> float:
     edges = np.linspace(duty.min(), duty.max(), 401)[:-1]
     slope, offset = np.polyfit(duty, thrust, 1).tolist()
     crossing = -offset / slope if slope > 0 else np.inf
-    best = max([crossing] * (crossing <= edges[0]) + edges.tolist(), key=explained)
+    best = max(([crossing] if crossing <= edges[0] else []) + edges.tolist(), key=explained)
     if best == crossing:
         return float(crossing)
     around = best - (edges[1] - edges[0]), best + (edges[1] - edges[0])
@@ -256,7 +256,8 @@ def ground_effect_exponent(m: Measurement) -> Result:
         def weighted(k: Array) -> Array:
             return np.asarray(roots * (relative(k[0]) - gain))
 
-        return np.asarray(optimize.least_squares(weighted, CHEESEMAN_BENNETT, "3-point", (0.3, 6.0), xtol=1e-12).x)
+        exact = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-14)
+        return np.asarray(optimize.least_squares(weighted, CHEESEMAN_BENNETT, "3-point", (0.3, 6.0), **exact).x)
 
     # thesis: ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄, over all usable ratios
     raw = forces(lambda r: m.printed_force(r, "z"))
