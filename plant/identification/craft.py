@@ -287,7 +287,8 @@ def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> C
     measured = all(name in run.outputs and np.isfinite(run.outputs[name]).all() for name in IMU)
     if not (isinstance(model, Hovercraft) and measured and output == "x"):
         return None
-    base = FilterSettings(**numbers_of(model), sample_time=run.step)
+    numbers: dict[str, Any] = {**numbers_of(model), "sample_time": run.step}
+    base = FilterSettings(**numbers)
     if not hasattr(base, parameter):
         return None
     tilts = np.column_stack([run.inputs["tilt_right"], run.inputs["tilt_left"]])

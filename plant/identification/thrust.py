@@ -209,7 +209,8 @@ def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, d
     for degree in DEGREES:
         rmse = []
         for k, (x, y) in enumerate(every):
-            curve = np.polyfit(*np.concatenate([*every[:k], *every[k + 1 :]], axis=1), degree)
+            others = np.concatenate([*every[:k], *every[k + 1 :]], axis=1)
+            curve = np.polyfit(others[0], others[1], degree)
             rmse.append(float(np.sqrt(np.mean((np.polyval(curve, x) - y) ** 2))))
         means[degree], spreads[degree] = float(np.mean(rmse)), float(stats.sem(rmse))
     best = min(means, key=lambda d: means[d])
