@@ -62,10 +62,10 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> Mapping[str, Any]
 
 def readout(panel: Panel, plot: Plot) -> Mapping[str, Any]:
     """Return the last truth, estimate and reference of a state, as far as recorded: key of its series and text."""
-    cells = []
-    for style in ("true", "estimate", "reference"):
-        pairs = zip(plot.spec["traces"], panel.traces, strict=True)
-        key, trace = next(((spec["y"], trace) for spec, trace in pairs if trace.style == style), (None, None))
-        value = float(trace.values[-1]) if trace is not None and trace.values.size else math.nan
-        cells.append((key, plain(value) if math.isfinite(value) else MISSING))
+    series = {
+        trace.style: (spec["y"], float(trace.values[-1]) if trace.values.size else math.nan)
+        for spec, trace in zip(plot.spec["traces"], panel.traces, strict=True)
+    }
+    shown = [series.get(style, (None, math.nan)) for style in ("true", "estimate", "reference")]
+    cells = [(key, plain(value) if math.isfinite(value) else MISSING) for key, value in shown]
     return {"symbol": panel.symbol, "title": panel.title, "unit": panel.unit, "cells": cells}

@@ -178,8 +178,10 @@ class Body:
     def drawn(self, rows: Rows, every: float) -> dict[str, Any]:
         """Return paths, poses without a script, size [mm], and a mark at equal time intervals, for the template."""
         start, scale = self.craft.run.start(self.craft.name), 100 / self.newtons_per_decimetre
-        angles = [0.0 if tilt is None else number(tilt[self.last], 0.0) * DEGREES for tilt in self.tilts]
-        right, left = (angle if math.isfinite(angle) else 0.0 for angle in angles)
+        right, left = (
+            0.0 if tilt is None or not math.isfinite(tilt[self.last]) else float(tilt[self.last]) * DEGREES
+            for tilt in self.tilts
+        )
         sizes = [
             (number(start.get(name), usual), usual) for name, usual in (("arm", ARM), ("propeller_radius", RADIUS))
         ]
