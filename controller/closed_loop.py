@@ -15,7 +15,6 @@ import numpy as np
 
 from controller.loop import Loop
 from controller.settings import Settings
-from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.experiment.rigs import (
@@ -39,6 +38,16 @@ TURN = math.pi  # [rad] heading reference in both directions
 TRAVEL = 0.9  # share of the allowed excursion used for references
 DITHER = 0.5  # share of the tilt limit; the loop needs the rest
 DUTY_DIFFERENCE = 0.3  # share of the duty limit for the difference; the rest is common
+
+
+def manoeuvre(t: float) -> tuple[float, float]:
+    """Return the references x [m] and ψ [rad] of App. G at a time, as in scenarios/manoeuvre.yaml.
+
+    x has two steps, ψ two steps and a ramp of 45 °/s.
+    """
+    x = 1.5 * ((t >= 5.0) + (t >= 17.0))
+    psi = -0.5 * math.pi * (t >= 1.0) + min(math.pi, max(0.0, 0.25 * math.pi * (t - 10.0)))
+    return x, psi * (t < 22.0)
 
 
 class ClosedLoop(OpenLoop):
@@ -91,14 +100,9 @@ class ClosedLoop(OpenLoop):
         return trial_of(model, len(x_ref), command, signals, {"x_ref": x_ref, "psi_ref": psi_ref})
 
     def usual_signals(self, time: Array) -> Signals:
-        """Return the five commands of scenarios/manoeuvre.yaml, cut to the duration."""
-        x = Profile(changes=[Change(at=5, to=1.5), Change(at=17, to=3.0)])
-        right, about = Change(at=1, to=-math.pi / 2), Change(at=10, to=math.pi / 2, rate=math.pi / 4)
-        psi = Profile(changes=[right, about, Change(at=22, to=0.0)])
-        signals = {a.name: np.zeros(len(time)) for a in self.axes}
-        for name, profile in (("x_ref", x), ("psi_ref", psi)):
-            signals[name] = np.array([ProfileFunction(profile)(t) for t in time.tolist()])
-        return signals
+        """Return the references of the manoeuvre."""
+        x, psi = np.array([manoeuvre(t) for t in time.tolist()]).T
+        return {a.name: np.zeros(len(time)) for a in self.axes} | {"x_ref": x, "psi_ref": psi}
 
     def write(self, folder: Path, trial: Trial) -> None:
         """Write the references with dither, and the controller."""

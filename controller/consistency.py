@@ -28,6 +28,7 @@ from controller import monte_carlo
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.settings import Count, Seed
+from cosim.core.text import percent, plain
 
 LEVEL = 0.95
 SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region
@@ -188,6 +189,20 @@ class ConsistencyRow(NamedTuple):
         of_row = dict(zip(self._fields[:4], self, strict=False))
         return of_row | {name: getattr(self.result, name) for name in names}
 
+    def as_text(self) -> dict[str, str]:
+        """Return names, measures and verdict as texts for tables."""
+        r = self.result
+        return {
+            "case": self.case,
+            "flight": self.flight,
+            "of": self.of,
+            "degrees": str(r.degrees),
+            "mean": plain(r.mean, 4),
+            "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}",
+            **{name: percent(getattr(r, name)) for name in ("above", "below", "most")},
+            "sentence": r.sentence,
+        }
+
 
 def by_case(rows: Sequence[ConsistencyRow]) -> list[list[ConsistencyRow]]:
     """Return the rows of each case (estimator and true plant) on each flight (motion)."""
@@ -203,20 +218,15 @@ def common_verdict(rows: Sequence[ConsistencyRow]) -> str:
     return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
 
 
-def worst(cases: Sequence[Sequence[ConsistencyRow]]) -> Sequence[ConsistencyRow] | None:
-    """Return the inconsistent case whose errors are largest relative to the claimed variance; None without one."""
-    largest = max(cases, key=lambda rows: rows[0].result.factor)
-    return None if largest[0].result.factor <= 1.0 or common_verdict(largest) == CONSISTENT else largest
-
-
 def headline(rows: Sequence[ConsistencyRow]) -> str:
-    """Return a headline: the number of consistent cases, then the case with the largest errors."""
+    """Return a headline: the number of consistent cases, then the case with the largest errors if it is not one."""
     cases = by_case(rows)
-    right, largest = sum(common_verdict(case) == CONSISTENT for case in cases), worst(cases)
-    opening = f"{right} of {len(cases)} cases are consistent: errors match the variance that the estimator claims."
-    if largest is None:
-        return opening
+    right = sum(common_verdict(case) == CONSISTENT for case in cases)
+    largest = max(cases, key=lambda case: case[0].result.factor)
     first, factor = largest[0], largest[0].result.factor
+    opening = f"{right} of {len(cases)} cases are consistent: errors match the variance that the estimator claims."
+    if factor <= 1.0 or common_verdict(largest) == CONSISTENT:
+        return opening
     told = f"{first.case}, {first.flight}: mean square error {factor:.3g} times the claimed variance."
     return f"{opening} Largest errors: {told}"
 

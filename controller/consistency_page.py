@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from controller.consistency import CONSISTENT, ConsistencyRow, by_case, common_verdict, headline, worst
-from cosim.core.text import counted, percent, plain
+from controller.consistency import CONSISTENT, ConsistencyRow, by_case, common_verdict, headline
+from cosim.core.text import counted, plain
 from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
@@ -22,29 +22,23 @@ TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
     """Return the self-contained HTML page of a consistency test."""
     charts, runs, cases = Charts(), rows[0].result.runs, by_case(rows)
-    flights, main = {row.flight: row.motion for row in rows}, worst(cases) or cases[0]
+    flights = {row.flight: row.motion for row in rows}
     judged: dict[str, dict[str, Any]] = {}
     for case in cases:
         verdict, first = common_verdict(case), case[0]
         cell = {"verdict": verdict, "good": verdict == CONSISTENT, "factor": plain(first.result.factor, 3)}
         judged.setdefault(first.case, dict.fromkeys(flights))[first.flight] = cell
-    cells = []
-    for row in rows:
-        r = row.result
-        verdict, _, more = r.sentence.partition(": ")
-        shares = {name: percent(getattr(r, name)) for name in ("above", "below", "most")}
-        region = f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}"
-        numbers = {"degrees": str(r.degrees), "mean": plain(r.mean, 4), "region": region, **shares}
-        names = {"case": row.case, "flight": row.flight, "of": row.of}
-        cells.append({**names, **numbers, "verdict": verdict, "more": more, "good": verdict == CONSISTENT})
+    cells = [
+        {**row.as_text(), "verdict": verdict, "more": more, "good": verdict == CONSISTENT}
+        for row in rows
+        for verdict, _, more in [row.result.sentence.partition(": ")]
+    ]
     return render(
         TEMPLATE,
         {
             "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
             "headline": headline(rows),
             "tone": "good" if all(common_verdict(case) == CONSISTENT for case in cases) else "bad",
-            "shown": f"{main[0].case}, {main[0].flight}",
-            "first": [_plot(row, charts) for row in main],
             "flights": list(flights.items()),
             "judged": [{"case": name, "flights": list(of.values())} for name, of in judged.items()],
             "rows": cells,

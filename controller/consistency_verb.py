@@ -54,13 +54,7 @@ def command(
     for flight, motion in {row.flight: row.motion for row in rows}.items():
         say(f"{flight}: {motion}")
     header = ("case", "flight", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
-    lines = []
-    for row in rows:
-        r = row.result
-        mean = f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}"
-        shares = f"{r.above:.1%}", f"{r.below:.1%}", f"{r.most:.1%}"
-        lines.append((row.case, row.flight, row.of, str(r.degrees), *mean, *shares, r.sentence))
-    head, *body = table(header, lines)
+    head, *body = table(header, [tuple(row.as_text().values()) for row in rows])
     say(head)
     for row, line in zip(rows, body, strict=True):
         say(line, met=row.result.verdict == CONSISTENT)

@@ -10,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.settings import PLANT_STATES, FullSettings, Settings
+from controller.settings import PLANT_STATES, FilterSettings, FullSettings
 from plant.hovercraft import INPUTS
 
 Matrix = NDArray[np.float64]
 PLANT_INPUTS = tuple(q.name for q in INPUTS)
 
 
-def design_model(p: Settings) -> tuple[Matrix, Matrix]:
+def design_model(p: FilterSettings) -> tuple[Matrix, Matrix]:
     """Return A (5, 5) and B (5, 2) of eqs 5.33/5.34, with yaw damping d.
 
     The thesis has d = 0. A₁₂ = 1, A₂₂ = −c/m, A₂₅ = 1, A₃₄ = 1, A₄₄ = −d/Izz, A₅₅ = −1/τ;  B₄ = ±L·T_N/Izz, B₅ =
@@ -35,7 +35,7 @@ def design_model(p: Settings) -> tuple[Matrix, Matrix]:
     return A, B
 
 
-def measurement_matrix(p: Settings, estimator: str) -> Matrix:
+def measurement_matrix(p: FilterSettings, estimator: str) -> Matrix:
     """Return H (3, 5) for the measurements (ψ, ψ̇, a_x), eq 5.43.
 
     The thesis equates the accelerometer with x₅. By Newton's law, the accelerometer measures total acceleration,
@@ -48,19 +48,19 @@ def measurement_matrix(p: Settings, estimator: str) -> Matrix:
     return H
 
 
-def fix_matrix(p: Settings) -> Matrix:
+def fix_matrix(p: FilterSettings) -> Matrix:
     """Return the measurement matrix H (1, 5) of a position fix with age T: x(t − T) = x − T·ẋ to first order."""
     H = _zeros(p, 1, 5)
     H[0, 0], H[0, 1] = 1.0, -p.fix_latency
     return H
 
 
-def _zeros(p: Settings, *shape: int) -> Matrix:
+def _zeros(p: FilterSettings, *shape: int) -> Matrix:
     """Return a zero matrix for floats, or for symbols of a printed design."""
     return np.zeros(shape, dtype=float if isinstance(p.mass, (int, float)) else object)
 
 
-def discrete_model(p: Settings) -> tuple[Matrix, Matrix]:
+def discrete_model(p: FilterSettings) -> tuple[Matrix, Matrix]:
     """Return F (5, 5) and G (5, 2) of x̂ₖ₊₁ = F·x̂ₖ + G·uₖ.
 
     `appendix_f`: F = I + Δt·A, with a memoryless acceleration: last row of F zero, of G T_N/m.

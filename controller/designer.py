@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -63,6 +63,7 @@ LISTS = {  # key → start values of a predictive law, which has no fifth state
 WEIGHTS = {"Q": [*Q_THESIS], "R": [*R_THESIS], "Q_integral": [*Q_INTEGRAL]}
 POLES_OF = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
 Place = tuple[str | int, ...]
+Objections = list[tuple[Place, str]]  # reasons against a design, or warnings of it, at the place of an option
 
 
 def _complex(value: Any) -> Any:
@@ -112,13 +113,6 @@ class DesignFile(Part):
     lag: PositiveSeconds | None = None
 
 
-class Objection(NamedTuple):
-    """A reason against a design, or a warning of it, with the place of the option."""
-
-    place: Place
-    message: str
-
-
 def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Design the controllers of a craft.
 
@@ -151,7 +145,7 @@ def check_design(path: Path, checking: Checking) -> list[str]:
 
 def controller_starts(
     name: Controller, file: DesignFile, craft: Hovercraft | None
-) -> tuple[dict[str, Any], list[Objection], list[Objection]]:
+) -> tuple[dict[str, Any], Objections, Objections]:
     """Return start values of a controller, objections and warnings.
 
     Args:
@@ -172,20 +166,17 @@ def controller_starts(
     values |= {n: float(value) for n, (_, value) in placed.items()}
     if name != TIME_VARIANT and options["estimator"] is not None:
         values["estimator"] = options["estimator"]
-    objections, declared = [], {p.name: p for p in parameters_of(kind)}
+    declared = {p.name: p for p in parameters_of(kind)}
+    objections: Objections = []
     for n, (place, value) in placed.items():
-        low, high = declared[n].bounds
-        if not low <= value <= high:
-            unit = f" {declared[n].unit}".rstrip()
-            objections.append(
-                Objection(place, f"{value:g} lies outside [{low:g}, {high:g}]{unit}; take a value inside")
-            )
+        if reason := declared[n].fault(value):
+            objections.append((place, reason))
     if name == PLACED:
         poles = [complex(pole) for pole in options["poles"]]
-        objections += [Objection(("poles", k), message) for k, message in pole_faults(poles)]
+        objections += [(("poles", k), message) for k, message in pole_faults(poles)]
     if predicts and options["R"][0] != options["R"][1]:
         reason = f"{options['R']} weighs one tilt more; the predictive law takes one weight for both"
-        objections.append(Objection(("R",), f"{reason}: write the same number twice"))
+        objections.append((("R",), f"{reason}: write the same number twice"))
     if objections:
         return values, objections, []
     if predicts:
@@ -193,12 +184,12 @@ def controller_starts(
         reasons = conflicts(settings) + (craft_faults(settings) if name == TIME_VARIANT else [])
         for names, reason in reasons:
             place = next((placed[n][0] for n in names if n in placed), ())
-            objections.append(Objection(place, f"the settings are not possible together: {reason}"))
+            objections.append((place, f"the settings are not possible together: {reason}"))
         if not objections:
             try:
                 replace(kind(), **values)
             except ValueError as error:  # a number of the craft out of its bounds
-                objections = [Objection((), str(error))]
+                objections = [((), str(error))]
         return values, objections, []
     K_i: Matrix | None = None
     try:
@@ -209,7 +200,7 @@ def controller_starts(
             K = lqr_gain(p, options["Q"], options["R"], options["Q_integral"] if name == INTEGRAL else ())
             K, K_i = K[:, :5], K[:, 5:] if name == INTEGRAL else None
     except ValueError as error:
-        return values, [Objection(_place_of("forward", options, name)[:1], str(error))], []
+        return values, [(_place_of("forward", options, name)[:1], str(error))], []
     values |= {n: float(K[divmod(k, 5)]) for k, n in enumerate(GAINS)}
     if K_i is not None:
         values |= {n: float(K_i[divmod(k, 2)]) for k, n in enumerate(INTEGRALS)}
@@ -218,21 +209,22 @@ def controller_starts(
 
 def _judged(
     values: Mapping[str, Any], options: Mapping[str, Any], name: str, K: Matrix, K_i: Matrix | None
-) -> tuple[list[Objection], list[Objection]]:
+) -> tuple[Objections, Objections]:
     """Return objections to designed gains, and warnings: bounds, then stability and damping of the sampled loop."""
     gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
     if large := [p for p in gains if p.fault(values[p.name])]:
         size, limit = max(abs(values[p.name]) for p in large), large[0].bounds[1]
         axis = "turning" if large[0].name[-1] in "347" else "forward"  # columns of K and K_i for ψ
         reason = f"asks for a gain of {size:.3g}, and the controller takes {limit:g} at most; ask for a slower loop"
-        return [Objection(_place_of(axis, options, name), reason)], []
+        return [(_place_of(axis, options, name), reason)], []
     names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
     p = FullSettings(**{n: v for n, v in values.items() if n in names})
     try:
         modes = flown_modes(p, K, K_i)
     except np.linalg.LinAlgError:  # The estimator has no steady gain.
         return [], []
-    objections, warnings = [], []
+    objections: Objections = []
+    warnings: Objections = []
     for mode in worst_modes(modes):
         place, pole = _place_of(mode.axis, options, name), mode.pole
         shown = f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
@@ -243,11 +235,11 @@ def _judged(
         nearer = f"take poles nearer to {', '.join(f'{pole:g}' for pole in POLES)}"
         cure = nearer if name == PLACED else "weigh the tilts more, or the states less"
         if mode.grows:
-            objections.append(Objection(place, f"is not stable as it flies, {loop}; {cure}"))
+            objections.append((place, f"is not stable as it flies, {loop}; {cure}"))
         else:
             kept = 100 * math.exp(-2 * math.pi * mode.damping / math.sqrt(1 - mode.damping**2))
             damped = f"hardly damped by {mode.damping:.2g}: a swing keeps {kept:.0f} % of its size"
-            warnings.append(Objection(place, f"{loop}, {damped}; {cure}"))
+            warnings.append((place, f"{loop}, {damped}; {cure}"))
     return objections, warnings
 
 

@@ -7,7 +7,6 @@ commands of a flight; the seed determines the noise.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from controller.closed_loop import manoeuvre
 from controller.design_model import Matrix, discrete_model, measurement_matrix
 from controller.extended import AT, ESTIMATED, ExtendedFilter, carried
 from controller.loop import Loop
@@ -57,34 +57,24 @@ def sines(steps: int) -> Matrix:
 
 
 @cache
-def manoeuvre(steps: int) -> Matrix:
+def flown_manoeuvre(steps: int) -> Matrix:
     """Return the commands of the LQR for the manoeuvre of App. G, simulated without noise."""
-    loop, stepper = Loop(Settings(), (0.0,) * 5, *references(0.0)), Stepper(Hovercraft())
+    loop, stepper = Loop(Settings(), (0.0,) * 5, *manoeuvre(0.0)), Stepper(Hovercraft())
     moment, dt, commands = stepper.start(), loop.settings.sample_time, []
     for k in range(steps):
         command = (*loop.law.duties, *loop.command)
         commands.append(command)
         moment = stepper.step(moment, command, dt)
         y = stepper.output(moment.t, moment.state, command)
-        loop.step([float(y[j]) for j in SENSED_AT], *references((k + 1) * dt))
+        loop.step([float(y[j]) for j in SENSED_AT], *manoeuvre((k + 1) * dt))
     return np.array(commands)
-
-
-def references(t: float) -> tuple[float, float]:
-    """Return the references x [m] and ψ [rad] of App. G at a time.
-
-    x has two steps, ψ two steps and a ramp of 45 °/s.
-    """
-    x = 1.5 * ((t >= 5.0) + (t >= 17.0))
-    psi = -0.5 * math.pi * (t >= 1.0) + min(math.pi, max(0.0, 0.25 * math.pi * (t - 10.0)))
-    return x, psi * (t < 22.0)
 
 
 SINES = Flight("sines of the tilts", "tilts of ±0.08 rad together and ±0.05 rad against each other", sines)
 MANOEUVRE = Flight(
     "manoeuvre of App. G",
     "by the LQR: turn right by 90° at 1 s, forward 1.5 m at 5 s, turn about at 10 s, forward at 17 s, right at 22 s",
-    manoeuvre,
+    flown_manoeuvre,
 )
 
 

@@ -11,10 +11,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from controller.design_model import Matrix, discrete_model, fix_matrix, measurement_matrix
-from controller.settings import ESTIMATORS, Settings
-
-DOUBLE_INTEGRATION = "double_integration"
-OBSERVERS = (*ESTIMATORS, DOUBLE_INTEGRATION)
+from controller.settings import FilterSettings
 
 
 class Stateful:
@@ -80,7 +77,7 @@ class Estimator(Stateful):
         return float(self.filter.y @ self.filter.SI @ self.filter.y)
 
 
-def kalman_filter(p: Settings, x_hat: Matrix) -> KalmanFilter:
+def kalman_filter(p: FilterSettings, x_hat: Matrix) -> KalmanFilter:
     """Return a filter with known start: P = 0, V and W of eqs 5.46 and 5.47."""
     kf = KalmanFilter(dim_x=5, dim_z=3, dim_u=2)
     kf.x = np.array(x_hat, dtype=float)
@@ -95,7 +92,7 @@ def kalman_filter(p: Settings, x_hat: Matrix) -> KalmanFilter:
 class LinearFilter(Estimator):
     """Kalman filter of the thesis, eqs 5.37-5.41, as in the controller: prediction, update, new fix."""
 
-    def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
+    def __init__(self, settings: FilterSettings, start: Sequence[float], fix: float = 0.0) -> None:
         self.filter = kalman_filter(settings, np.array(start, dtype=float))
         self.fix_matrix, self.fix_noise = fix_matrix(settings), np.diag((settings.measurement_variance_x,))
         self.fix = fix
@@ -130,7 +127,7 @@ class DoubleIntegration(Estimator):
 
     memory = ("values", "variances")
 
-    def __init__(self, settings: Settings, start: Sequence[float], fix: float = 0.0) -> None:
+    def __init__(self, settings: FilterSettings, start: Sequence[float], fix: float = 0.0) -> None:
         self.dt, self.noise = settings.sample_time, settings.measurement_variances
         self.values = [float(v) for v in start]
         self.variances = [0.0, 0.0, 0.0]  # variances of x̂, of x̂ with v̂, and of v̂

@@ -20,9 +20,7 @@ from controller.extended import ExtendedFilter, Slopes, level_tilt
 from controller.laws import Law, LawInput
 from controller.observers import Estimator
 from controller.settings import (
-    NOISE,
     PLANT_STATES,
-    ExtendedSettings,
     PredictionSettings,
     PredictiveSettings,
     TimeVariantSettings,
@@ -246,8 +244,7 @@ class TimeVariantLaw(Predicting):
         x, vx, psi, psi_dot, a = x_hat
         tilt = level_tilt(self.craft, a)
         start = {"x": x, "vx": vx, "psi": psi, "psi_dot": psi_dot, "y": self.y_hat, "tilt_right": tilt}
-        noise = ExtendedSettings(**{name: getattr(p, name) for name in NOISE})
-        self.filter = ExtendedFilter(self.craft, noise, self.printed, {**start, "tilt_left": tilt}, fix)
+        self.filter = ExtendedFilter(self.craft, p, self.printed, {**start, "tilt_left": tilt}, fix)
         return self.filter
 
     def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from cosim.model import SCALAR, Parameter, parameter, parameters_of
+from cosim.model import SCALAR, parameter, parameters_of, parametric
 from cosim.model.model import Parametric
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.powertrain import ground_effect
 
-ESTIMATORS = ("appendix_f", "lagged", "consistent")
+ESTIMATORS, DOUBLE_INTEGRATION = ("appendix_f", "lagged", "consistent"), "double_integration"
 SENSED = ("psi", "psi_dot", "ax")
 GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
 CRAFT = {p.name: p for p in parameters_of(Hovercraft)}
@@ -33,10 +32,10 @@ def gain(default: float, tilt: str, state: str, source: str = ", eq 6.5") -> Any
     return parameter(default, unit=unit, bounds=(-1e4, 1e4), doc=f"gain from {state} to the {tilt} tilt{source}")
 
 
-def declared(by: Mapping[str, Parameter], name: str, of: str = "") -> Any:
-    """Declare a parameter of another class again, with a prefix `of` in its meaning."""
-    p = by[name]
-    return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=of + p.doc)
+def of_craft(name: str, about: str = "") -> Any:
+    """Declare a parameter of the craft again, with words before its meaning."""
+    p = CRAFT[name]
+    return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=about + p.doc)
 
 
 def variance(default: float, unit: str, doc: str) -> Any:
@@ -49,9 +48,68 @@ def variances_of(p: Any, kind: str, names: Sequence[str]) -> tuple[float, ...]:
     return tuple(getattr(p, f"{kind}_variance_{name}", 0.0) for name in names)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Settings(Parametric):
-    """Parameters of the controller FMU; the estimator is one of `estimators`."""
+@parametric
+class Noise(Parametric):
+    """Noise that every filter assumes, by step or reading, and its sample time."""
+
+    process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
+    process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
+    process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
+    process_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "process noise of psi_dot per step, eq 5.47")
+    measurement_variance_psi: float = variance(SENSOR_VARIANCE["psi"], "rad2", "measurement noise of psi, eq 5.46")
+    measurement_variance_psi_dot: float = variance(
+        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
+    )
+    measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
+    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x; the thesis has no fixes, §7.1")
+    fix_latency: float = parameter(0.0, unit="s", bounds=(0, 1), doc="how old a fix is when it arrives, §7.1")
+    sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
+
+
+@parametric
+class FilterSettings(Noise):
+    """Parameters of a filter on the design model, or of double integration; the estimator is one of `estimators`."""
+
+    estimators: ClassVar[tuple[str, ...]] = (*ESTIMATORS, DOUBLE_INTEGRATION)
+
+    mass: float = of_craft("mass", DESIGN)
+    izz: float = of_craft("izz", DESIGN)
+    arm: float = of_craft("arm", DESIGN)
+    friction: float = of_craft("friction", DESIGN)
+    lag: float = of_craft("lag", DESIGN)
+    duty_nominal: float = of_craft("duty_nominal", DESIGN)
+    thrust_nominal: float = parameter(
+        2.4973, unit="N", bounds=(0.01, 100), doc="design model: thrust per propeller in ground effect T_N, eq 5.36"
+    )
+    yaw_damping: float = parameter(
+        0.0, unit="N.m.s/rad", bounds=(0, 10), doc="design model: viscous yaw moment per yaw rate; the thesis has none"
+    )
+    process_variance_a: float = variance(1e-4, "m2/s4", "process noise of the thrust acceleration per step, eq 5.47")
+
+    estimator: str = "appendix_f"
+
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value."""
+        faults = super().invalid_values()
+        if self.estimator not in self.estimators:
+            allowed = f"it is {'one of ' * (len(self.estimators) > 1)}{', '.join(self.estimators)}"
+            faults.append(f"estimator is {self.estimator!r}; {allowed}")
+        return faults
+
+    @property
+    def process_variances(self) -> tuple[float, ...]:
+        """Return the diagonal of V, eq 5.47, shape (5,)."""
+        return variances_of(self, "process", ("x", "vx", "psi", "psi_dot", "a"))
+
+    @property
+    def measurement_variances(self) -> tuple[float, ...]:
+        """Return the diagonal of W, eq 5.46, shape (3,)."""
+        return variances_of(self, "measurement", SENSED)
+
+
+@parametric
+class Settings(FilterSettings):
+    """Parameters of the controller FMU."""
 
     estimators: ClassVar[tuple[str, ...]] = ESTIMATORS
 
@@ -65,59 +123,12 @@ class Settings(Parametric):
     k_2_3: float = gain(-K_PSI, "left", "psi")
     k_2_4: float = gain(-K_PSI_DOT, "left", "psi_dot")
     k_2_5: float = gain(K_A, "left", "a")
-
-    mass: float = declared(CRAFT, "mass", DESIGN)
-    izz: float = declared(CRAFT, "izz", DESIGN)
-    arm: float = declared(CRAFT, "arm", DESIGN)
-    friction: float = declared(CRAFT, "friction", DESIGN)
-    lag: float = declared(CRAFT, "lag", DESIGN)
-    duty_nominal: float = declared(CRAFT, "duty_nominal", DESIGN)
-    thrust_nominal: float = parameter(
-        2.4973, unit="N", bounds=(0.01, 100), doc="design model: thrust per propeller in ground effect T_N, eq 5.36"
-    )
-    yaw_damping: float = parameter(
-        0.0, unit="N.m.s/rad", bounds=(0, 10), doc="design model: viscous yaw moment per yaw rate; the thesis has none"
-    )
-    sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
     tilt_max: float = parameter(math.radians(12), unit="rad", bounds=(0, math.pi / 2), doc="tilt saturation, App G")
-
-    process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
-    process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
-    process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
-    process_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "process noise of psi_dot per step, eq 5.47")
-    process_variance_a: float = variance(1e-4, "m2/s4", "process noise of the thrust acceleration per step, eq 5.47")
-    measurement_variance_psi: float = variance(SENSOR_VARIANCE["psi"], "rad2", "measurement noise of psi, eq 5.46")
-    measurement_variance_psi_dot: float = variance(
-        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
-    )
-    measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
-    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x; the thesis has no fixes, §7.1")
-    fix_latency: float = parameter(0.0, unit="s", bounds=(0, 1), doc="how old a fix is when it arrives, §7.1")
-
-    estimator: str = "appendix_f"
-
-    def invalid_values(self) -> list[str]:
-        """Return a sentence on each impossible value."""
-        faults = super().invalid_values()
-        if self.estimator not in self.estimators:
-            allowed = f"it is {'one of ' * (len(self.estimators) > 1)}{', '.join(self.estimators)}"
-            faults.append(f"estimator is {self.estimator!r}; {allowed}")
-        return faults
 
     @property
     def gain_matrix(self) -> tuple[tuple[float, ...], ...]:
         """Return K, shape (2, 5)."""
         return tuple(tuple(getattr(self, f"k_{i}_{j}") for j in range(1, 6)) for i in (1, 2))
-
-    @property
-    def process_variances(self) -> tuple[float, ...]:
-        """Return the diagonal of V, eq 5.47, shape (5,)."""
-        return variances_of(self, "process", ("x", "vx", "psi", "psi_dot", "a"))
-
-    @property
-    def measurement_variances(self) -> tuple[float, ...]:
-        """Return the diagonal of W, eq 5.46, shape (3,)."""
-        return variances_of(self, "measurement", SENSED)
 
 
 # -- other laws --------------------------------------------------------------------------------
@@ -146,7 +157,7 @@ def mirrored(row: Sequence[float]) -> dict[str, Any]:
 PLACED_SETTINGS = Settings(**mirrored(PLACED))
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class IntegralSettings(Settings):
     """Parameters of the LQR with integrals of measured x and ψ as states six and seven."""
 
@@ -187,7 +198,7 @@ def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class FullSettings(Settings):
     """Parameters with roll and motors, for the fourteen states linearized at hover."""
 
@@ -209,7 +220,7 @@ class FullSettings(Settings):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class PredictionSettings(Settings):
     """Parameters of predictive laws: weights, limits, horizon. The gains `k_i_j` are unused."""
 
@@ -237,7 +248,7 @@ class PredictionSettings(Settings):
         return [*super().invalid_values(), *(said for _, said in conflicts(self))]
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class PredictiveSettings(PredictionSettings, FullSettings):
     """Parameters of the predictive law linearized once."""
 
@@ -246,36 +257,25 @@ class PredictiveSettings(PredictionSettings, FullSettings):
 
 AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
 PLANT_STATES = tuple(q.name for q in Hovercraft.base_states)
-LINEAR = {p.name: p for p in parameters_of(Settings)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExtendedSettings(Parametric):
+@parametric
+class ExtendedSettings(Noise):
     """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
 
     Process noise is per sample; noise of the five design states is from eq 5.47, the rest is chosen here. Motion along
     the craft's axes also moves the world position, which has no noise of its own.
     """
 
-    process_variance_x: float = declared(LINEAR, "process_variance_x")
     process_variance_y: float = variance(1e-4, "m2", "process noise of y per step, as of x")
-    process_variance_psi: float = declared(LINEAR, "process_variance_psi")
-    process_variance_vx: float = declared(LINEAR, "process_variance_vx")
     process_variance_vy: float = variance(1e-4, "m2/s2", "process noise of vy per step, as of vx")
-    process_variance_psi_dot: float = declared(LINEAR, "process_variance_psi_dot")
     process_variance_phi: float = variance(1e-8, "rad2", "process noise of phi per step")
     process_variance_phi_dot: float = variance(1e-6, "rad2/s2", "process noise of phi_dot per step")
     process_variance_thrust_right: float = variance(1e-6, "N2", "process noise of the right thrust per step")
     process_variance_thrust_left: float = variance(1e-6, "N2", "process noise of the left thrust per step")
     process_variance_tilt_right: float = variance(4e-6, "rad2", "process noise of the right tilt per step, a's 1e-4")
     process_variance_tilt_left: float = variance(4e-6, "rad2", "process noise of the left tilt per step, a's 1e-4")
-    measurement_variance_psi: float = declared(LINEAR, "measurement_variance_psi")
-    measurement_variance_psi_dot: float = declared(LINEAR, "measurement_variance_psi_dot")
-    measurement_variance_ax: float = declared(LINEAR, "measurement_variance_ax")
-    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x, §7.1")
     measurement_variance_y: float = variance(1e-4, "m2", "noise of a fix of y, §7.1; 1e6 where y is not measured")
-    fix_latency: float = declared(LINEAR, "fix_latency")
-    sample_time: float = declared(LINEAR, "sample_time")
 
     axes: str = "own"
 
@@ -285,7 +285,6 @@ class ExtendedSettings(Parametric):
         return [*super().invalid_values(), *stranger]
 
 
-NOISE = {p.name: p for p in parameters_of(ExtendedSettings)}
 # The equations are assumed accurate to 1 % of a propeller's thrust, 25 mN at its arm, independently at each sample of
 # 0.02 s: (0.025 N/m·Δt)², (0.025 N·L/I·Δt)². Positions and angles follow exactly from their rates.
 PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
@@ -296,8 +295,8 @@ def equation_noise(default: float, unit: str, of: str) -> Any:
     return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
 
 
-@dataclass(frozen=True, kw_only=True)
-class TimeVariantSettings(PredictionSettings):
+@parametric
+class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     """Parameters of the craft's equations besides the design model, and noise of the extended filter.
 
     The thrust line passes through `thrust_nominal` at `duty_nominal`. Unused: `k_i_j`, `process_variance_a`.
@@ -305,14 +304,14 @@ class TimeVariantSettings(PredictionSettings):
 
     estimators: ClassVar[tuple[str, ...]] = ("extended",)
 
-    ixx: float = declared(CRAFT, "ixx")
-    propeller_radius: float = declared(CRAFT, "propeller_radius")
-    height: float = declared(CRAFT, "height")
-    thrust_slope: float = declared(CRAFT, "thrust_slope")
-    ground_effect_exponent: float = declared(CRAFT, "ground_effect_exponent")
-    gravity: float = declared(CRAFT, "gravity")
-    table_roll_stiffness: float = declared(CRAFT, "table_roll_stiffness")
-    table_roll_damping: float = declared(CRAFT, "table_roll_damping")
+    ixx: float = of_craft("ixx")
+    propeller_radius: float = of_craft("propeller_radius")
+    height: float = of_craft("height")
+    thrust_slope: float = of_craft("thrust_slope")
+    ground_effect_exponent: float = of_craft("ground_effect_exponent")
+    gravity: float = of_craft("gravity")
+    table_roll_stiffness: float = of_craft("table_roll_stiffness")
+    table_roll_damping: float = of_craft("table_roll_damping")
     process_variance_x: float = equation_noise(0.0, "m2", "x")
     process_variance_y: float = equation_noise(0.0, "m2", "y")
     process_variance_psi: float = equation_noise(0.0, "rad2", "psi")
@@ -321,11 +320,6 @@ class TimeVariantSettings(PredictionSettings):
     process_variance_psi_dot: float = equation_noise(TURN, "rad2/s2", "psi_dot")
     process_variance_phi: float = equation_noise(0.0, "rad2", "phi")
     process_variance_phi_dot: float = equation_noise(ROLL, "rad2/s2", "phi_dot")
-    process_variance_thrust_right: float = declared(NOISE, "process_variance_thrust_right")
-    process_variance_thrust_left: float = declared(NOISE, "process_variance_thrust_left")
-    process_variance_tilt_right: float = declared(NOISE, "process_variance_tilt_right")
-    process_variance_tilt_left: float = declared(NOISE, "process_variance_tilt_left")
-    measurement_variance_y: float = declared(NOISE, "measurement_variance_y")
 
     estimator: str = "extended"
 
@@ -338,34 +332,23 @@ OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in
 
 
 def craft_of(p: Any) -> Hovercraft:
-    """Return the craft with these parameters.
+    """Return the craft with these parameters; its thrust line, eq 4.20, is so that Γ·T_OGE(δ_N) = T_N.
 
     Raises:
         ValueError: The parameters are invalid for a craft.
     """
     values = {name: getattr(p, name) for name in OF_CRAFT}
-    return Hovercraft(**values, thrust_offset=_thrust_offset(p)).with_values({"yaw_damping.coefficient": p.yaw_damping})
+    gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
+    offset = float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)
+    return Hovercraft(**values, thrust_offset=offset).with_values({"yaw_damping.coefficient": p.yaw_damping})
 
 
 def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
     """Return names and reasons of parameters invalid for a craft."""
-    low, high = CRAFT["thrust_offset"].bounds
-    if not low <= _thrust_offset(p) <= high:
-        names = "thrust_nominal", "thrust_slope", "duty_nominal"
-        said = (
-            f"a thrust line of {p.thrust_slope:g} gf/% through thrust_nominal {p.thrust_nominal:g} N at"
-            f" {p.duty_nominal:g} % has {_thrust_offset(p):.4g} gf at no duty; take numbers that give"
-            f" {low:g} to {high:g} gf"
-        )
-        return [(names, said)]
     try:
         craft_of(p)
     except ValueError as error:
-        return [(("yaw_damping",), str(error))]
+        names = "thrust_nominal", "thrust_slope", "duty_nominal", "yaw_damping"
+        said = f"thrust_nominal {p.thrust_nominal:g} N at {p.duty_nominal:g} % and {p.thrust_slope:g} gf/% give a craft"
+        return [(names, f"{said} that cannot be: {error}")]
     return []
-
-
-def _thrust_offset(p: Any) -> float:
-    """Return the offset a [gf] of the thrust line T_OGE = a + b·δ, eq 4.20, so that Γ·T_OGE(δ_N) = T_N."""
-    gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
-    return float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)

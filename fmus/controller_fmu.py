@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 from pythonfmu.enums import Fmi2Status
@@ -20,7 +19,7 @@ from controller.settings import (
 from cosim.fmi.ports import Port, Value, parameter_port
 from cosim.fmi.slave import STEP
 from cosim.model import parameters_of
-from fmus.craft_ports import ESTIMATE, ESTIMATES, MEASURED, SampledSlave, believed_ports, fix_ports
+from fmus.craft_ports import ESTIMATE, ESTIMATES, FIXES, MEASURED, SIGMA, STARTS, SampledSlave
 
 Dependencies = Mapping[str, Sequence[str]]
 INTEGRALS = (
@@ -39,28 +38,27 @@ LATERAL = (
 
 def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
     """Return all variables of a controller FMU: inputs, outputs, parameters and start values."""
-    duty, (sigma, starts) = settings.duty_nominal, believed_ports("filter")
-    *first, last = settings.estimators
-    either = f"{', '.join(first)} or {last}" if first else last
+    duty = settings.duty_nominal
     every = (
         *MEASURED,
         Port("x_ref", "input", 0.0, "m", "reference of the distance along the craft's own axis"),
         Port("psi_ref", "input", 0.0, "rad", "reference of the heading"),
-        *fix_ports("; the five states know none"),
+        *FIXES,
         Port("duty_right", "output", duty, "%", "duty command of the right motor"),
         Port("duty_left", "output", duty, "%", "duty command of the left motor"),
         Port("tilt_right", "output", 0.0, "rad", "tilt command of the right propeller, saturated"),
         Port("tilt_left", "output", 0.0, "rad", "tilt command of the left propeller, saturated"),
         *ESTIMATES,
-        *sigma,
+        *SIGMA,
         *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings)),
-        Port("estimator", "parameter", settings.estimator, "", f"Kalman filter: {either}"),
-        *starts,
+        Port("estimator", "parameter", settings.estimator, "", f"Kalman filter: {', '.join(settings.estimators)}"),
+        *STARTS,
         *more,
     )
     return tuple(p for causality in ("input", "output", "parameter") for p in every if p.causality == causality)
 
 
+START_NAMES = tuple(port.name for port in STARTS)
 # Dependencies of outputs at a sample. The axes are decoupled; of the inputs, only a fix changes the covariance.
 FORWARD, TURN = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
 TILTS = (*TURN, *FORWARD, "x_ref", "psi_ref")
@@ -71,12 +69,11 @@ DEPENDENCIES: Dependencies = {
     **dict.fromkeys(("psi_hat", "psi_dot_hat"), TURN),
     "x_sigma": ("fix",),
 }
-STARTS = tuple(f"{name}_start" for name in ESTIMATE)
 # Dependencies in initialization mode, without filter update and with P = 0.
 INITIAL_DEPENDENCIES: Dependencies = {
     **dict.fromkeys(("duty_right", "duty_left"), ("duty_nominal",)),
     **{
-        f"tilt_{side}": ("x_ref", "psi_ref", "tilt_max", *(f"k_{row}_{j}" for j in range(1, 6)), *STARTS)
+        f"tilt_{side}": ("x_ref", "psi_ref", "tilt_max", *(f"k_{row}_{j}" for j in range(1, 6)), *START_NAMES)
         for row, side in ((1, "right"), (2, "left"))
     },
     **{name: (f"{name}_start",) for name in ESTIMATE},
@@ -105,11 +102,8 @@ class HovercraftController(SampledSlave):
 
     def initialize(self, given: dict[str, Value]) -> None:
         """Start the control loop; its filter starts at `*_hat_start` with P = 0, without an update."""
-        names = {p.name for p in parameters_of(self.settings)} | {"estimator"}
-        every = dict(zip((port.name for port in self.ports), self.values, strict=True))
-        values: dict[str, Any] = {name: v for name, v in every.items() if name in names}
-        settings = replace(self.settings, **values)
-        x_hat = [float(given.get(name, 0.0)) for name in STARTS]
+        settings = self.settings_of(type(self.settings))
+        x_hat = [float(given.get(name, 0.0)) for name in START_NAMES]
         _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs  # y_ref exists only for laws with y
         law = self.law(settings, given)
         self.sample = settings.sample_time

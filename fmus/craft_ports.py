@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any, ClassVar
 
 from cosim.fmi.ports import Port
@@ -25,24 +26,19 @@ ESTIMATES = tuple(
 )
 
 
-def fix_ports(of_y: str = "") -> tuple[Port, ...]:
-    """Return the optional ports of position fixes; `of_y` is a remark on y."""
-    number = "number of the latest fix, 0 before the first; a new one is used"
-    return (
-        Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
-        Port("y_meas", "input", 0.0, "m", f"fix of y, the drift to the right{of_y}", optional=True),
-        Port("fix", "input", 0.0, "1", number, optional=True),
-    )
-
-
-def believed_ports(who: str) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-    """Return ports for the standard deviations of x and ψ, and for the start of the estimate."""
-    sigma = f"standard deviation of {{}}_hat the {who} believes in"
-    start = f"start value of {{}}; the {who} knows where it starts"
-    return (
-        tuple(Port(f"{n}_sigma", "output", 0.0, unit, sigma.format(n)) for n, unit in (("x", "m"), ("psi", "rad"))),
-        tuple(Port(f"{p.name}_start", "parameter", 0.0, p.unit, start.format(p.name)) for p in ESTIMATES),
-    )
+FIXES = (
+    Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
+    Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right", optional=True),
+    Port("fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True),
+)
+SIGMA = tuple(
+    Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat the estimator believes in")
+    for name, unit in (("x", "m"), ("psi", "rad"))
+)
+STARTS = tuple(
+    Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}; the estimator knows where it starts")
+    for p in ESTIMATES
+)
 
 
 class SampledSlave(Slave):
@@ -57,6 +53,12 @@ class SampledSlave(Slave):
     who: ClassVar[str]
     sample: float
     running: Any
+
+    def settings_of(self, kind: Any) -> Any:
+        """Return an object of a dataclass with the values of the variables that are named as its fields."""
+        names = {field.name for field in fields(kind)}
+        values = zip((port.name for port in self.ports), self.values, strict=True)
+        return kind(**{name: value for name, value in values if name in names})
 
     def check_sample(self, h: float) -> None:
         """Raise ValueError for a step that is no sample."""

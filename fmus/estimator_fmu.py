@@ -5,19 +5,17 @@ Like the controller, they need numpy, scipy and filterpy in the hosting Python.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, ClassVar
 
 from controller.extended import ExtendedFilter, level_tilt
-from controller.observers import DOUBLE_INTEGRATION, OBSERVERS, DoubleIntegration, LinearFilter
-from controller.settings import ExtendedSettings, Settings
+from controller.observers import DoubleIntegration, LinearFilter
+from controller.settings import DOUBLE_INTEGRATION, ESTIMATORS, ExtendedSettings, FilterSettings
 from cosim.fmi.ports import Port, Value, parameter_port
-from cosim.model import Parameter, parameters_of
-from fmus.craft_ports import ESTIMATE, ESTIMATES, SampledSlave, believed_ports, fix_ports
+from cosim.model import parameters_of
+from fmus.craft_ports import ESTIMATE, ESTIMATES, FIXES, SIGMA, STARTS, SampledSlave
 from fmus.craft_ports import MEASURED as IMU
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 
-SIGMA, STARTS = believed_ports("estimator")
 NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right"
 SIGNALS = (
     *IMU,
@@ -25,7 +23,7 @@ SIGNALS = (
     Port("duty_left", "input", DUTY_NOMINAL, "%", "duty command of the left motor, as it has acted"),
     Port("tilt_right", "input", 0.0, "rad", "tilt command of the right propeller, as it has acted"),
     Port("tilt_left", "input", 0.0, "rad", "tilt command of the left propeller, as it has acted"),
-    *fix_ports(),
+    *FIXES,
     *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
     *SIGMA,
@@ -39,10 +37,7 @@ Dependencies = dict[str, tuple[str, ...]]
 # A command acts until the sample, so no output depends on the command of the same time.
 DEPENDENCIES: Dependencies = dict.fromkeys(OUTPUTS, MEASURED)
 INITIAL_DEPENDENCIES: Dependencies = dict.fromkeys(OUTPUTS, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
-NUMBERS: tuple[Parameter, ...] = tuple(p for p in Hovercraft().parameters if not isinstance(p.default, bool))
-# a filter has the parameters of the controller without its gains
-FILTER_NUMBERS = [p for p in parameters_of(Settings) if not p.name.startswith("k_") and p.name != "tilt_max"]
-EXTENDED_NUMBERS = parameters_of(ExtendedSettings)
+NUMBERS = [p for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)]
 FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
 
 
@@ -68,25 +63,17 @@ class HovercraftFilter(Estimator):
 
     ports: ClassVar[tuple[Port, ...]] = (
         *SIGNALS,
-        *(parameter_port(p, getattr(Settings(), p.name)) for p in FILTER_NUMBERS),
-        Port("estimator", "parameter", Settings().estimator, "", f"estimator: {', '.join(OBSERVERS)}"),
+        *(parameter_port(p, p.default) for p in parameters_of(FilterSettings)),
+        Port("estimator", "parameter", ESTIMATORS[0], "", f"estimator: {', '.join(FilterSettings.estimators)}"),
         *STARTS,
     )
 
     def initialize(self, given: dict[str, Value]) -> None:
         """Start the estimator at `*_hat_start` with P = 0, without an update."""
-        chosen = str(given.get("estimator", Settings().estimator))
-        if chosen not in OBSERVERS:
-            raise ValueError(f"estimator is {chosen!r}; it is one of {', '.join(OBSERVERS)}")
-        names = {p.name for p in parameters_of(Settings)}
-        values: dict[str, Any] = {n: v for n, v in given.items() if n in names}
-        kind: type[LinearFilter | DoubleIntegration] = DoubleIntegration
-        if chosen != DOUBLE_INTEGRATION:
-            kind, values["estimator"] = LinearFilter, chosen
-        settings = Settings(**values)
-        start = [float(given.get(f"{n}_start", 0.0)) for n in ESTIMATE]
+        settings = self.settings_of(FilterSettings)
+        kind: Any = DoubleIntegration if settings.estimator == DOUBLE_INTEGRATION else LinearFilter
         self.sample = settings.sample_time
-        self.running = kind(settings, start, self.inputs[-1])
+        self.running = kind(settings, [float(given.get(f"{n}_start", 0.0)) for n in ESTIMATE], self.inputs[-1])
         self._publish()
 
 
@@ -95,8 +82,8 @@ class HovercraftEkf(Estimator):
 
     ports: ClassVar[tuple[Port, ...]] = (
         *SIGNALS,
-        *(parameter_port(p, getattr(Hovercraft(), p.name)) for p in NUMBERS),
-        *(parameter_port(p, getattr(ExtendedSettings(), p.name)) for p in EXTENDED_NUMBERS),
+        *(parameter_port(p, p.default) for p in NUMBERS),
+        *(parameter_port(p, p.default) for p in parameters_of(ExtendedSettings)),
         Port("axes", "parameter", ExtendedSettings().axes, "", FIX_AXES),
         *STARTS,
     )
@@ -110,19 +97,8 @@ class HovercraftEkf(Estimator):
         """
         from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
 
-        faults, numbers = [], {p.name: v for p in NUMBERS if (v := given.get(p.name)) is not None}
-        own: dict[str, Any] = {p.name: v for p in EXTENDED_NUMBERS if (v := given.get(p.name)) is not None}
-        model, settings = Hovercraft(), ExtendedSettings()
-        try:
-            model = model.with_values(numbers)
-        except ValueError as error:
-            faults.append(str(error))
-        try:
-            settings = replace(settings, **own, axes=str(given.get("axes", "own")))
-        except ValueError as error:
-            faults.append(str(error))
-        if faults:
-            raise ValueError("; ".join(faults))
+        model = Hovercraft().with_values({p.name: given[p.name] for p in NUMBERS if p.name in given})
+        settings = self.settings_of(ExtendedSettings)
         start = {n.removesuffix("_hat"): float(given.get(f"{n}_start", 0.0)) for n in ESTIMATE}
         tilt = level_tilt(model, start.pop("a"))
         start |= {"tilt_right": tilt, "tilt_left": tilt}

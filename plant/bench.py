@@ -7,7 +7,6 @@ Equation numbers, sections and appendices refer to J. Jorquera Grau, SDSM&T, 201
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from cosim.model import (
     SCALAR,
@@ -20,6 +19,7 @@ from cosim.model import (
     Quantity,
     Values,
     parameter,
+    parametric,
 )
 from plant.powertrain import (
     assembly_moment,
@@ -62,7 +62,7 @@ OUTPUTS = (
 OWN = len(STATES)  # index of the state of an effect
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class BenchDelay(Delay):
     """Delay of all commands of the bench by T, like the craft's effect `actuator_delay`."""
 
@@ -70,7 +70,7 @@ class BenchDelay(Delay):
     memory = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class BenchSecondOrder(Effect):
     """Overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
 
@@ -85,7 +85,7 @@ class BenchSecondOrder(Effect):
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Bench(Model):
     """Testing bench: one power-train on three load cells, calibrated at the hub (§3.5); see `equations`."""
 
@@ -157,6 +157,7 @@ class Bench(Model):
             moment = assembly_moment(m, tilt, self.assembly_mass, self.gravity, self.assembly_arm)
             return z + load_z, x + load_x, moment + load_m
 
+        curves = [[getattr(self, f"{c}_{power}") for power in ("zero", "slope", "square", "cube")] for c in CHANNELS]
         overshoot = next((e for e in self.awake if isinstance(e, BenchSecondOrder)), None)
 
         def tilting(state: Values, target: Number) -> tuple[Number, Values]:
@@ -171,11 +172,6 @@ class Bench(Model):
 
         def converted(state: Values, command: Values) -> Values:
             step = self.converter_range / self.converter_levels
-            curves = (
-                (self.z_zero, self.z_slope, self.z_square, self.z_cube),
-                (self.x_zero, self.x_slope, self.x_square, self.x_cube),
-                (self.m_zero, self.m_slope, self.m_square, self.m_cube),
-            )
             volts = []
             for f, (zero, slope, square, cube), noise in zip(forces(state, command), curves, command[6:9], strict=True):
                 v = zero + f * (slope + f * (square + f * cube)) + noise

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
-from cosim.model import Bias, Drift, Latency, LeverArm, Namespace, Number, Scale, SensorError, Values, parameter
+from cosim.model import (
+    Bias,
+    Drift,
+    Latency,
+    LeverArm,
+    Namespace,
+    Number,
+    Scale,
+    SensorError,
+    Values,
+    parameter,
+    parametric,
+)
 from plant.effects import off_at_zero
 
 HOVER_THRUST = 2.4973  # [N], T_N of eq 5.36
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class AccelerometerBias(Bias):
     """Accelerometer bias: reading a_x + b."""
 
@@ -22,7 +33,7 @@ class AccelerometerBias(Bias):
     value: float = off_at_zero("m/s2", (-2, 2), 0.05, "bias b")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class AccelerometerScale(Scale):
     """Accelerometer scale error: reading s·a_x."""
 
@@ -33,7 +44,7 @@ class AccelerometerScale(Scale):
     value: float = parameter(1.0, unit="1", bounds=(0.3, 3), neutral=1.0, typical=0.1, doc="scale s")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class GyroBias(Bias):
     """Gyroscope bias: reading ψ̇ + b."""
 
@@ -44,7 +55,7 @@ class GyroBias(Bias):
     value: float = off_at_zero("rad/s", (-0.5, 0.5), 0.01, "bias b")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class AccelerometerLeverArm(LeverArm):
     """Accelerometer mounted l ahead of the centre of mass.
 
@@ -61,7 +72,7 @@ class AccelerometerLeverArm(LeverArm):
         return (-psi_dot * psi_dot,)
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class AccelerometerDrift(Drift):
     """Accelerometer drift: reading a_x + d·t."""
 
@@ -72,7 +83,7 @@ class AccelerometerDrift(Drift):
     value: float = off_at_zero("m/s3", (-0.2, 0.2), 5e-3, "drift d")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class GyroDrift(Drift):
     """Gyroscope drift: reading ψ̇ + d·t."""
 
@@ -83,7 +94,7 @@ class GyroDrift(Drift):
     value: float = off_at_zero("rad/s2", (-0.05, 0.05), 1e-3, "drift d")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class CameraLatency(Latency):
     """Camera latency T: positions at t are those of t − T."""
 
@@ -92,7 +103,7 @@ class CameraLatency(Latency):
     outputs = ("x_world", "y_world")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class MagnetometerDisturbance(SensorError):
     """Magnetometer disturbance by the motors (§5.2): a heading error proportional to their duty, zero at hover.
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.closed_loop import manoeuvre
 from controller.designer import DesignFile, controller_starts
 from controller.laws import IntegralFeedback, Law, LawInput, StateFeedback
 from controller.loop import Loop
@@ -32,7 +33,6 @@ from controller.settings import (
     TimeVariantSettings,
 )
 from controller.stability import LoopMode, flown_modes
-from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
 from cosim.model.symbolic.linearize import load_names
 from fmus.recipes import HEAVY, jacobians
@@ -97,23 +97,6 @@ class Flight:
     def saturated(self) -> float:
         """Return the share of samples with a tilt at its limit."""
         return float((np.abs(self.command[:, 2:]).max(axis=1) >= self.settings.tilt_max - 1e-6).mean())
-
-
-def manoeuvre(t: float) -> tuple[float, float]:
-    """References of App. G as in scenarios/manoeuvre.yaml."""
-    return X_OF(t), PSI_OF(t)
-
-
-X_OF = ProfileFunction(Profile(changes=[Change(at=5, to=1.5), Change(at=17, to=3.0)]))
-PSI_OF = ProfileFunction(
-    Profile(
-        changes=[
-            Change(at=1, to=-math.pi / 2),
-            Change(at=10, to=math.pi / 2, rate=math.pi / 4),
-            Change(at=22, to=0.0),
-        ]
-    )
-)
 
 
 def regulate(t: float) -> tuple[float, float]:

@@ -7,15 +7,14 @@ unit and usual size of that sensor's error.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import ClassVar
 
-from cosim.model.model import Effect, Number, Values
+from cosim.model.model import Effect, Number, Values, parametric
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import parameter
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class SensorError(Effect):
     """An error in the reading of an output.
 
@@ -60,7 +59,7 @@ class SensorError(Effect):
         return cls.late or cls.lagging
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Bias(SensorError):
     """Bias: reading y + b."""
 
@@ -73,7 +72,7 @@ class Bias(SensorError):
         return value + self.value
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Scale(SensorError):
     """Scale error: reading s·y."""
 
@@ -86,7 +85,7 @@ class Scale(SensorError):
         return value * self.value
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Magnitude(SensorError):
     """Magnitude in place of the signed value: reading (1 − m)·y + m·|y|, m = 1 for a sensor without direction."""
 
@@ -101,7 +100,7 @@ class Magnitude(SensorError):
         return m.where(value >= 0.0, value, (1.0 - 2.0 * self.value) * value)
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Drift(SensorError):
     """Drift: reading y + d·t, t from the start of the log's clock."""
 
@@ -114,7 +113,7 @@ class Drift(SensorError):
         return outputs[self.output] + self.value * t
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class LeverArm(SensorError):
     """Lever arm l between sensor and reference point of the output: reading y + l·c, with c from other outputs.
 
@@ -146,7 +145,7 @@ class LeverArm(SensorError):
         return {n: outputs[n] + self.value * c for n, c in zip(self.affected(), offsets, strict=True)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Latency(SensorError):
     """Latency of readings by T: the reading at t is y(t − T), for every output in `outputs`."""
 
@@ -156,7 +155,7 @@ class Latency(SensorError):
     value: float = parameter(0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.03, doc="latency T of the readings")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parametric
 class Lag(SensorError):
     """First-order lag of a sensor: T·ṙ = y − r with the reading r, for every output in `outputs`."""
 

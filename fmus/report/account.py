@@ -23,10 +23,8 @@ from fmus.report.craft import (
     responses,
     saturation,
 )
-from fmus.report.lines import QUANTITIES
+from fmus.report.lines import SYMBOLS, UNITS
 
-SYMBOLS = {quantity.name: quantity.symbol for quantity in QUANTITIES}
-SI = {"x": "m", "psi": "rad", "vx": "m/s", "psi_dot": "rad/s"}
 MAX_RESPONSES = 16
 SETTLING = "settling_time"  # kind of criterion
 
@@ -132,7 +130,7 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
         answers = responses(crafts[0], variable) if crafts and not run.has_failed else []
         if not answers:
             continue
-        unit, column = SI[variable], f"{crafts[0].name}.{variable}"
+        unit, column = UNITS[variable], f"{crafts[0].name}.{variable}"
         time, band = _settling(answers[-1].settling, unit), f"last step, ±{BAND:g} {unit}"
         for criterion in mappings(run.manifest.get("criteria")):
             if (criterion.get("kind"), criterion.get("of")) == (SETTLING, column):
@@ -161,7 +159,7 @@ def response_rows(craft: Craft) -> list[dict[str, str]]:
     answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
     rows = []
     for answer in answers[-MAX_RESPONSES:]:
-        unit = SI[answer.variable]
+        unit = UNITS[answer.variable]
         ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
         step = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}{ramp}"
         row = {"symbol": SYMBOLS[answer.variable], "time": amount(answer.time, "s"), "step": step}
@@ -173,12 +171,12 @@ def response_rows(craft: Craft) -> list[dict[str, str]]:
 def grids(craft: Craft) -> list[Grid]:
     """Return the RMS errors of control and estimation, and effort and saturation of the tilts, as far as recorded."""
     errors, efforts = [], []
-    for quantity in QUANTITIES:
-        true, unit = craft.signal(quantity.name), SI[quantity.name]
-        tracking = error_rms(true, craft.reference(quantity.name))
-        estimation = error_rms(craft.estimate(f"{quantity.name}_hat"), true)
+    for name, symbol in SYMBOLS.items():
+        true, unit = craft.signal(name), UNITS[name]
+        tracking = error_rms(true, craft.reference(name))
+        estimation = error_rms(craft.estimate(f"{name}_hat"), true)
         if math.isfinite(tracking) or math.isfinite(estimation):
-            errors.append((quantity.symbol, amount(tracking, unit), amount(estimation, unit)))
+            errors.append((symbol, amount(tracking, unit), amount(estimation, unit)))
     for side in SIDES:
         good, command = finite(craft.command(f"tilt_{side}"))
         if command.size:

@@ -15,7 +15,7 @@ from cosim.simulation.report.recorded import Run
 from fmus.report import account
 from fmus.report.craft import Craft, find_crafts
 from fmus.report.lines import error_panels, shown_columns, state_panels, tilt_panels
-from fmus.report.topview import last_row, make_view, poses, true_track
+from fmus.report.topview import Body, make_view
 
 POSES = 1000  # of the moving picture
 TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
@@ -23,20 +23,18 @@ TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
     """Return the report sections for the crafts of a run."""
-    crafts = find_crafts(run)
+    crafts, rows = find_crafts(run), sample_rows(run.time.size, POSES)
     called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
-    rows = sample_rows(run.time.size, POSES)
-    view = make_view(crafts, rows) if run.time.size else None
-    drawn = [craft for craft in crafts if view and last_row(true_track(craft)) is not None]
+    bodies = [body for craft in crafts if (body := Body.of(craft)) is not None]
     pages = [craft_page(*pair, drawing) for pair in zip(crafts, called, strict=True)] if run.time.size else []
     return ComponentPage(
         template=TEMPLATE,
-        values={"pages": pages, "view": view},
+        values={"pages": pages, "view": make_view(bodies, rows) if bodies else None},
         tiles=account.tiles(run, crafts),
         shown=frozenset(shown_columns(crafts)),
         data={
             "few": round_values(run.time[rows], 6),
-            "crafts": [poses(craft, rows, drawing.charts) for craft in drawn],
+            "crafts": [body.moving(rows, drawing.charts) for body in bodies],
         },
     )
 
@@ -64,10 +62,10 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> Mapping[str, Any]
 
 def readout(panel: Panel, plot: Plot) -> Mapping[str, Any]:
     """Return the last truth, estimate and reference of a state, as far as recorded: key of its series and text."""
-    cells = []
-    for style in ("true", "estimate", "reference"):
-        pairs = zip(plot.spec["traces"], panel.traces, strict=True)
-        key, trace = next(((spec["y"], trace) for spec, trace in pairs if trace.style == style), (None, None))
-        value = float(trace.values[-1]) if trace is not None and trace.values.size else math.nan
-        cells.append((key, plain(value) if math.isfinite(value) else MISSING))
+    series = {
+        trace.style: (spec["y"], float(trace.values[-1]) if trace.values.size else math.nan)
+        for spec, trace in zip(plot.spec["traces"], panel.traces, strict=True)
+    }
+    shown = [series.get(style, (None, math.nan)) for style in ("true", "estimate", "reference")]
+    cells = [(key, plain(value) if math.isfinite(value) else MISSING) for key, value in shown]
     return {"symbol": panel.symbol, "title": panel.title, "unit": panel.unit, "cells": cells}

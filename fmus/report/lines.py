@@ -3,71 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.text import DEGREES
-from cosim.report.panels import Band, Panel, Trace
+from cosim.report.panels import Band, Panel, Trace, display_unit
 from fmus.report.craft import COLOURS, SIDES, Craft
+from plant.hovercraft import Hovercraft
 
-
-@dataclass(frozen=True)
-class PlottedQuantity:
-    """A controlled and estimated state, with its displayed unit."""
-
-    name: str
-    title: str
-    symbol: str
-    unit: str
-    factor: float = 1.0
-
-
-QUANTITIES = (
-    PlottedQuantity("x", "Distance along the craft's axis", "x", "m"),
-    PlottedQuantity("psi", "Heading, positive to the left", "ψ", "°", DEGREES),
-    PlottedQuantity("vx", "Forward speed", "v", "m/s"),
-    PlottedQuantity("psi_dot", "Yaw rate, positive to the left", "ψ̇", "°/s", DEGREES),
-)
+UNITS = {q.name: q.unit for q in Hovercraft.outputs}
+TITLES = {  # of the controlled and estimated states
+    "x": "Distance along the craft's axis",
+    "psi": "Heading, positive to the left",
+    "vx": "Forward speed",
+    "psi_dot": "Yaw rate, positive to the left",
+}
+SYMBOLS = {"x": "x", "psi": "ψ", "vx": "v", "psi_dot": "ψ̇"}
 
 
 def state_panels(craft: Craft) -> list[Panel]:
     """Return panels of states with references and estimates ±2σ."""
     panels = []
-    for quantity in QUANTITIES:
-        true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
+    for name, title in TITLES.items():
+        true, estimate, (unit, factor) = craft.signal(name), craft.estimate(f"{name}_hat"), display_unit(UNITS[name])
         if true is None:
             continue
-        reference = craft.reference(quantity.name)
-        lines = [("reference", reference, "reference", True), ("estimate", estimate, "estimate", False)]
+        lines = [("reference", craft.reference(name), "reference", True), ("estimate", estimate, "estimate", False)]
         lines.append(("craft", true, "true", False))
-        traces = [
-            Trace(label, line * quantity.factor, style, held) for label, line, style, held in lines if line is not None
-        ]
-        band = _band(craft, quantity, estimate, "estimate ±2σ")
-        panels.append(Panel(quantity.title, quantity.unit, traces, band, symbol=quantity.symbol))
+        traces = [Trace(label, line * factor, style, held) for label, line, style, held in lines if line is not None]
+        band = _band(craft, name, estimate, "estimate ±2σ")
+        panels.append(Panel(title, unit, traces, band, symbol=SYMBOLS[name]))
     return panels
 
 
 def error_panels(craft: Craft) -> list[Panel]:
     """Return panels of estimation errors, with the estimator's ±2σ about zero."""
     panels = []
-    for quantity in QUANTITIES:
-        true, estimate = craft.signal(quantity.name), craft.estimate(f"{quantity.name}_hat")
-        if true is None or estimate is None:
-            continue
-        band = _band(craft, quantity, np.zeros(true.size), "±2σ claimed")
-        trace = Trace("estimate − craft", (estimate - true) * quantity.factor, "error")
-        panels.append(Panel(f"Error of {quantity.symbol}", quantity.unit, [trace], band))
+    for name, symbol in SYMBOLS.items():
+        true, estimate, (unit, factor) = craft.signal(name), craft.estimate(f"{name}_hat"), display_unit(UNITS[name])
+        if true is not None and estimate is not None:
+            band = _band(craft, name, np.zeros(true.size), "±2σ claimed")
+            trace = Trace("estimate − craft", (estimate - true) * factor, "error")
+            panels.append(Panel(f"Error of {symbol}", unit, [trace], band))
     return panels
 
 
-def _band(craft: Craft, quantity: PlottedQuantity, centre: Array | None, label: str) -> Band | None:
-    sigma = craft.estimate(f"{quantity.name}_sigma")
+def _band(craft: Craft, name: str, centre: Array | None, label: str) -> Band | None:
+    sigma, (_, factor) = craft.estimate(f"{name}_sigma"), display_unit(UNITS[name])
     if centre is None or sigma is None:
         return None
-    return Band(label, (centre - 2 * sigma) * quantity.factor, (centre + 2 * sigma) * quantity.factor)
+    return Band(label, (centre - 2 * sigma) * factor, (centre + 2 * sigma) * factor)
 
 
 def tilt_panels(craft: Craft) -> list[Panel]:
@@ -89,10 +75,10 @@ def shown_columns(crafts: Sequence[Craft]) -> set[str]:
     """Return the result columns in the crafts' sections."""
     columns: set[str] = set()
     for craft in crafts:
-        for quantity in QUANTITIES:
-            columns.add(f"{craft.name}.{quantity.name}")
-            columns.update(f"{craft.estimator}.{quantity.name}_{end}" for end in ("hat", "sigma", "ref"))
-            columns.add(craft.reference_column(quantity.name) or "")
+        for name in TITLES:
+            columns.add(f"{craft.name}.{name}")
+            columns.update(f"{craft.estimator}.{name}_{end}" for end in ("hat", "sigma", "ref"))
+            columns.add(craft.reference_column(name) or "")
         for side in SIDES:
             columns.update((f"{craft.name}.tilt_{side}", f"{craft.name}.tilt_{side}_actual"))
             columns.add(f"{craft.estimator}.tilt_{side}")

@@ -77,17 +77,16 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> It
     windows = {"rest": test.rest} if isinstance(test, SineTest) else {"rest": test.rest, "window": test.window}
     if isinstance(test, HoldTest):
         windows["hold"] = test.hold
-    counts = {key: int(r.rows(window).sum()) for key, window in windows.items()}
     begin, end, slack = r.time[0], r.time[-1], 1.5 * r.step
-    inside = {key: begin <= window[0] + slack and window[1] <= end + slack for key, window in windows.items()}
-    if missing := [key for key in windows if counts[key] < MIN_WINDOW_ROWS or not inside[key]]:
-        for key in missing:
-            text = "`{}` from {:g} to {:g} s has {} rows".format(key, *windows[key], counts[key])
-            text += f", in a run from {begin:g} to {end:.4g} s with rows {r.step:.3g} s apart"
-            cure = (
-                f"record all of it, {MIN_WINDOW_ROWS} rows or more, correct it, or say the unit of the time: time [ms]"
-            )
-            yield key, 0, f"{text}; {cure}"
+    cure = f"record all of it, {MIN_WINDOW_ROWS} rows or more, correct it, or say the unit of the time: time [ms]"
+    short = False
+    for key, (first, last) in windows.items():
+        count = int(r.rows((first, last)).sum())
+        if count < MIN_WINDOW_ROWS or first < begin - slack or last > end + slack:
+            short = True
+            text = f"`{key}` from {first:g} to {last:g} s has {count} rows, in a run from {begin:g} to {end:.4g} s"
+            yield key, 0, f"{text} with rows {r.step:.3g} s apart; {cure}"
+    if short:
         return
     duty, angle = r.duty, servo_angle(r.servo_duty, bench.servo_neutral, bench.servo_slope)
     rest, window = r.rows(test.rest), r.rows(test.analysed)

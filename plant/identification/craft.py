@@ -16,7 +16,9 @@ recorded commands; both results are given.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,12 +32,14 @@ from cosim.core.registry import BASE
 from cosim.core.text import did_you_mean
 from cosim.core.units import square_unit
 from cosim.files.kinds import check_given
-from cosim.files.yaml_file import NotNegative, Number, Part, YamlFile
+from cosim.files.yaml_file import Number, Part, YamlFile
 from cosim.fmi.building.file import LoadedModel, load_model
+from cosim.fmi.building.own_run import command_rows
 from cosim.logs.log import Log, read_log
 from cosim.model import Model, Stepper
 from plant.identification import PROTOCOL
 from plant.identification.estimates import Estimate, Figure, Result, make_estimates
+from plant.identification.protocol import Window
 
 MIN_RUNS = 3  # runs over the distance: the interval comes from the scatter between them
 MIN_REST_ROWS = 50  # below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
@@ -50,7 +54,7 @@ class RestFile(Part):
     """Logs of the craft at rest; `window` [s] of each, by default the whole log."""
 
     files: Annotated[list[str], Field(min_length=1)]
-    window: tuple[NotNegative, NotNegative] | None = None
+    window: Window | None = None
 
 
 class DistanceFile(Part):
@@ -130,7 +134,7 @@ def read_craft(path: Path) -> CraftUnderTest | None:
             except InputError as error:
                 faults += error.faults
     if not faults and content.rest is not None:
-        faults += _rest_faults(yaml, logs["rest"], content.rest.window)
+        faults += _rest_faults(logs["rest"], content.rest.window)
     text = "no command changes in it: nothing moves, and nothing can be matched; leave it out"
     still = [run for run in logs["distance"] if all(np.ptp(v) == 0.0 for v in run.inputs.values())]
     refuse(faults + [Fault(run.path, 0, 0, text) for run in still])
@@ -139,15 +143,9 @@ def read_craft(path: Path) -> CraftUnderTest | None:
 
 # -- noise at rest --------------------------------------------------------------------------
 
-Window = tuple[float, float] | None
 
-
-def _rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator[Fault]:
-    """Yield a fault for an empty window, and for each log that is too short or not at rest."""
-    if window is not None and window[0] >= window[1]:
-        text = f"{window[0]:g} … {window[1]:g} s is empty; write its start, then its end"
-        yield yaml.fault(("rest", "window"), text)
-        return
+def _rest_faults(logs: Sequence[Log], window: Window | None) -> Iterator[Fault]:
+    """Yield a fault for each log that is too short or not at rest."""
     for log in logs:
         for name in log.outputs:
             ((_, values),) = _readings([log], name, window)
@@ -165,7 +163,7 @@ def _rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterato
                 yield Fault(log.path, 0, 0, f"{text}; {cure}")
 
 
-def _readings(logs: Sequence[Log], name: str, window: Window) -> Iterator[tuple[Array, Array]]:
+def _readings(logs: Sequence[Log], name: str, window: Window | None) -> Iterator[tuple[Array, Array]]:
     """Yield times and finite readings of an output in the window of each log that has it."""
     low, high = window or (-np.inf, np.inf)
     for log in logs:
@@ -174,7 +172,7 @@ def _readings(logs: Sequence[Log], name: str, window: Window) -> Iterator[tuple[
             yield log.time[inside], log.outputs[name][inside]
 
 
-def _noise(logs: Sequence[Log], model: Model, window: Window) -> Result:
+def _noise(logs: Sequence[Log], model: Model, window: Window | None) -> Result:
     """Return the pooled S² of eq 5.44 of each output, and the variance about a line with its 95 % χ² interval."""
     result = Result("rest", [])
     for q in model.outputs:
@@ -250,21 +248,20 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
         ValueError: No value within the bounds gives the distance.
     """
 
+    @cache
     def gap(value: float) -> float:
         return distance_of(value) - length
 
-    wide = WIDE_RANGE * (abs(near) or 1.0)
+    wide, gaps = WIDE_RANGE * (abs(near) or 1.0), list[float]()
     low, high = (b if np.isfinite(b) else near + sign * wide for b, sign in zip(bounds, (-1, 1), strict=True))
-    gaps, inner = {near: gap(near)}, {low: near, high: near}
-    for share in SHARES:
+    for shares in pairwise((0.0, *SHARES)):
         for end in (high, low):
-            outer = near + share * (end - near)
-            gaps[outer] = gap(outer)
-            pair = gaps[inner[end]], gaps[outer]
+            bracket = sorted(near + share * (end - near) for share in shares)
+            pair = [*map(gap, bracket)]
             if np.isfinite(pair).all() and pair[0] * pair[1] <= 0.0:
-                return float(optimize.brentq(gap, *sorted((inner[end], outer)), xtol=1e-9, rtol=1e-9))
-            inner[end] = outer
-    reached = [g + length for g in gaps.values() if np.isfinite(g)]
+                return float(optimize.brentq(gap, *bracket, xtol=1e-9, rtol=1e-9))
+            gaps += pair
+    reached = [g + length for g in gaps if np.isfinite(g)]
     span = f"from {min(reached):.4g} to {max(reached):.4g} are" if reached else "nothing is"
     raise ValueError(f"{span} within its bounds {low:g} … {high:g}; is the distance or the sign of a command wrong?")
 
@@ -272,28 +269,28 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
 def _path(run: Log, model: Model, output: str) -> Array:
     """Return a model output under the recorded commands."""
     stepper, row = Stepper(model), [q.name for q in model.outputs].index(output)
-    commands = np.column_stack([run.inputs[q.name] for q in model.inputs]).tolist()
-    moment = stepper.start(float(run.time[0]))
-    values = [stepper.output(moment.t, moment.state, tuple(commands[0]))[row]]
-    for k, h in enumerate(np.diff(run.time).tolist()):
-        moment = stepper.step(moment, tuple(commands[k]), h)
-        values.append(stepper.output(moment.t, moment.state, tuple(commands[k + 1]))[row])
+    moment, commands, values = stepper.start(float(run.time[0])), command_rows(model, run), list[float]()
+    for k, h in enumerate([0.0, *np.diff(run.time).tolist()]):
+        if k:
+            moment = stepper.step(moment, commands[k - 1], h)
+        values.append(stepper.output(moment.t, moment.state, commands[k])[row])
     return np.asarray(np.array(values) - values[0], dtype=np.float64)
 
 
 def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> Callable[[float], float] | None:
     """Return the distance of the craft's observer (App. F), None for other models or missing sensors."""
     from controller.observers import kalman_filter
-    from controller.settings import Settings
+    from controller.settings import FilterSettings
     from controller.synthesis import numbers_of
     from plant.hovercraft import Hovercraft
 
-    names = {f.name for f in fields(Settings)}
     measured = all(name in run.outputs and np.isfinite(run.outputs[name]).all() for name in IMU)
-    if not (isinstance(model, Hovercraft) and measured and output == "x" and parameter in names):
+    if not (isinstance(model, Hovercraft) and measured and output == "x"):
         return None
-    numbers: dict[str, Any] = {n: v for n, v in numbers_of(model).items() if n in names}
-    base = replace(Settings(), **numbers, sample_time=run.step)
+    numbers: dict[str, Any] = {**numbers_of(model), "sample_time": run.step}
+    base = FilterSettings(**numbers)
+    if not hasattr(base, parameter):
+        return None
     tilts = np.column_stack([run.inputs["tilt_right"], run.inputs["tilt_left"]])
     readings = np.column_stack([run.outputs[name] for name in IMU])
 

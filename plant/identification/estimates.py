@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import signal, stats
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, Flags
 from cosim.model.integrate import rk4, substeps
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
@@ -118,6 +118,19 @@ class Measurement:
         """Return the commanded tilt [rad]."""
         angle: Array = servo_angle(r.servo_duty, self.bench.servo_neutral, self.bench.servo_slope)
         return angle
+
+    def inside(self, r: Recording) -> Flags:
+        """Return the rows in the window of the test."""
+        return r.rows(self.test.window)
+
+    def printed_factor(self, channel: str, function: Callable[[Array], Array]) -> float:
+        """Return the factor of all readings, as in the thesis, on a function of the commanded tilt."""
+        top = bottom = 0.0
+        for r in self.recordings:
+            basis = function(self.commanded_tilt(r)[self.inside(r)])
+            top += float(self.printed_force(r, channel)[self.inside(r)] @ basis)
+            bottom += float(basis @ basis)
+        return top / bottom
 
 
 def tilt_response(bench: Bench, time: Array, servo_duty: Array, lags: Array) -> Array:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,35 +61,30 @@ def after_step(m: Measurement, *, thrust: bool = False) -> Result:
 
     # thesis: each test by 63 %, by rise time over 2.2, and by the initial slope
     by_hand = [_by_hand(r.time - at, m.printed_force(r, channel), m.test.window[1] - at) for r in m.recordings]
-    means, halves, details = [], [], dict[str, Any]()
-    for values in map(np.array, zip(*by_hand, strict=True)):
-        finite = values[np.isfinite(values)]
-        means.append(float(finite.mean()) if finite.size else np.nan)
-        halves.append(1.96 * float(finite.std(ddof=1)) if finite.size > 1 else np.nan)
-    origin = f"Test 4, fit of the {title} after a step"
-    result = estimated(m, "thrust_step" if thrust else "step", lags, channel, {name: means[0]}, origin)
-    means.append(float(result.each.mean()))
-    halves.append(float(1.96 * result.each.std(ddof=1)))
-    for way, mean, half in zip(("63 %", "rise time", "slope", "single_fits"), means, halves, strict=True):
-        details[way] = {"mean": mean, "half_width_of_one": half}
+    ways = dict(zip(("63 %", "rise time", "slope"), np.array(by_hand).T, strict=True))
+    origin, details = f"Test 4, fit of the {title} after a step", dict[str, Any]()
+    result = estimated(m, "thrust_step" if thrust else "step", lags, channel, {name: np.nan}, origin)
+    for way, values in (ways | {"single_fits": result.each.ravel()}).items():
+        known = values[np.isfinite(values)]
+        half = 1.96 * float(known.std(ddof=1)) if known.size > 1 else np.nan
+        details[way] = {"mean": float(known.mean()) if known.size else np.nan, "half_width_of_one": half}
+    result.estimates = [replace(result.estimates[0], thesis=details["63 %"]["mean"])]
     result.details = details
-    shown = [f"{1000 * mean:.1f} ± {1000 * half:.1f} ms" for mean, half in zip(means, halves, strict=True)]
+    shown = [f"{1000 * d['mean']:.1f} ± {1000 * d['half_width_of_one']:.1f} ms" for d in details.values()]
     result.notes.append(
         f"As the thesis reads it: {shown[0]} by 63 %, {shown[1]} by rise time, {shown[2]} by slope; "
         f"single fits {shown[3]} (± is 1.96 σ of one test)."
     )
     if not thrust and m.truth:
         result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
-    tau, first, x, y = result.estimates[0].value, m.recordings[0], list[float](), list[float]()
-    window = at - 0.1, at + 0.9
-    for r in m.recordings:
-        x += [*(r.time[r.rows(window)] - at), np.nan]
-        y += [*m.gram_force(r, channel)[r.rows(window)], np.nan]
+    tau, first, window = result.estimates[0].value, m.recordings[0], (at - 0.1, at + 0.9)
+    x = np.concatenate([np.append(r.time[r.rows(window)] - at, np.nan) for r in m.recordings])
+    y = np.concatenate([np.append(m.gram_force(r, channel)[r.rows(window)], np.nan) for r in m.recordings])
     rows = first.rows(window)
     shape = _step_response(m, first, np.array([tau]), thrust=thrust)[rows, 0]
     forces = [m.gram_force(r, channel)[rows] for r in m.recordings if r.time.size == first.time.size]
     slope, offset = np.polyfit(shape, np.mean(forces, axis=0), 1)
-    tests = (f"{len(m.recordings)} tests", np.array(x), np.array(y), "s0")
+    tests = (f"{len(m.recordings)} tests", x, y, "s0")
     fit = (f"fit, τ = {1000 * tau:.1f} ms", first.time[rows] - at, offset + slope * shape, "true")
     of = "Thrust after a step of the duty" if thrust else "Horizontal force after a step of the tilt"
     counterpart = "" if thrust else "Fig 4.16"

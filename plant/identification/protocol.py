@@ -280,11 +280,6 @@ class Protocol:
     file: ProtocolFile
     bench: Bench
 
-    @property
-    def folder(self) -> Path:
-        """Return the folder of the protocol."""
-        return self.yaml.path.parent
-
     def load_in_si(self, channel: str) -> float:
         """Return the load unit of a cell in N or N m; a gram-force is converted with the bench's gravity."""
         unit = self.file.cells[channel].unit

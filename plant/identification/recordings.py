@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from cosim.core.errors import Fault, InputError, refuse
 from cosim.fmi.description import read_description
 from cosim.logs.log import read_log
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
-from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
+from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest
 
 LOAD_TIME = 1.0  # [s] duration of a calibration load
 MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
@@ -62,41 +63,38 @@ class Recording:
 # -- simulated runs -----------------------------------------------------------------------
 
 
-def commands(test: Test, bench: Bench, step: float) -> list[Recording]:
+def commands(test: Any, bench: Bench, step: float) -> list[Recording]:
     """Return each different run of a test, without readings.
 
     Commands are straight lines between phases; two phases at one time make a step.
     """
 
-    def run(label: str, time: Array, duty: Array, angle: Array, height: float) -> Recording:
-        servo_duty = bench.servo_neutral + angle * (np.pi / 180.0) / bench.servo_slope
-        return Recording(label, time, duty, servo_duty, np.full(time.size, height), low_pass=test.low_pass)
-
-    runs = []
+    sets = list[tuple[str, float, Any, float]]()  # label, height, phases, frequency of a sine of the tilt
     if isinstance(test, SineTest):
         for w, periods in zip(test.frequencies, test.periods, strict=True):
-            end = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0)
-            time = np.asarray(step * np.arange(round(end / step) + 1), dtype=np.float64)
-            duty: Array = np.interp(time, [1.0 / 3.0 * test.lead, 2.0 / 3.0 * test.lead], [REST_DUTY, test.duty])
-            angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
-            runs.append(run(f" at {w:g} rad/s", time, duty, angle, test.height))
-        return runs
-    sets = [("", test.height, test.phases)]
-    if isinstance(test, HeightTest):
+            end, third = test.lead + max(2.0 * np.pi * periods / w, test.skip + 1.0), test.lead / 3.0
+            phases = [(0, REST_DUTY, 0), (third, REST_DUTY, 0), (2.0 * third, test.duty, 0), (end, test.duty, 0)]
+            sets.append((f" at {w:g} rad/s", test.height, phases, w))
+    elif isinstance(test, HeightTest):
         places = [test.free_height, *(h * bench.propeller_radius for h in test.heights)]
-        sets = [(f" at {h:g} m", h, test.phases) for h in places]
+        sets += [(f" at {h:g} m", h, test.phases, 0.0) for h in places]
         if test.validation_duty is not None:
             top = max(p[1] for p in test.phases)
             other = [(t, test.validation_duty if d == top else d, a) for t, d, a in test.phases]
-            sets += [(f" at {h:g} m, validation", h, other) for h in places]
-    for label, height, phases in sets:
+            sets += [(f" at {h:g} m, validation", h, other, 0.0) for h in places]
+    else:
+        sets.append(("", test.height, test.phases, 0.0))
+    runs = []
+    for label, height, phases, w in sets:
         times, duties, angles = np.array(phases, float).T
-        time = step * np.arange(round(times[-1] / step) + 1)
-        k = np.clip(np.searchsorted(times, time + 1e-9, side="right") - 1, 0, times.size - 2)
-        gap = times[k + 1] - times[k]
-        share = np.clip(np.divide(time - times[k], gap, out=np.ones_like(time), where=gap > 0), 0.0, 1.0)
-        duty, angle = (v[k] + share * (v[k + 1] - v[k]) for v in (duties, angles))
-        runs.append(run(label, time, duty, angle, height))
+        time = np.asarray(step * np.arange(round(times[-1] / step) + 1), dtype=np.float64)
+        in_row = step * np.rint(times / step)
+        times = np.where(np.abs(in_row - times) < 1e-9, in_row, times)  # a step acts in its own row, despite rounding
+        duty, angle = (np.interp(time, times, values) for values in (duties, angles))
+        if w:
+            angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
+        servo_duty = bench.servo_neutral + np.radians(angle) / bench.servo_slope
+        runs.append(Recording(label, time, duty, servo_duty, np.full(time.size, height), low_pass=test.low_pass))
     return runs
 
 

@@ -1,8 +1,8 @@
-"""The pages of an identification: estimates with intervals, and figures of each test."""
+"""The page of an identification: estimates with intervals, and figures of each test."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,9 @@ from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.report.template import render
 from plant.identification.cells import Cell
-from plant.identification.craft import CraftUnderTest
 from plant.identification.estimates import Estimate, Figure, Result
-from plant.identification.protocol import CHANNELS, Protocol
 
-TEMPLATES = Path(__file__).with_name("templates")
+TEMPLATE = Path(__file__).with_name("templates") / "identify.html.j2"
 TITLES = {
     "thrust_line": "Test 1: thrust line",
     "ground_effect": "Test 2: ground effect",
@@ -34,11 +32,19 @@ TITLES = {
 CELLS = {"z": "Vertical cell", "x": "Horizontal cell", "m": "Cell of the torquemeter"}
 
 
-def bench_page(protocol: Protocol, cells: Mapping[str, Cell], results: Sequence[Result], runs: int) -> str:
-    """Return the self-contained page of tests on a bench.
+def page(
+    name: str,
+    path: Path,
+    results: Sequence[Result],
+    recordings: str,
+    calibrated: Sequence[tuple[str, Cell, float, str]] = (),
+) -> str:
+    """Return the self-contained page of an identification.
 
     Args:
-        runs: Number of recordings.
+        path: Protocol.
+        recordings: What was read or simulated, such as `3 logs`.
+        calibrated: Channel, cell, load unit in N or N m, and name of the unit.
     """
     charts, every = Charts(), [(r.test, e) for r in results for e in r.estimates]
     testable = [e for _, e in every if not np.isnan(e.truth)]
@@ -50,77 +56,22 @@ def bench_page(protocol: Protocol, cells: Mapping[str, Cell], results: Sequence[
     elif widths:
         least = max(widths, key=lambda name: widths[name])
         headline += f"; least certain is {least}, known to ±{plain(100 * widths[least], 2)}\u00a0%."
-    calibration, shown_cells = [], []
-    for c in CHANNELS:
-        cell, unit, name = cells[c], protocol.load_in_si(c), written(protocol.file.cells[c].unit)
-        grid = np.linspace(cell.volts[0], cell.volts[-1], 200)
+    cells = []
+    for c, cell, unit, unit_name in calibrated:
+        shown, grid = written(unit_name), np.linspace(cell.volts[0], cell.volts[-1], 200)
         lines = [("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots")]
-        calibration.append(plot_of(Figure(f"{CELLS[c]}: load over voltage", "voltage [V]", name, lines), charts))
-        left_out = float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit
         rail = ", ".join(f"{f / unit:g}" for f in cell.saturated_loads)
-        shown_cells.append(
+        cells.append(
             {
                 "name": f"volts_{c}",
                 "points": counted(cell.loads.size, "point"),
-                "error": append_unit(plain(cell.error / unit, 3), name),
-                "left": append_unit(plain(left_out, 3), name),
-                "rail": append_unit(rail, name) if rail else MISSING,
+                "error": append_unit(plain(cell.error / unit, 3), shown),
+                "left": append_unit(plain(float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit, 3), shown),
+                "rail": append_unit(rail, shown) if rail else MISSING,
+                "plot": plot_of(Figure(f"{CELLS[c]}: load over voltage", "voltage [V]", shown, lines), charts),
             }
         )
-    tests = _parts(results, charts)
-    return render(
-        TEMPLATES / "identify.html.j2",
-        {
-            "name": protocol.file.name,
-            "headline": headline,
-            "tone": "good" if testable and held == len(testable) else "plain",
-            "description": "Tests of a power-train on a testing bench. Each number has an unbiased estimate with a "
-            "95 % interval, from the scatter of repetitions and the calibration, beside the thesis' estimate.",
-            "badges": [Badge(counted(len(results), "test")), Badge(counted(runs, "recording"))],
-            "rows": [
-                {
-                    **_shown(e),
-                    "test": TITLES[test],
-                    "holds": e.covers_truth,
-                    "places": _places(e),
-                    "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
-                }
-                for test, e in every
-            ],
-            "known": bool(testable),
-            "calibration": calibration,
-            "cells": shown_cells,
-            "tests": tests,
-            "data": charts.data(),  # after all drawings
-            "repeat": f"cosim identify {protocol.yaml.path}",
-            "version": __version__,
-        },
-    )
-
-
-def craft_page(craft: CraftUnderTest, results: Sequence[Result]) -> str:
-    """Return the self-contained page of an identification from logs of a craft."""
-    charts, logs = Charts(), counted(len(craft.rest) + len(craft.runs), "log")
-    rows = [_shown(e) for r in results for e in r.estimates]
-    parts = _parts(results, charts)
-    return render(
-        TEMPLATES / "craft_logs.html.j2",
-        {
-            "name": craft.file.name,
-            "headline": f"{counted(len(rows), 'number')} identified from {logs} of the craft.",
-            "rows": rows,
-            "version": __version__,
-            "badges": [Badge(craft.loaded.model.title), Badge(logs)],
-            "parts": parts,
-            "repeat": f"cosim identify {craft.yaml.path}",
-            "data": charts.data(),  # after all drawings
-        },
-    )
-
-
-def _parts(results: Sequence[Result], charts: Charts) -> list[dict[str, Any]]:
-    """Return title, notes and figures of each test."""
-    return [
+    tests = [
         {
             "name": r.test,
             "title": TITLES[r.test],
@@ -129,6 +80,22 @@ def _parts(results: Sequence[Result], charts: Charts) -> list[dict[str, Any]]:
         }
         for r in results
     ]
+    return render(
+        TEMPLATE,
+        {
+            "name": name,
+            "headline": headline,
+            "tone": "good" if testable and held == len(testable) else "plain",
+            "badges": [Badge(counted(len(results), "test")), Badge(recordings)],
+            "rows": [{**_shown(e), "test": TITLES[test]} for test, e in every],
+            "known": bool(testable),
+            "cells": cells,
+            "tests": tests,
+            "data": charts.data(),  # after all drawings
+            "repeat": f"cosim identify {path}",
+            "version": __version__,
+        },
+    )
 
 
 def _shown(e: Estimate) -> dict[str, Any]:
@@ -144,17 +111,20 @@ def _shown(e: Estimate) -> dict[str, Any]:
 
     shown = {n: number(getattr(e, n), e.half_width) for n in ("value", "low", "high", "thesis", "truth")}
     errors = {n: number(getattr(e, n), getattr(e, n)) for n in ("scatter", "calibration")}
-    return {"name": e.name, "origin": e.origin, "interval": f"{shown['low']} … {shown['high']}", **shown, **errors}
-
-
-def _places(e: Estimate) -> Mapping[str, float]:
-    """Return the positions [%] of value, interval, thesis and truth on a common scale; empty with too few values."""
-    values = {"low": e.low, "high": e.high, "value": e.value, "thesis": e.thesis, "truth": e.truth}
-    finite = [v for v in values.values() if np.isfinite(v)]
-    if len(finite) < 3 or max(finite) == min(finite):
-        return {}
-    low, span = min(finite), max(finite) - min(finite)
-    return {name: round(4.0 + 92.0 * (v - low) / span, 1) for name, v in values.items() if np.isfinite(v)}
+    values = {n: getattr(e, n) for n in shown}
+    finite, places = [v for v in values.values() if np.isfinite(v)], dict[str, float]()
+    if len(finite) >= 3 and max(finite) > min(finite):  # positions [%] on a common scale
+        low, span = min(finite), max(finite) - min(finite)
+        places = {n: round(4.0 + 92.0 * (v - low) / span, 1) for n, v in values.items() if np.isfinite(v)}
+    return {
+        "name": e.name,
+        "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
+        "interval": f"{shown['low']} … {shown['high']}",
+        "holds": e.covers_truth,
+        "places": places,
+        **shown,
+        **errors,
+    }
 
 
 def plot_of(figure: Figure, charts: Charts) -> Plot:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy import optimize, stats
@@ -44,12 +45,12 @@ def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Ar
         count = math.ceil(MEMORY * (m.bench.lag + m.test.low_pass) / r.step)
         before = np.pad(r.duty, (count, 0), mode="edge")
         recent.append(np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1))
-        v, window = r.volts["z"], r.rows(m.test.window)
+        v, window = r.volts["z"], m.inside(r)
         beyond = at_rail(m.bench, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
         end = min(end, float(recent[-1][window & beyond].min(initial=np.inf)) - MARGIN)
         tops.append(float(r.duty[window].max()))
     end = min(end, max(tops))
-    inside = [r.rows(m.test.window) & (d <= end) for r, d in zip(m.recordings, recent, strict=True)]
+    inside = [m.inside(r) & (d <= end) for r, d in zip(m.recordings, recent, strict=True)]
     delayed = [_delayed_duty(m, r, -np.inf)[k] for r, k in zip(m.recordings, inside, strict=True)]
     whole = sum(d.size for d in delayed)
     if min(d.size for d in delayed) < MIN_LINE_ROWS:
@@ -71,12 +72,10 @@ def zero_thrust(duty: Array, thrust: Array) -> float:
         return product * product / max(float(ramp @ ramp), 1e-12)
 
     edges = np.linspace(duty.min(), duty.max(), 401)[:-1]
-    best = max(edges.tolist(), key=explained)
-    middle = float(duty.mean())
-    slope, offset = np.polyfit(duty - middle, thrust, 1)
-    crossing = middle - offset / slope if slope > 0 else -np.inf
-    missed = float(((thrust - offset - slope * (duty - middle)) ** 2).sum())
-    if crossing <= edges[0] and float(thrust @ thrust) - missed >= explained(best):
+    slope, offset = np.polyfit(duty, thrust, 1).tolist()
+    crossing = -offset / slope if slope > 0 else np.inf
+    best = max(([crossing] if crossing <= edges[0] else []) + edges.tolist(), key=explained)
+    if best == crossing:
         return float(crossing)
     around = best - (edges[1] - edges[0]), best + (edges[1] - edges[0])
     return float(optimize.minimize_scalar(lambda start: -explained(start), bounds=around, options={"xatol": 1e-9}).x)
@@ -117,7 +116,7 @@ def thrust_line(m: Measurement) -> Result:
             f"{idle} of {whole} readings are without thrust, which begins at {begins:.2f} %: "
             "T = max(0, a + b·δ) is no line there, and they are left out"
         )
-    top = max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings)
+    top = max(float(r.duty[m.inside(r)].max()) for r in m.recordings)
     if end < top - 1e-9:
         result.notes.append(
             f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are "
@@ -133,10 +132,8 @@ def thrust_line(m: Measurement) -> Result:
     half = stats.t.ppf(0.975, len(result.each) - 1) * np.sqrt(np.einsum("ik,ij,jk->k", basis, covariance, basis))
     fitted, some = a + b * grid, slice(None, None, max(1, duty.size // 1500))
     bins = np.linspace(duty.min(), duty.max(), 9)
-    place = np.clip(np.digitize(duty, bins) - 1, 0, 7)
-    filled = [k for k in range(8) if (place == k).sum() > 1]
-    spread = np.array([1.96 * np.std((raw - a - b * duty)[place == k], ddof=1) for k in filled])
-    middle = 0.5 * (bins[1:] + bins[:-1])[filled]
+    spread = stats.binned_statistic(duty, raw - a - b * duty, _reach, bins).statistic
+    middle, spread = (0.5 * (bins[1:] + bins[:-1]))[spread > 0], spread[spread > 0]
     axes, unbiased = ("duty [%]", "gf"), ("unbiased", grid, fitted, "true")
     readings, estimator = (
         ("readings", duty[some], raw[some], "dots"),
@@ -155,6 +152,11 @@ def thrust_line(m: Measurement) -> Result:
         Figure("Thrust over duty: line with its 95 % band", *axes, banded, band, bars, counterpart="Fig 4.11"),
     ]
     return result
+
+
+def _reach(values: Array) -> float:
+    """Return 1.96 standard deviations of some values, 0 for fewer than two."""
+    return 1.96 * float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
 
 
 def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float], duty: Array, thrust: Array) -> None:
@@ -203,14 +205,13 @@ def _bow(m: Measurement, r: Recording, line: Array, begins: float) -> Array:
 def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
     """Return the lowest degree about as good as the best, and the mean error of repetitions left out by degree."""
     means, spreads = {}, {}
+    every = [np.stack((d - MIDDLE_DUTY, y)) for d, y in zip(duty, thrust, strict=True)]
     for degree in DEGREES:
-        x = [np.vander(d - MIDDLE_DUTY, degree + 1) for d in duty]
-        gram = [a.T @ a for a in x]
-        side = [a.T @ y for a, y in zip(x, thrust, strict=True)]
         rmse = []
-        for k, (a, y) in enumerate(zip(x, thrust, strict=True)):
-            theta = np.linalg.solve(sum(gram) - gram[k], sum(side) - side[k])
-            rmse.append(float(np.sqrt(np.mean((a @ theta - y) ** 2))))
+        for k, (x, y) in enumerate(every):
+            others = np.concatenate([*every[:k], *every[k + 1 :]], axis=1)
+            curve = np.polyfit(others[0], others[1], degree)
+            rmse.append(float(np.sqrt(np.mean((np.polyval(curve, x) - y) ** 2))))
         means[degree], spreads[degree] = float(np.mean(rmse)), float(stats.sem(rmse))
     best = min(means, key=lambda d: means[d])
     return next(d for d in DEGREES if means[d] <= means[best] + spreads[best]), means
@@ -227,37 +228,37 @@ def ground_effect_exponent(m: Measurement) -> Result:
     main, *others = sets_by_duty(m.recordings, m.test)
     heights = np.array(sorted(h for h in main if h < m.test.free_height))
     free, radius = max(main), m.bench.propeller_radius
-    count = min(len(main[h]) for h in main)
+
+    def gamma(exponent: float, z: Any, radius: float = radius) -> Array:
+        return np.asarray(ground_effect(arrays(), np.asarray(z, float), radius, exponent))
 
     def relative(exponent: float) -> Array:
         """Return Γ relative to that at the free height."""
-        near, far = (ground_effect(arrays(), np.asarray(z, float), radius, exponent) for z in (heights, [free]))
-        return np.asarray(near / far)
+        return gamma(exponent, heights) / gamma(exponent, [free])
 
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
         """Return mean forces, shape (heights, repetitions), free height last."""
         least = min(len(chosen[h]) for h in (*heights, free))
-        rows = [[float(force(r)[r.rows(m.test.window)].mean()) for r in chosen[h][:least]] for h in (*heights, free)]
+        rows = [[float(force(r)[m.inside(r)].mean()) for r in chosen[h][:least]] for h in (*heights, free)]
         return np.array(rows)
 
     def gains(using: Cells, estimate: Callable[[Array], Array] = np.asarray) -> Array:
         """Return jackknife pseudo-values of an estimate from Γ, by default Γ itself, shape (repetitions, heights)."""
-        f, every = forces(lambda r: m.force(r, "z", using)), np.arange(count)
-        chosen = [every, *(np.delete(every, k) for k in range(count))]
+        f = forces(lambda r: m.force(r, "z", using))
+        every, count = np.arange(f.shape[1]), f.shape[1]
+        chosen = [every, *(np.delete(every, k) for k in every)]
         whole, *fewer = (estimate(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()) for rows in chosen)
         return np.asarray(count * whole - (count - 1) * np.array(fewer))
 
     def fitted(gain: Array) -> Array:
-        """Return the best k for measured Γ with weights 1/Z̄ (4.27), by Gauss-Newton."""
-        k, weights = CHEESEMAN_BENNETT, radius / heights
-        for _ in range(12):
-            here = relative(k)
-            slope = (relative(k + 1e-6) - here) / 1e-6
-            step = float((weights * slope * (gain - here)).sum() / (weights * slope**2).sum())
-            k = float(np.clip(k + np.clip(step, -0.5, 0.5), 0.3, 6.0))
-            if abs(step) < 1e-10:
-                break
-        return np.array([k])
+        """Return the best k for measured Γ with weights 1/Z̄ (4.27)."""
+        roots = np.sqrt(radius / heights)
+
+        def weighted(k: Array) -> Array:
+            return np.asarray(roots * (relative(k[0]) - gain))
+
+        exact = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-14)
+        return np.asarray(optimize.least_squares(weighted, CHEESEMAN_BENNETT, "3-point", (0.3, 6.0), **exact).x)
 
     # thesis: ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄, over all usable ratios
     raw = forces(lambda r: m.printed_force(r, "z"))
@@ -289,7 +290,7 @@ def ground_effect_exponent(m: Measurement) -> Result:
     grid = np.linspace(0.5, 3.3, 90)
 
     def curve(k: float) -> Array:
-        return np.asarray(ground_effect(arrays(), grid, 1.0, k))
+        return gamma(k, grid, 1.0)
 
     measured, (mean, half, *_) = forces(lambda r: m.force(r, "z")), interval(gains(m.cells))
     single, over = measured[:-1] / measured[-1], heights / radius

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,50 +26,43 @@ def projection(m: Measurement) -> Result:
 
     Forces are relative to the thrust held upright.
     """
-    recordings, test = m.recordings, m.test
+    test = m.test
     functions: Sequence[tuple[str, str, Any]] = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
 
+    def runs(c: str, f: Any, using: Cells) -> Iterator[tuple[Array, Array, Array, float]]:
+        """Yield tilt, its function after the low pass, and force in the window, and the thrust, of each run."""
+        for r in m.recordings:
+            w, alpha = m.inside(r), m.tilt(r)
+            thrust = float(m.force(r, "z", using)[r.rows(test.hold)].mean())
+            yield alpha[w], low_pass(f(alpha), r.step, test.low_pass)[w], m.force(r, c, using)[w], thrust
+
     def factors(using: Cells) -> Array:
-        rows = []
-        for r in recordings:
-            w, alpha = r.rows(test.window), m.tilt(r)
-            fz, fx = (m.force(r, c, using) for c in "zx")
-            total = fz[r.rows(test.hold)].mean()
-            cos, sin = (low_pass(f(alpha), r.step, test.low_pass)[w] for f in (np.cos, np.sin))
-            rows.append([fz[w] @ cos / (cos @ cos) / total, fx[w] @ sin / (sin @ sin) / total])
-        return np.array(rows)
+        each = [[y @ s / (s @ s) / thrust for _, s, y, thrust in runs(c, f, using)] for c, _, f in functions]
+        return np.array(each).T
 
     # thesis: thrust of five rows of the fifth test, commanded angle, no tare
-    fifth = recordings[min(4, len(recordings) - 1)]
-    total = float(m.printed_force(fifth, "z")[fifth.rows(test.window)][:5].mean())
-    thesis = {}
-    for c, name, f in functions:
-        top = bottom = 0.0
-        for r in recordings:
-            basis = f(m.commanded_tilt(r)[r.rows(test.window)])
-            top += float(m.printed_force(r, c)[r.rows(test.window)] @ basis)
-            bottom += float(basis @ basis)
-        thesis[f"{name}_projection"] = top / bottom / total
+    fifth = m.recordings[min(4, len(m.recordings) - 1)]
+    total = float(m.printed_force(fifth, "z")[m.inside(fifth)][:5].mean())
+    thesis = {f"{name}_projection": m.printed_factor(c, f) / total for c, name, f in functions}
     result = estimated(m, "projection", factors, "zx", thesis, "Test 3, over cos α and sin α")
     # deviation of the functions themselves, in bins of the angle
     edges, largest = BIN * np.arange(-36, 37), {}
     for letter, (c, _, f) in zip("VH", functions, strict=True):
-        measured = []
-        for r in recordings:
-            w, alpha = r.rows(test.window), m.tilt(r)
-            force = m.force(r, c)[w] / m.force(r, "z")[r.rows(test.hold)].mean()
-            off = force - low_pass(f(alpha), r.step, test.low_pass)[w]
-            measured.append(stats.binned_statistic(alpha[w], off, "mean", edges).statistic)  # NaN for an empty bin
-        largest[letter] = float(np.nanmax(np.abs(np.mean(measured, axis=0))))
+        off = [
+            stats.binned_statistic(alpha, y / thrust - s, "mean", edges).statistic  # NaN for an empty bin
+            for alpha, s, y, thrust in runs(c, f, m.cells)
+        ]
+        largest[letter] = float(np.nanmax(np.abs(np.mean(off, axis=0))))
     result.details = {"largest_deviation": largest}
     result.notes.append(
         f"V(α) is off cos α by {largest['V']:.4f} at most, H(α) off sin α by {largest['H']:.4f}, in bins of 2.5°: sine "
         "and cosine project it."
     )
-    alpha, same = m.tilt(recordings[0])[recordings[0].rows(test.window)], _equally_long(m)
+    first, same = m.recordings[0], _equally_long(m)
+    alpha = m.tilt(first)[m.inside(first)]
     total = np.mean([m.gram_force(r, "z")[r.rows(test.hold)].mean() for r in same])
     for c, name, f in functions:
-        data = np.array([m.gram_force(r, c)[r.rows(test.window)] for r in same])
+        data = np.array([m.gram_force(r, c)[m.inside(r)] for r in same])
         line = (f"T·{f.__name__} α", np.degrees(alpha), total * f(alpha))
         result.figures += _over_tilt(f"{name.capitalize()} force", "gf", data, line, (120, 10), ("4.14", "4.15"))
     return result
@@ -77,7 +70,7 @@ def projection(m: Measurement) -> Result:
 
 def moment(m: Measurement) -> Result:
     """Return the arm l [m] of M = m_PA·g·l·sin α, with an offset for each test."""
-    bench, window = m.bench, m.test.window
+    bench = m.bench
 
     def per_arm(alpha: Array) -> Array:
         return np.asarray(assembly_moment(arrays(), alpha, bench.assembly_mass, bench.gravity, 1.0))
@@ -85,21 +78,15 @@ def moment(m: Measurement) -> Result:
     def arms(using: Cells) -> Array:
         rows = []
         for r in m.recordings:
-            w = r.rows(window)
-            s, y = low_pass(per_arm(m.tilt(r)), r.step, m.test.low_pass)[w], m.force(r, "m", using)[w]
+            s = low_pass(per_arm(m.tilt(r)), r.step, m.test.low_pass)[m.inside(r)]
             s = s - s.mean()
-            rows.append([float(s @ y / (s @ s))])
+            rows.append([float(s @ m.force(r, "m", using)[m.inside(r)] / (s @ s))])
         return np.array(rows)
 
-    top = bottom = 0.0
-    for r in m.recordings:
-        basis = per_arm(m.commanded_tilt(r)[r.rows(window)])
-        top += float(basis @ m.printed_force(r, "m")[r.rows(window)])
-        bottom += float(basis @ basis)
-    thesis = {"assembly_arm": top / bottom}
+    thesis = {"assembly_arm": m.printed_factor("m", per_arm)}
     result = estimated(m, "moment", arms, "m", thesis, "Test 5, with an offset a test")
     first = m.recordings[0]
-    volts = first.volts["m"][first.rows(window)]
+    volts = first.volts["m"][m.inside(first)]
     twentieths = np.split(volts, [k * volts.size // 20 for k in range(1, 20)])
     change = float(np.ptp([np.median(part) for part in twentieths]))
     steps = change / (bench.converter_range / bench.converter_levels)
@@ -108,17 +95,17 @@ def moment(m: Measurement) -> Result:
         f"Over the whole tilt the cell moves by {steps:.1f} steps of the converter ({1000 * change:.1f} mV): noise and "
         "the low pass, not its resolution, let it be read."
     )
-    alpha, arm = m.commanded_tilt(first)[first.rows(window)], result.estimates[0].value
+    alpha, arm = m.commanded_tilt(first)[m.inside(first)], result.estimates[0].value
     line = (f"m·g·l·sin α, l = {1000 * arm:.4f} mm", np.degrees(alpha), 1000.0 * arm * per_arm(alpha))
-    data = 1000.0 * np.array([m.force(r, "m")[r.rows(window)] for r in _equally_long(m)])
+    data = 1000.0 * np.array([m.force(r, "m")[m.inside(r)] for r in _equally_long(m)])
     result.figures = _over_tilt("Moment", "mN·m", data, line, (90, 12), ("4.19", "4.20"))
     return result
 
 
 def _equally_long(m: Measurement) -> list[Recording]:
     """Return recordings with the first one's number of rows."""
-    count = m.recordings[0].rows(m.test.window).sum()
-    return [r for r in m.recordings if r.rows(m.test.window).sum() == count]
+    count = m.inside(m.recordings[0]).sum()
+    return [r for r in m.recordings if m.inside(r).sum() == count]
 
 
 def _over_tilt(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.registry import is_model, model_entry, resolve
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Seed
-from cosim.core.text import as_yaml
+from cosim.core.text import as_yaml, counted
 from cosim.core.version import __version__
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, write_json, write_text
@@ -30,9 +30,9 @@ from plant.identification.checks import planned_faults, recording_faults, result
 from plant.identification.craft import read_craft
 from plant.identification.estimates import Estimate, Measurement, Result
 from plant.identification.lags import after_sines, after_step
-from plant.identification.protocol import BENCH, Protocol, read_protocol
+from plant.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
 from plant.identification.recordings import Recording, load_runs, play_on_fmu, read_recording, runs_of
-from plant.identification.report import bench_page, craft_page
+from plant.identification.report import page
 from plant.identification.thrust import ground_effect_exponent, thrust_line
 from plant.identification.tilt import moment, projection
 from plant.powertrain import ground_effect
@@ -113,35 +113,56 @@ def identify(
     """
     path = Path(path)
     with new_run(out, "", "cosim identify", force=force) as place:
-        if (craft := read_craft(path)) is not None:
-            read = [path, *(log.path for log in (*craft.rest, *craft.runs))]
-            check_writable(place, ("model.yaml", RECORD, REPORT), read)
-            outcome = Outcome(craft.results(), "model.yaml")
+        craft = read_craft(path)
+        if craft is not None:
+            read, model_file = [path, *(log.path for log in (*craft.rest, *craft.runs))], "model.yaml"
+        else:
+            protocol, model, measured = prepare(path)
+            read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
+            model_file = "powertrain.yaml"
+        check_writable(place, (model_file, RECORD, REPORT), read)
+        record: dict[str, Any] = {}
+        calibrated = []
+        if craft is not None:
+            outcome = Outcome(craft.results(), model_file)
             identified = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
             values = {**craft.loaded.parameters, **{n: e.value for n, e in identified.items()}}
             text = _model_text(craft.loaded.source, values, craft.loaded.sensors, identified, "runs")
-            page = craft_page(craft, outcome.results) if report else ""
-            _write(place, outcome, text, {"name": craft.file.name}, page, read)
-            return outcome
-        protocol, model, measured = prepare(path)
-        read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
-        check_writable(place, ("powertrain.yaml", RECORD, REPORT), read)
-        recordings, cells = _recorded(protocol, measured, protocol.file.seed if seed is None else seed, progress)
-        outcome = Outcome(analyse(protocol, cells, recordings), "powertrain.yaml")
-        refuse(result_faults(protocol, outcome.results))
-        calibration = {
-            c: {
-                "loads": cell.loads.tolist(),
-                "volts": cell.volts.tolist(),
-                "error": cell.error,
-                "left_one_out": cell.cross_validation_errors.tolist(),
-                "at_the_rail": list(cell.saturated_loads),
+            name, recorded = craft.file.name, counted(len(read) - 1, "log")
+            record["name"] = name
+        else:
+            file = protocol.file
+            recordings, cells = _recorded(protocol, measured, file.seed if seed is None else seed, progress)
+            outcome = Outcome(analyse(protocol, cells, recordings), model_file)
+            refuse(result_faults(protocol, outcome.results))
+            text = _powertrain(protocol, outcome, model)
+            name, recorded = file.name, counted(sum(map(len, recordings.values())), "recording")
+            record["protocol"] = name
+            record["calibration"] = {
+                c: {
+                    "loads": cell.loads.tolist(),
+                    "volts": cell.volts.tolist(),
+                    "error": cell.error,
+                    "left_one_out": cell.cross_validation_errors.tolist(),
+                    "at_the_rail": list(cell.saturated_loads),
+                }
+                for c, cell in cells.items()
             }
-            for c, cell in cells.items()
+            calibrated = [(c, cells[c], protocol.load_in_si(c), file.cells[c].unit) for c in CHANNELS]
+        shown = page(name, path, outcome.results, recorded, calibrated) if report else ""
+        whole = {
+            "schema_version": 1,
+            "version": __version__,
+            **record,
+            "estimates": {key: vars(e) for key, e in outcome.estimates.items()},
+            "tests": {r.test: {**r.details, "notes": r.notes, "warnings": r.warnings} for r in outcome.results},
         }
-        page = bench_page(protocol, cells, outcome.results, sum(map(len, recordings.values()))) if report else ""
-        record = {"protocol": protocol.file.name, "calibration": calibration}
-        _write(place, outcome, _powertrain(protocol, outcome, model), record, page, read)
+        remove_earlier(place, read=read)
+        write_text(place / model_file, text)
+        plain = json.loads(json.dumps(whole), parse_constant=lambda _: None)  # null for missing numbers
+        write_json(place / RECORD, plain, indent=1)
+        if shown:
+            write_text(place / REPORT, shown)
         return outcome
 
 
@@ -181,7 +202,7 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
         unread = list[Fault]()
         for file in test.files:
             try:
-                measured.setdefault(name, []).append(read_recording(protocol.folder / file))
+                measured.setdefault(name, []).append(read_recording(protocol.yaml.path.parent / file))
             except InputError as error:
                 unread += error.faults
         if cells is not None and test.files and not unread:
@@ -189,7 +210,7 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
         faults += unread
     refuse(faults)
     text = protocol.file.model
-    model = named_model(text) if is_model(text) else load_model(text, protocol.folder, protocol.yaml).model
+    model = named_model(text) if is_model(text) else load_model(text, protocol.yaml.path.parent, protocol.yaml).model
     if not NUMBERS & {p.name for p in model.parameters}:
         reason = f"{text} has none of {', '.join(sorted(NUMBERS))}: nothing that is identified is a parameter of it"
         refuse([protocol.yaml.fault(("model",), f"{reason}; name the model of what stands on the bench")])
@@ -208,7 +229,7 @@ def _recorded(
         total = sum(run.time.size for run in every) or 1
         tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
         with temporary_folder("identify") as folder:
-            fmu = protocol.folder / protocol.file.bench
+            fmu = protocol.yaml.path.parent / protocol.file.bench
             if protocol.file.bench == BENCH:
                 fmu = build(resolve(model_entry(BENCH).recipe)(), folder / "bench.fmu")
             played = iter(play_on_fmu(fmu, protocol.file.parameters, every, tell))
@@ -243,31 +264,7 @@ def analyse(protocol: Protocol, cells: Cells, recordings: Recordings) -> list[Re
     return results
 
 
-# -- files ----------------------------------------------------------------------------------
-
-
-def _write(out: Path, outcome: Outcome, model: str, record: Mapping[str, Any], page: str, read: Iterable[Path]) -> None:
-    """Write each file completely or not at all; the files of an earlier identification are replaced.
-
-    Args:
-        model: Text of the model file.
-        record: Content of identify.json besides estimates and tests.
-        page: Text of the report, or "".
-        read: Input files, which stay where they are.
-    """
-    whole = {
-        "schema_version": 1,
-        "version": __version__,
-        **record,
-        "estimates": {key: vars(e) for key, e in outcome.estimates.items()},
-        "tests": {r.test: {**r.details, "notes": r.notes, "warnings": r.warnings} for r in outcome.results},
-    }
-    remove_earlier(out, read=read)
-    write_text(out / outcome.model_file, model)
-    plain = json.loads(json.dumps(whole), parse_constant=lambda _: None)  # null for missing numbers
-    write_json(out / RECORD, plain, indent=1)
-    if page:
-        write_text(out / REPORT, page)
+# -- model files ----------------------------------------------------------------------------
 
 
 def _powertrain(protocol: Protocol, outcome: Outcome, model: Any) -> str:
