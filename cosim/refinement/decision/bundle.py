@@ -75,6 +75,7 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
         else np.zeros((len(logs), 0)),
         informations=0.5 * (marginal + marginal.transpose(0, 2, 1)),
         logs=logs,
+        among=math.prod(c.among for c in h.candidates),
     )
     search.evidences[h.names] = h, found
     return found

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from operator import itemgetter
 from typing import Literal
@@ -74,6 +74,7 @@ class Evidence:
         gradients: Of −ℓ by the parameters, shape (blocks, parameters).
         informations: Of each log, shape (logs, parameters, parameters).
         logs: Log of each block.
+        among: Number of shapes that were tried before the fit, equally probable: periods of a force that repeats.
     """
 
     parts: Names
@@ -82,6 +83,7 @@ class Evidence:
     gradients: Array
     informations: Array
     logs: Rows
+    among: int = 1
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ def log_evidence(h: Evidence, kappa: float) -> float:
     for widths in product(MIXTURE, repeat=len(parts)):
         scale = dict(zip(parts, widths, strict=True))
         of_widths.append(_log_evidence(h, kappa, [scale.get(p.part, 1.0) if p.is_size else 1.0 for p in h.parameters]))
-    evidence = float(logsumexp(of_widths)) - math.log(len(of_widths))
+    evidence = float(logsumexp(of_widths)) - math.log(len(of_widths)) - math.log(h.among)
     return evidence if math.isfinite(evidence) else -math.inf  # of a filter that diverges beside the estimate
 
 
@@ -314,7 +316,13 @@ def held_out_gains(
         for h, evidence in zip(hypotheses, whole, strict=True):
             kept = h.logs != log
             others = np.delete(h.informations, log, axis=0)
-            rest = Evidence(h.parts, h.parameters, h.log_likelihoods[kept], h.gradients[kept], others, h.logs[kept])
+            rest = replace(
+                h,
+                log_likelihoods=h.log_likelihoods[kept],
+                gradients=h.gradients[kept],
+                informations=others,
+                logs=h.logs[kept],
+            )
             of_others = log_evidence(rest, kappa)
             if math.isfinite(evidence) and math.isfinite(of_others):
                 scored.append((of_others + log_prior(len(h.parts), count), evidence - of_others, h.parts))

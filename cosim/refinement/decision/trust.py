@@ -2,9 +2,10 @@
 
 A free unknown input absorbs every one-step prediction error, for example an input that was not held between two rows or
 an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's own horizon,
-have little weight. If the best hypothesis or the base model predicts better without unknown inputs, the search is
-repeated without them. Its residual is not white: the cost of every candidate is scaled by the dispersion of the
-likelihood. Likelihoods of the two ways have no common scale; predictions of logs left out have, and decide.
+have little weight. If the best hypothesis or the base model predicts clearly better without unknown inputs, the search
+is repeated without them; what only that search finds was chosen on all logs, and says nothing on the way. Its residual
+is not white: the cost of every candidate is scaled by the dispersion of the likelihood. Likelihoods of the two ways
+have no common scale; predictions of logs left out have, and decide.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     if not any(gain > unknown_input_gain(problem) for gain in noise_gains(result.search.problem, result.best.fit)):
         return result
     progress("predicting with the equations trusted", 0.0)
-    trusted, free = with_equations_trusted(subject, problem), error(result.search, result.best)
+    given = {h.names: (h, error(result.search, h)) for h in (result.search.tried[()], result.best)}
+    trusted = with_equations_trusted(subject, problem)
     search = Search(subject, coarsen(trusted), len(candidates), progress)
-    alike = (search.hypothesis(h.candidates, h.fit) for h in (result.best, result.search.tried[()]))
-    if all(error(search, h) > free for h in alike):
+    if all(error(search, search.hypothesis(h.candidates, h.fit)) > free - CLEARLY for h, free in given.values()):
         return result
     other = Attributor(subject, trusted, candidates, progress).run()
-    is_better = error(other.search, other.best) < free - CLEARLY
+    is_better = error(other.search, other.best) < given[result.best.names][1] - CLEARLY
     return replace(other, free_noise=result.best.fit.noise) if is_better else result
