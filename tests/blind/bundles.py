@@ -110,12 +110,6 @@ def strictly(bundle: Bundle) -> Decision:
     return decide(replace(bundle, misfit=replace(bundle.misfit, beside=dict.fromkeys(bundle.kinds, 0.0))))
 
 
-def without_numbers(bundle: Bundle) -> Decision:
-    """Decide with every base number withdrawn where unnamed terms are significant: it absorbs what the model lacks."""
-    numbers = {name: 0.0 for name, kind in bundle.kinds.items() if kind == "parameter"}
-    return decide(replace(bundle, misfit=replace(bundle.misfit, beside={**bundle.misfit.beside, **numbers})))
-
-
 def bagged(bundle: Bundle) -> Decision:
     """Decide by the mean posterior over bootstrap weights of the blocks (Huggins and Miller 2019)."""
     rng, plain = np.random.default_rng(0), rules.posterior
@@ -153,7 +147,6 @@ RULES: dict[str, Rule] = {
     "lack of fit below 1 %": with_numbers(MISFIT=1e-2),
     "lack of fit below 1e-4": with_numbers(MISFIT=1e-4),
     "every lack of fit withdraws": strictly,
-    "every lack of fit withdraws base numbers": without_numbers,
     "no abstention by lack of fit": with_numbers(MISFIT=0.0),
     "unknown inputs up to 10 %": with_numbers(UNKNOWN_INPUT=0.1),
     "one width of sizes": with_numbers(MIXTURE=(1.0,)),

@@ -18,7 +18,7 @@ from cosim.estimation.sensor_noise import at_rest
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, chance_of, misfit_of, prior_of
 from cosim.refinement.decision.claims import Claims, equivalent_groups, experiment_for
-from cosim.refinement.decision.posterior import CERTAIN, Bundle, Decision, decide, log_evidence, log_prior
+from cosim.refinement.decision.posterior import CERTAIN, MISFIT, Bundle, Decision, decide, log_evidence, log_prior
 from cosim.refinement.decision.scatter import (
     fit_given_model,
     held_out_errors,
@@ -59,6 +59,8 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     coarse = coarsen(posed, best.fit.values)
     nameless = replace(coarse, sensing=best.fit.noise, trusted=search.problem.trusted, scatter=search.problem.scatter)
     leftover = find_unnamed_terms(nameless, best.fit, search.price, units)
+    by_chance = chance_of(nameless, leftover, best.fit)
+    leftover = leftover if by_chance < MISFIT else Leftover()
     residual = _residual(search.problem, base.fit, best.fit, leftover)
     inflated = [name for name, entry in residual["process_noise"].items() if entry["inflated"]]
     moves = {n: share for n, share in unknown_inputs(search.problem, best.fit, units).items() if n in inflated}
@@ -74,7 +76,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     errors = {name: predicted_errors(variant, search.problem, study.logs) for name, variant in variants.items()}
     quiet = replace(variants["after"], noise=log_noise(best.fit.noise, result.free_noise))
     floor = noise_floor(quiet, search.problem, study.logs, np.random.default_rng(FLOOR_SEED))
-    misfit = misfit_of(chance_of(nameless, leftover, best.fit), moves, errors, floor.level, beside)
+    misfit = misfit_of(by_chance, moves, errors, floor.level, beside)
     claimed = None
     if max(first.inclusion.values(), default=0.0) >= CERTAIN:
         claimed = with_intervals(search, best)

@@ -348,7 +348,9 @@ def decide(bundle: Bundle) -> Decision:
     certain = {name: p for name, p in certain.items() if name not in withdrawn}
     # a posterior means nothing where every hypothesis is wrong: what remains is then compared with what has no name
     is_misfit = misfit.probability < MISFIT
-    disputed = {n for n in certain if is_misfit and misfit.beside.get(n, 1.0) < CERTAIN}
+    # a base number absorbs what the model lacks, also beside terms that have no name
+    disputed = {n for n in certain if bundle.kinds[n] == "parameter" or misfit.beside.get(n, 1.0) < CERTAIN}
+    disputed = disputed if is_misfit else set()
     certain = {n: p for n, p in certain.items() if n not in disputed}
     reasons = ["misfit"] if is_misfit and not certain else []
     # unknown inputs may hold what a claim imitates, unless replays without them show it
