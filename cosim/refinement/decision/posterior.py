@@ -7,8 +7,7 @@ The evidence of a hypothesis is a Gaussian integral about its estimate θ̂, whi
 with the log-likelihood ℓ, the gradient g of −ℓ, the information F, from which the noise levels are integrated out,
 and the covariance S of the prior. Limits cut the priors off. κ is the dispersion of a composite likelihood (Varin, Reid
 and Firth 2011, Statistica Sinica 21:5), the same for all hypotheses of a study. Sizes have a scale mixture of normal
-priors, so that no verdict hangs on one width. A set of k of N parts has the prior ½ᵏ/C(N, k) (Scott and Berger 2010,
-Annals of Statistics 38:2587).
+priors, so that no verdict hangs on one width.
 """
 
 from __future__ import annotations
@@ -70,10 +69,9 @@ class Evidence:
     """A fit of some parts, by blocks of time, with the noise levels integrated out.
 
     Attributes:
-        log_likelihoods: Of each block.
+        log_likelihoods, logs: Log-likelihood of each block, and the log to which it belongs.
         gradients: Of −ℓ by the parameters, shape (blocks, parameters).
         informations: Of each log, shape (logs, parameters, parameters).
-        logs: Log of each block.
         among: Number of shapes that were tried before the fit, equally probable: periods of a force that repeats.
     """
 
@@ -144,8 +142,7 @@ class Decision:
         inclusion: Part → sum over the classes that contain it.
         disputed: Parts that unnamed terms may replace.
         aside: Parts that rivals leave out: those disputed, and uncertain base numbers beside certain parts.
-        nearest: The most probable class.
-        misfit: Lack of fit of this class.
+        nearest, misfit: The most probable class, and its lack of fit.
         reasons: What stood against a claim.
     """
 
@@ -229,7 +226,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 
 def log_prior(size: int, count: int) -> float:
-    """Return ln of the prior of a set of `size` parts, of `count` on trial."""
+    """Return ln ½ᵏ/C(N, k), the prior of k = `size` of N = `count` parts (Scott, Berger 2010, Ann. Stat. 38:2587)."""
     return size * math.log(PART) - math.log(math.comb(count, size))
 
 
@@ -314,15 +311,9 @@ def held_out_gains(
     for log in logs if len(logs) > 1 else ():
         scored: list[tuple[float, float, Names]] = []  # log weight on the other logs, score of this one, parts
         for h, evidence in zip(hypotheses, whole, strict=True):
-            kept = h.logs != log
-            others = np.delete(h.informations, log, axis=0)
-            rest = replace(
-                h,
-                log_likelihoods=h.log_likelihoods[kept],
-                gradients=h.gradients[kept],
-                informations=others,
-                logs=h.logs[kept],
-            )
+            kept, others = h.logs != log, np.delete(h.informations, log, axis=0)
+            blocks = {"log_likelihoods": h.log_likelihoods[kept], "gradients": h.gradients[kept], "logs": h.logs[kept]}
+            rest = replace(h, informations=others, **blocks)
             of_others = log_evidence(rest, kappa)
             if math.isfinite(evidence) and math.isfinite(of_others):
                 scored.append((of_others + log_prior(len(h.parts), count), evidence - of_others, h.parts))
