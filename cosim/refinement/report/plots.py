@@ -14,6 +14,7 @@ from cosim.core.text import MISSING, counted, display, finer, percent, plain
 from cosim.core.units import unit_of_rate
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
+from cosim.estimation.kernel.nameless import READING
 from cosim.estimation.past_readings import past_reading
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
@@ -32,7 +33,7 @@ from cosim.refinement.search.missing import (
     smooth_unknown_inputs,
     smoothed_logs,
 )
-from cosim.refinement.search.shapes import Shape, signals_of, values_of
+from cosim.refinement.search.shapes import Shape, Signals, signals_of, values_of
 from cosim.report.charts import Abscissa, Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.report import neighbours
@@ -228,6 +229,9 @@ def _compare_residual(r: Refinement) -> EffectComparison:
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
     if residual["equation"] in equations:
         column = equations.index(residual["equation"])
+    first = next(iter(residual["terms"]), None)
+    if first and first["equation"].startswith(READING):
+        return _of_reading(subject, problem, best, parts, signals, first)
     first = next((term for term in residual["terms"] if term["equation"] == equations[column]), None)
     basis = subject.nameless(first["signal"]) if first else None
     if first and first.get("local"):
@@ -246,6 +250,24 @@ def _compare_residual(r: Refinement) -> EffectComparison:
     power = float(term @ term)
     term = term * max(0.0, float(value[:, column] @ term) / power if power else 0.0)
     return _of_equation(subject, parts, column, against, effect=first["signal"], term=term, share=residual["share"])
+
+
+def _of_reading(
+    subject: Subject, problem: Problem, best: Fit, parts: Smoothed, signals: Signals, entry: Mapping[str, Any]
+) -> EffectComparison:
+    """Compare the innovations of an output with an unnamed term of its reading."""
+    name, shape = entry["equation"].removeprefix(READING), Shape.of_entry(entry["equation"], entry["local"])
+    column = problem.layout.outputs.index(name)
+    runs = [(problem.innovations(best.values, best.noise, k), m.rows(problem.logs[k])) for k, m in parts]
+    errors, variances = (np.concatenate([run[which][rows, column] for run, rows in runs]) for which in (0, 1))
+    read = np.isfinite(errors)
+    term, values = (shape.columns(signals) @ np.array(entry["local"]["sizes"]))[read], errors[read]
+    term = term * max(0.0, float(values @ term) / max(float(term @ term), np.finfo(float).tiny))
+    unit = next(q.unit for q in subject.outputs if q.name == name)
+    against = Regressor(shape.signal, shape.unit, values_of(signals, shape.of)[read])
+    times, sigma, first = signals["time"][read], np.sqrt(variances[read]), int(read[: len(parts[0][1].time)].sum())
+    effect, share = f"{shape.kind} over {shape.signal}", _explained(values, term)
+    return EffectComparison(effect, "sensor", name, unit, against, times, values, sigma, term, first, share)
 
 
 def _of_equation(
