@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from cosim.model import SCALAR, parameter, parameters_of, parametric
+from cosim.model import SCALAR, parameter, parameters_of
 from cosim.model.model import Parametric
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.powertrain import ground_effect
@@ -48,7 +49,7 @@ def variances_of(p: Any, kind: str, names: Sequence[str]) -> tuple[float, ...]:
     return tuple(getattr(p, f"{kind}_variance_{name}", 0.0) for name in names)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Noise(Parametric):
     """Noise that every filter assumes, by step or reading, and its sample time."""
 
@@ -66,7 +67,7 @@ class Noise(Parametric):
     sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class FilterSettings(Noise):
     """Parameters of a filter on the design model, or of double integration; the estimator is one of `estimators`."""
 
@@ -107,7 +108,7 @@ class FilterSettings(Noise):
         return variances_of(self, "measurement", SENSED)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Settings(FilterSettings):
     """Parameters of the controller FMU."""
 
@@ -157,7 +158,7 @@ def mirrored(row: Sequence[float]) -> dict[str, Any]:
 PLACED_SETTINGS = Settings(**mirrored(PLACED))
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class IntegralSettings(Settings):
     """Parameters of the LQR with integrals of measured x and ψ as states six and seven."""
 
@@ -198,7 +199,7 @@ def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
     return found
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class FullSettings(Settings):
     """Parameters with roll and motors, for the fourteen states linearized at hover."""
 
@@ -220,7 +221,7 @@ class FullSettings(Settings):
     )
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class PredictionSettings(Settings):
     """Parameters of predictive laws: weights, limits, horizon. The gains `k_i_j` are unused."""
 
@@ -248,7 +249,7 @@ class PredictionSettings(Settings):
         return [*super().invalid_values(), *(said for _, said in conflicts(self))]
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class PredictiveSettings(PredictionSettings, FullSettings):
     """Parameters of the predictive law linearized once."""
 
@@ -259,7 +260,7 @@ AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
 PLANT_STATES = tuple(q.name for q in Hovercraft.base_states)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ExtendedSettings(Noise):
     """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
 
@@ -295,7 +296,7 @@ def equation_noise(default: float, unit: str, of: str) -> Any:
     return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     """Parameters of the craft's equations besides the design model, and noise of the extended filter.
 

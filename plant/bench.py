@@ -7,6 +7,7 @@ Equation numbers, sections and appendices refer to J. Jorquera Grau, SDSM&T, 201
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from cosim.model import (
     SCALAR,
@@ -19,7 +20,6 @@ from cosim.model import (
     Quantity,
     Values,
     parameter,
-    parametric,
 )
 from plant.powertrain import (
     assembly_moment,
@@ -62,7 +62,7 @@ OUTPUTS = (
 OWN = len(STATES)  # index of the state of an effect
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class BenchDelay(Delay):
     """Delay of all commands of the bench by T, like the craft's effect `actuator_delay`."""
 
@@ -70,7 +70,7 @@ class BenchDelay(Delay):
     memory = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class BenchSecondOrder(Effect):
     """Overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
 
@@ -85,7 +85,7 @@ class BenchSecondOrder(Effect):
     damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Bench(Model):
     """Testing bench: one power-train on three load cells, calibrated at the hub (§3.5); see `equations`."""
 

@@ -8,9 +8,10 @@ An effect overrides some hooks; the craft calls only overridden hooks of active 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-from cosim.model import Delay, Effect, Namespace, Number, Quantity, Values, parameter, parametric
+from cosim.model import Delay, Effect, Namespace, Number, Quantity, Values, parameter
 from cosim.model.planar import local_vector
 from plant.powertrain import second_order
 
@@ -64,7 +65,7 @@ def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:
     return m.minimum(m.maximum(value, low), high)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ActuatorDelay(Delay, HovercraftEffect):
     """Delay of all four commands by T: u(t) → u(t − T)."""
 
@@ -78,7 +79,7 @@ class ActuatorDelay(Delay, HovercraftEffect):
     )
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ServoBacklash(HovercraftEffect):
     """Backlash of total width w on the tilt commands: p ← clip(p, α_cmd − w/2, α_cmd + w/2)."""
 
@@ -97,7 +98,7 @@ class ServoBacklash(HovercraftEffect):
         return (*command[:2], *play), play
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class TiltOffset(HovercraftEffect):
     """Offset of misaligned servo horns: α_cmd,R + r, α_cmd,L + l."""
 
@@ -112,7 +113,7 @@ class TiltOffset(HovercraftEffect):
         return (duty_right, duty_left, tilt_right + self.right, tilt_left + self.left), memory
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ServoDeadBand(HovercraftEffect):
     """Dead band around neutral: α_cmd − w·sign(α_cmd), 0 inside ±w."""
 
@@ -127,7 +128,7 @@ class ServoDeadBand(HovercraftEffect):
         return (*command[:2], *(a - clip(m, a, -w, w) for a in command[2:])), memory
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ActuatorSecondOrder(HovercraftEffect):
     """Second-order tilt instead of the first-order lag: α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ (overshoot in §4.5.4)."""
 
@@ -150,7 +151,7 @@ class ActuatorSecondOrder(HovercraftEffect):
         )
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ServoRateLimit(HovercraftEffect):
     """Slew limit after the lag: |α̇_i| ≤ r. Under load, r may be far below the 7.5 rad/s of the data sheet."""
 
@@ -168,7 +169,7 @@ class ServoRateLimit(HovercraftEffect):
 # -- thrust of the propellers
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ThrustAsymmetry(HovercraftEffect):
     """Unequal propellers: T_R·(1 + ε), T_L·(1 − ε)."""
 
@@ -181,7 +182,7 @@ class ThrustAsymmetry(HovercraftEffect):
         return 1.0 + self.ratio, 1.0 - self.ratio
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class BatterySag(HovercraftEffect):
     """Discharging battery: both thrusts × (1 − p·(1 − e^(−t/θ))), t the simulation time."""
 
@@ -196,7 +197,7 @@ class BatterySag(HovercraftEffect):
         return factor, factor
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class InflowThrustLoss(HovercraftEffect):
     """Thrust loss by air flow into the disc: both thrusts × (1 − κ·vx)."""
 
@@ -228,7 +229,7 @@ def along(motion: Motion, gain: Number) -> Wrench:
     return gain * motion.vx, gain * motion.vy, 0.0, 0.0
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class CoulombFriction(HovercraftEffect):
     """Dry friction on the table: −F·tanh(s/0.01)·(vx, vy)/s."""
 
@@ -242,7 +243,7 @@ class CoulombFriction(HovercraftEffect):
         return along(motion, -self.force * m.tanh(s / STICTION_SPEED) / s)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class StribeckFriction(HovercraftEffect):
     """Friction that decreases with speed: −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s."""
 
@@ -260,7 +261,7 @@ class StribeckFriction(HovercraftEffect):
         return along(motion, -force * m.tanh(s / STICTION_SPEED) / s)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class QuadraticDrag(HovercraftEffect):
     """Aerodynamic drag: −k·s·(vx, vy)."""
 
@@ -273,7 +274,7 @@ class QuadraticDrag(HovercraftEffect):
         return along(motion, -self.coefficient * speed(m, motion))
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class YawDamping(HovercraftEffect):
     """Viscous moment −d·ψ̇."""
 
@@ -286,7 +287,7 @@ class YawDamping(HovercraftEffect):
         return 0.0, 0.0, -self.coefficient * motion.psi_dot, 0.0
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class YawCoulombFriction(HovercraftEffect):
     """Dry moment −M·tanh(ψ̇/0.02)."""
 
@@ -302,7 +303,7 @@ class YawCoulombFriction(HovercraftEffect):
 # -- rigid body and table
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class ComOffset(HovercraftEffect):
     """CoM e to the right of the mid-line: yaw −e·(F_Rx + F_Lx), roll −e·(F_Rz + F_Lz)."""
 
@@ -315,7 +316,7 @@ class ComOffset(HovercraftEffect):
         return 0.0, 0.0, -self.right * motion.thrust_x, -self.right * motion.thrust_z
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class TableTilt(HovercraftEffect):
     """Tilted table: force m·g·(sin θ_X, sin θ_Y) along world X, Y, not sensed by the accelerometer."""
 
@@ -329,7 +330,7 @@ class TableTilt(HovercraftEffect):
         return local_vector(m, psi, gravity * m.sin(self.x), gravity * m.sin(self.y))
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Coriolis(HovercraftEffect):
     """Rotation of the body axes, neglected in the thesis: v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx."""
 

@@ -10,6 +10,7 @@ axes: X forward and Y left at ψ = 0, z up. Only this convention satisfies eqs 5
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from cosim.model import (
     SCALAR,
@@ -23,7 +24,6 @@ from cosim.model import (
     Values,
     overrides,
     parameter,
-    parametric,
     world_velocity,
 )
 from plant.effects import CATALOGUE, HovercraftEffect, Motion
@@ -106,7 +106,7 @@ DRAWN_AGAINST = {
 }
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Hovercraft(Model):
     """Two tilting propellers on an air table; see `equations` for the model."""
 

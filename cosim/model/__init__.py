@@ -7,7 +7,7 @@ A model needs only Python's standard library, so that its FMU runs in any host w
 
 from cosim.model.delay import Delay, Gain
 from cosim.model.integrate import Moment, Stepper
-from cosim.model.model import Effect, Equations, Model, Number, Validity, Values, overrides, parametric
+from cosim.model.model import Effect, Equations, Model, Number, Validity, Values, overrides
 from cosim.model.namespaces import SCALAR, Namespace
 from cosim.model.planar import PlanarFrame, world_velocity
 from cosim.model.quantities import Parameter, Quantity, parameter, parameters_of
@@ -39,6 +39,5 @@ __all__ = [
     "overrides",
     "parameter",
     "parameters_of",
-    "parametric",
     "world_velocity",
 ]

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
-from cosim.model.model import Effect, Number, Values, parametric
+from cosim.model.model import Effect, Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import parameter
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Delay(Effect):
     """Delay of all commands by T: u(t) → u(t − T).
 
@@ -48,7 +49,7 @@ class Delay(Effect):
         return tuple(mean), history
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Gain(Effect):
     """Gain of one input: u → k·u.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, Self, TypeVar, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, Self
 
 from cosim.model.namespaces import SCALAR, Namespace
 from cosim.model.planar import PlanarFrame
@@ -19,16 +19,9 @@ Number = Any
 Values = tuple[Number, ...]
 AUTO, RK4, STIFF = "auto", "rk4", "stiff"
 INTEGRATORS = (AUTO, RK4, STIFF)
-Class = TypeVar("Class")
 
 
-@dataclass_transform(frozen_default=True, kw_only_default=True)
-def parametric(kind: type[Class]) -> type[Class]:
-    """Make a class with `parameter` fields a frozen dataclass, constructed by keywords."""
-    return dataclass(frozen=True, kw_only=True)(kind)
-
-
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Parametric:
     """A frozen dataclass of parameters with checked bounds; one error names all faults."""
 
@@ -41,7 +34,7 @@ class Parametric:
             raise ValueError("; ".join(faults))
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Effect(Parametric):
     """A term of the equations, with optional continuous states and with memory that is updated once per substep.
 
@@ -123,7 +116,7 @@ class Equations(NamedTuple):
     output: Callable[[Number, Values, Values], Values]
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Model(Parametric):
     """Base class of models: declared quantities, parameters as fields, additive effects."""
 

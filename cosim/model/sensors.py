@@ -7,14 +7,15 @@ unit and usual size of that sensor's error.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
-from cosim.model.model import Effect, Number, Values, parametric
+from cosim.model.model import Effect, Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import parameter
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class SensorError(Effect):
     """An error in the reading of an output.
 
@@ -59,7 +60,7 @@ class SensorError(Effect):
         return cls.late or cls.lagging
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Bias(SensorError):
     """Bias: reading y + b."""
 
@@ -72,7 +73,7 @@ class Bias(SensorError):
         return value + self.value
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Scale(SensorError):
     """Scale error: reading s·y."""
 
@@ -85,7 +86,7 @@ class Scale(SensorError):
         return value * self.value
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Magnitude(SensorError):
     """Magnitude in place of the signed value: reading (1 − m)·y + m·|y|, m = 1 for a sensor without direction."""
 
@@ -100,7 +101,7 @@ class Magnitude(SensorError):
         return m.where(value >= 0.0, value, (1.0 - 2.0 * self.value) * value)
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Drift(SensorError):
     """Drift: reading y + d·t, t from the start of the log's clock."""
 
@@ -113,7 +114,7 @@ class Drift(SensorError):
         return outputs[self.output] + self.value * t
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class LeverArm(SensorError):
     """Lever arm l between sensor and reference point of the output: reading y + l·c, with c from other outputs.
 
@@ -145,7 +146,7 @@ class LeverArm(SensorError):
         return {n: outputs[n] + self.value * c for n, c in zip(self.affected(), offsets, strict=True)}
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Latency(SensorError):
     """Latency of readings by T: the reading at t is y(t − T), for every output in `outputs`."""
 
@@ -155,7 +156,7 @@ class Latency(SensorError):
     value: float = parameter(0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.03, doc="latency T of the readings")
 
 
-@parametric
+@dataclass(frozen=True, kw_only=True)
 class Lag(SensorError):
     """First-order lag of a sensor: T·ṙ = y − r with the reading r, for every output in `outputs`."""
 
