@@ -301,16 +301,16 @@ class _Scoring:
 # 1988, Appl. Stat. 37:87), the other parameters fixed.
 
 
-def with_flat_directions(problem: Problem, f: Fit) -> Fit:
+def with_flat_directions(problem: Problem, f: Fit, scattered: Array) -> Fit:
     """Return the fit with a region for each parameter on a plateau, and a variance that reaches as far.
 
     The region is no scatter about the estimate: a lag shorter than a row has an upper limit only.
+
+    Args:
+        scattered: Covariance of the free parameters by scatter over blocks of time.
     """
-    flat = [k for k, x in enumerate(f.free) if not f.information[k, k] > 0.0 and x.low < x.high]
-    if not flat or f.scattered is None:
-        return f
-    scattered, regions = f.scattered.copy(), dict(f.regions)
-    for k in flat:
+    scattered, regions = scattered.copy(), dict(f.regions)
+    for k in [k for k, x in enumerate(f.free) if not f.information[k, k] > 0.0 and x.low < x.high]:
         x = f.free[k]
         low, high = regions[x.name] = _end_of_plateau(problem, f, x, x.low), _end_of_plateau(problem, f, x, x.high)
         scattered[k, k] = (max(f.values[x.name] - low, high - f.values[x.name]) / NORMAL_95) ** 2

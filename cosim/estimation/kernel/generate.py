@@ -204,7 +204,6 @@ def _print_functions(
         expressions: Derivatives and readings.
         random: Indices and symbols of the stochastic states.
     """
-
     (f, g), (stochastic, x) = expressions, random
     functions = {
         "deriv": f,

@@ -38,7 +38,11 @@ def parsed(text: bytes) -> Any:
 
 
 def set_starts(root: Any, values: Mapping[str, float], file: str) -> None:
-    """Set start values of variables that have one; raise CannotWrap for another."""
+    """Set the start values of variables in a model description.
+
+    Raises:
+        CannotWrap: A variable has no start value in the file.
+    """
     nodes = {node.get("name"): node for node in root.find("ModelVariables")}
     for name, value in values.items():
         node = nodes[name] if root.get("fmiVersion").startswith("3") else nodes[name].find("Real")

@@ -140,7 +140,7 @@ class Decision:
         not_excluded: Rich part, and the claimed simple part in whose place it is possible → probability.
         classes: All folded classes → probability, most probable first.
         inclusion: Part → sum over the classes that contain it.
-        disputed: Parts that unnamed terms may replace.
+        disputed: Parts that are not claimed beside unnamed terms.
         aside: Parts that rivals leave out: those disputed, and uncertain base numbers beside certain parts.
         nearest, misfit: The most probable class, and its lack of fit.
         reasons: What stood against a claim.

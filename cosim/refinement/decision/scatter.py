@@ -188,16 +188,15 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     sums = np.stack([np.bincount(block, row) for row in at_fit.gradients])
     inside, count = inverse(at_fit.information), len(h.fit.free)
     covariance = (inside @ (sums @ sums.T) @ inside)[:count, :count]
-    f = with_flat_directions(search.problem, replace(h.fit, scattered=covariance))
-    if f.scattered is None:
-        return replace(h, fit=f)
+    f = with_flat_directions(search.problem, h.fit, covariance)
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     logs = range(len(problem.logs))
     white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, problem, h), logs)
     variances = np.array([0.0 if x.group else _variance_with_logs(white, fits, x.name) for x in f.free])
-    within = np.diag(f.scattered)
+    scattered = np.asarray(f.scattered)
+    within = np.diag(scattered)
     wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
-    return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))
+    return replace(h, fit=replace(f, scattered=scattered * np.outer(wider, wider)))
 
 
 def _variance_with_logs(f: Fit, fits: Sequence[Fit], name: str) -> float:

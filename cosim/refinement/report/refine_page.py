@@ -52,6 +52,7 @@ TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
     "ambiguous": ("ambiguous", "warn"),
     "unexplained": ("unexplained", "warn"),
 }
+DISPERSED = 2.0  # dispersion κ from which the page says that no hypothesis fits
 INTERVALS = "Bar: 95 % interval; dashed line: the value before. Of one log, intervals do not show how logs differ."
 TOLERANCE = (
     "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance. "
@@ -124,6 +125,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "certain": CERTAIN,
         "percent": percent,
         "plain": plain,
+        "dispersed": DISPERSED,
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
@@ -253,7 +255,7 @@ def inclusion_rows(r: Refinement) -> Rows:
     """Return the probable parts, most probable first, with what became of them."""
     decision, rows = r.verdict.decision, list[dict[str, Any]]()
     withdrawn = {name: WITHDRAWN.get(why, "") for why, _, name in (r.partition(": ") for r in decision.reasons)}
-    withdrawn |= dict.fromkeys(decision.disputed, "a term without a name may take its place")
+    withdrawn |= dict.fromkeys(decision.disputed, "the logs also show a term without a name")
     for name, probability in sorted(decision.inclusion.items(), key=lambda item: -item[1]):
         why = "uncertain" if name in decision.uncertain else ""
         if name in withdrawn or probability >= CERTAIN:
