@@ -95,7 +95,7 @@ class DifferentiableFmu(FmuBlock):
             return np.zeros(0)
         fmu, references = self.instance.fmu, [v.valueReference for v in variables]
         with self.instance.check_calls():
-            if self.instance.fmi3:
+            if self.calls.version == 3:
                 return np.array(fmu.getFloat64(references, nValues=len(scalars(variables))), float)
             values: Array = np.array(fmu.getReal(references), float)
             return np.where([is_negated(v) for v in variables], -values, values)
@@ -103,7 +103,7 @@ class DifferentiableFmu(FmuBlock):
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:
             fmu, references = self.instance.fmu, [v.valueReference for v in variables]
-            if self.instance.fmi3:
+            if self.calls.version == 3:
                 fmu.setFloat64(references, values.tolist())
             else:
                 fmu.setReal(references, np.where([is_negated(v) for v in variables], -values, values).tolist())

@@ -21,7 +21,7 @@ from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
 from cosim.blocks.fmi import STEPS, Calls, Listen, end_of
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.variable_access import Ports
+from cosim.blocks.values import Values
 from cosim.core.errors import SimulationError, Terminated
 from cosim.fmi.description import Way, takes_any_step
 from cosim.fmi.fmi_types import Exchange, element_names
@@ -115,15 +115,15 @@ class EventFmu(FmuBlock):
         self._places: dict[str, int] = {}  # places of the numbers of ticks
         super().__init__(name, path, description, start, connected, **settings)
         self.may_return = self.calls.may_return
-        self._steady = [e for e in self._ports.fed if not self._is_jumping(e.variables[0])]
-        self._discrete = [e for e in self._ports.fed if e not in self._steady and not e.clocks]
+        self._steady = [e for e in self._values.fed if not self._is_jumping(e.variables[0])]
+        self._discrete = [e for e in self._values.fed if e not in self._steady and not e.clocks]
 
     # -- description ----------------------------------------------------------------------------
 
     def _make_calls(self, way: Way | None) -> Calls:
         return EventCalls(self.name, self.description)
 
-    def _make_ports(self, recorded: frozenset[str]) -> Ports:
+    def _make_values(self, recorded: frozenset[str]) -> Values:
         inputs, others = list[Signal](), list[Signal]()
         for c in self.clocks.values():
             is_ticked_here = c.causality == "input" and c.kind == "triggered" and c.name not in self.timings
@@ -135,7 +135,7 @@ class EventFmu(FmuBlock):
             return clocks, variable.causality == "input" and self._is_jumping(variable)
 
         both = tuple(inputs), tuple(others)
-        return Ports(self.description, self.connected, recorded, part=part, clocks=both)
+        return Values(self.instance, self.connected, recorded, part=part, clocks=both)
 
     def _is_jumping(self, variable: Any) -> bool:
         """Return whether an input is discrete or clocked."""
@@ -157,9 +157,8 @@ class EventFmu(FmuBlock):
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         super().bind(row, first, beside, first_beside)
-        ports = self._ports
         ends = first + len(self.inputs), first + len(self.inputs) + len(self.outputs)
-        for clocks, end in zip((ports.clock_inputs, ports.clock_outputs), ends, strict=True):
+        for clocks, end in zip((self._values.clock_inputs, self._values.clock_outputs), ends, strict=True):
             self._places |= {c.name: end - len(clocks) + k for k, c in enumerate(clocks)}
 
     def _begin(self, start: float, stop: float) -> None:
@@ -167,7 +166,7 @@ class EventFmu(FmuBlock):
         self.next_event, self.asks, self.active = math.inf, False, set()
         self._changes, self._given, self._seen = {}, {}, []
         super()._begin(start, stop)
-        self._values.show_outputs([e for e in self._ports.read if e.clocks])
+        self._values.show_outputs([e for e in self._values.read if e.clocks])
 
     def start(self) -> None:
         instance, start = self.instance, self.calls.start_time
@@ -206,18 +205,23 @@ class EventFmu(FmuBlock):
 
     def put(self) -> None:
         """Set changed inputs, as far as the mode allows."""
-        values, begins = self._values, self.mode == INITIALIZATION
-        for exchange in self._ports.fed if self.mode != STEP else self._steady:
-            if exchange.clocks and not exchange.clocks & self.active:
-                continue
-            content = values.content(exchange)
-            if begins or self._given.get(exchange) != content:
-                self._given[exchange] = content
-                values.put_in(exchange)
+        for exchange in self._changed_inputs():
+            self._values.put_in(exchange)
+
+    def _changed_inputs(self) -> list[Exchange]:
+        """Note the inputs, as far as the mode allows; return those to set."""
+        changed = []
+        for exchange in self._values.fed if self.mode != STEP else self._steady:
+            if not exchange.clocks or exchange.clocks & self.active:
+                content = self._values.content(exchange)
+                if self.mode == INITIALIZATION or self._given.get(exchange) != content:
+                    self._given[exchange] = content
+                    changed.append(exchange)
+        return changed
 
     def get(self) -> None:
         """Read outputs, as far as the mode allows."""
-        for exchange in self._ports.read:
+        for exchange in self._values.read:
             if not exchange.clocks or exchange.clocks & self.active:
                 self._values.get_from(exchange)
 
@@ -236,7 +240,7 @@ class EventFmu(FmuBlock):
         return self._inputs() != self._seen
 
     def _inputs(self) -> list[list[Any]]:
-        return [self._values.content(e) for e in self._ports.fed if not e.clocks]
+        return [self._values.content(e) for e in self._values.fed if not e.clocks]
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Keep an event's values for the next instant."""
@@ -266,15 +270,19 @@ class EventFmu(FmuBlock):
         self.asks = self.asks or bool(calls.is_event.value)
         return self.reached
 
-    def save(self) -> Any:
-        """Return the state, for one restoration."""
-        return self.instance.save_state(), self.reached, self.asks, dict(self._given)
+    def save_state(self) -> Any:
+        return super().save_state(), self.reached, self.asks, dict(self._given)
 
-    def go_back(self, state: Any) -> None:
-        """Take back a saved state."""
-        fmu, self.reached, self.asks, self._given = state
-        self.instance.restore_state(fmu)
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        fmu, self.reached, self.asks, given = state
+        self._given = dict(given)
+        super().restore_state(fmu, keep=True)
         self.instance.time = self.reached
+        if not keep:
+            self.free_state(state)
+
+    def free_state(self, state: Any) -> None:
+        super().free_state(state[0])
 
     # -- events -------------------------------------------------------------------------------------
 
@@ -321,7 +329,7 @@ class EventFmu(FmuBlock):
 
     def _forget(self, clocks: Collection[str]) -> None:
         """Forget the inputs of clocks that tick: they are set at each tick, also with the value of the last one."""
-        for exchange in self._ports.fed:
+        for exchange in self._values.fed:
             if not exchange.clocks.isdisjoint(clocks):
                 self._given.pop(exchange, None)
 

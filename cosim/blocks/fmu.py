@@ -21,14 +21,8 @@ from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
 from cosim.blocks.values import Values
-from cosim.blocks.variable_access import Ports
 from cosim.core.errors import FmuError
-from cosim.fmi.description import (
-    Way,
-    declares_slopes,
-    slips_of,
-    ways,
-)
+from cosim.fmi.description import Way, declares_slopes, slips_of, ways
 from cosim.fmi.fmi_types import element_names
 from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
@@ -56,6 +50,7 @@ class FmuBlock(Component):
     """
 
     clock_types: frozenset[str] = frozenset()
+    _refuses = False  # to serialize its state, though it declares that it can
     _arguments: tuple[Any, ...]
     _settings: dict[str, Any]
 
@@ -95,10 +90,9 @@ class FmuBlock(Component):
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu
         self._variables = {v.name: v for v in description.modelVariables}
-        self._ports = ports = self._make_ports(recorded)
-        self.inputs, self.outputs = ports.inputs, ports.outputs
-        self.exact_inputs, self.exact_outputs = ports.exact_inputs, ports.exact_outputs
-        self._values = Values(self.instance, ports)
+        self._values = values = self._make_values(recorded)
+        self.inputs, self.outputs = values.inputs, values.outputs
+        self.exact_inputs, self.exact_outputs = values.exact_inputs, values.exact_outputs
 
     def _make_calls(self, way: Way | None) -> Calls:
         way = way or ways(self.description)[0]
@@ -108,12 +102,12 @@ class FmuBlock(Component):
             )
         return (Calls if way == "co-simulation" else ModelExchange)(self.name, self.description)
 
-    def _make_ports(self, recorded: frozenset[str]) -> Ports:
+    def _make_values(self, recorded: frozenset[str]) -> Values:
         names = self.connected | self.start_values.keys()
         free = {v.name for v in self.description.modelVariables if v.causality == "input"} - names
         # Only FMUs of cosim declare optional inputs.
         optional = optional_inputs(self.path) & free if free and self.description.author == AUTHOR else frozenset[str]()
-        return Ports(self.description, self.connected, recorded, optional)
+        return Values(self.instance, self.connected, recorded, optional)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
         """Return a recipe for an instance in another process."""
@@ -171,7 +165,7 @@ class FmuBlock(Component):
             warnings.append(
                 f"{self.path.name} breaks a rule of the FMI standard: {slips[0]}{more}; it is used nevertheless"
             )
-        if types := {v.type for v in self.description.modelVariables} - self._ports.kinds.keys() - self.clock_types:
+        if types := {v.type for v in self.description.modelVariables} - self._values.kinds.keys() - self.clock_types:
             warnings.append(
                 f"variables of type {', '.join(sorted(types))} are not supported: they are neither set nor recorded"
             )
@@ -232,7 +226,7 @@ class FmuBlock(Component):
             calls.enter()
             values.set(again)
         values.show(self.start_values, readable=can_read)
-        values.watched = [] if self.changes_by_events and self._ports.fed else None
+        values.watched = [] if self.changes_by_events and self._values.fed else None
 
     def start(self) -> None:
         with self.instance.check_calls():
@@ -311,26 +305,77 @@ class FmuBlock(Component):
         self.instance.remove()
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        return in_turn(self, doing, first, puts=bool(self._ports.fed))
+        return in_turn(self, doing, first, puts=bool(self._values.fed))
 
     # -- state --------------------------------------------------------------------------
 
     @property
+    def rolls_back(self) -> bool:
+        """Return whether steps can be repeated with other lengths.
+
+        The FMU must save and restore its state and accept steps of any length.
+        """
+        return bool(
+            self._declares("canGetAndSetFMU")
+            and self.calls.about.canHandleVariableCommunicationStepSize
+            and sampled_by(self.path) is None
+        )
+
+    @property
     def saves(self) -> bool:
-        return self.instance.serializes
+        return self._declares("canGetAndSetFMU") and self._declares("canSerializeFMU") and not self._refuses
+
+    def _declares(self, capability: str) -> bool:
+        """Return whether the FMU is stepped and declares a capability regarding its state."""
+        is_stepped = self.calls.way == "co-simulation"
+        return is_stepped and any(getattr(self.calls.about, f"{capability}{s}", False) for s in ("state", "State"))
+
+    def _state_function(self, verb: str) -> Any:
+        """Return a function of FMPy for the state of the FMU."""
+        is_fmi3 = self.calls.version == 3
+        verb = "deSerialize" if verb == "deserialize" and not is_fmi3 else verb
+        return getattr(self.instance.fmu, f"{verb}FMU{'State' if is_fmi3 else 'state'}")
+
+    def save_state(self) -> Any:
+        """Return the state, to restore and free."""
+        with self.instance.check_calls():
+            return self._state_function("get")()
+
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        """Restore a saved state, and free the state unless `keep` is set."""
+        with self.instance.check_calls():
+            self._state_function("set")(state)
+        if not keep:
+            self.free_state(state)
+
+    def free_state(self, state: Any) -> None:
+        """Free a state that is not restored."""
+        with self.instance.check_calls():
+            self._state_function("free")(state)
 
     def checkpoint(self) -> dict[str, Any] | None:
         log = self.log.state()
-        state = self.instance.serialize()
-        if state is None:
+        if not self.saves:
+            return None
+        try:
+            state = self._state_function("get")()
+            content = bytes(self._state_function("serialize")(state))
+            self._state_function("free")(state)
+        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
+            self._refuses = True
             return None
         self.log.restore(log)  # Messages of these calls are none of the run.
-        return {"state": state, "time": self.instance.time, "log": log}
+        return {"state": content, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self.instance.deserialize(state["state"])
+        self._deserialize(state["state"])
         self.instance.time = state["time"]
         self.log.restore(state["log"])
+
+    def _deserialize(self, content: bytes) -> None:
+        with self.instance.check_calls():
+            state = self._state_function("deserialize")(content)
+        self.restore_state(state)
 
     # -- stepped by C -------------------------------------------------------------------------
 
@@ -393,7 +438,7 @@ class RestartableFmu(FmuBlock):
 
     def remember(self, memory: Memory) -> None:
         """Write a memory into the state of a cosim FMU, since start values can express a constant past only."""
-        self.instance.deserialize(with_memory(self._state(), memory))
+        self._deserialize(with_memory(self._state(), memory))
 
     def _state(self) -> bytes:
         with self.instance.check_calls():

@@ -24,7 +24,6 @@ from cosim.files.archive import unpack
 from cosim.fmi.description import C_CODE, library_of, no_library, platform_of, platforms_among
 from cosim.fmi.guard import without_wrapping
 from cosim.fmi.lifetime import let_go_at_exit
-from cosim.fmi.sampled import sampled_by
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, FATAL = 1, 4
@@ -95,7 +94,6 @@ class Instance:
         self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
         self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
         self.log = MessageLog()
-        self.fmi3 = calls.version == 3
         self.step_name = f"{calls.prefix}DoStep"
         self.fmu: Any = None
         self.component: Any = None
@@ -106,7 +104,6 @@ class Instance:
         self._folder: Path | None = None
         self._stop: BaseException | None = None
         self._words = ""  # last message
-        self._refuses = False  # to serialize its state, though it declares that it can
 
     # -- life cycle ---------------------------------------------------------------------------------
 
@@ -193,65 +190,6 @@ class Instance:
         if self._folder is not None and self._folder != self.place:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
-
-    # -- state ----------------------------------------------------------------------------
-
-    @property
-    def rolls_back(self) -> bool:
-        """Return whether steps can be repeated with other lengths.
-
-        The FMU must save and restore its state and accept steps of any length.
-        """
-        return bool(
-            self._declares("canGetAndSetFMU")
-            and self.calls.about.canHandleVariableCommunicationStepSize
-            and sampled_by(self.path) is None
-        )
-
-    @property
-    def serializes(self) -> bool:
-        """Return whether bytes hold the whole state."""
-        return self._declares("canGetAndSetFMU") and self._declares("canSerializeFMU") and not self._refuses
-
-    def _declares(self, capability: str) -> bool:
-        """Return whether the FMU is stepped and declares a capability regarding its state."""
-        is_stepped = self.calls.way == "co-simulation"
-        return is_stepped and any(getattr(self.calls.about, f"{capability}{s}", False) for s in ("state", "State"))
-
-    def _of_state(self, name: str) -> str:
-        """Return the name of a function for the state of the FMU, by its first word."""
-        return f"{name}FMU{'State' if self.fmi3 else 'state'}"
-
-    def save_state(self) -> Any:
-        """Return the state, to restore and free."""
-        return self.call(self._of_state("get"))
-
-    def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        """Restore a saved state, and free the state unless `keep` is set."""
-        self.call(self._of_state("set"), state)
-        if not keep:
-            self.free_state(state)
-
-    def free_state(self, state: Any) -> None:
-        """Free a state that is not restored."""
-        self.call(self._of_state("free"), state)
-
-    def serialize(self) -> bytes | None:
-        """Return the state as bytes, if possible."""
-        if not self.serializes:
-            return None
-        try:
-            state = getattr(self.fmu, self._of_state("get"))()
-            content = getattr(self.fmu, self._of_state("serialize"))(state)
-            getattr(self.fmu, self._of_state("free"))(state)
-        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
-            self._refuses = True
-            return None
-        return bytes(content)
-
-    def deserialize(self, content: bytes) -> None:
-        """Restore a state from bytes."""
-        self.restore_state(self.call(self._of_state("deserialize" if self.fmi3 else "deSerialize"), content))
 
     # -- messages -------------------------------------------------------------------------
 

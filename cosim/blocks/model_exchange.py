@@ -132,11 +132,11 @@ class ModelExchange(Calls):
         self.update()
         self._enter("ContinuousTime")
 
-    def save(self) -> tuple[float, list[float]]:
-        """Return time [s] and continuous states, for `go_back`."""
+    def save_state(self) -> tuple[float, list[float]]:
+        """Return time [s] and continuous states, for `restore_state`."""
         return self.time, self._numbers(self.fmu.getContinuousStates, self._states)
 
-    def go_back(self, saved: tuple[float, list[float]]) -> None:
+    def restore_state(self, saved: tuple[float, list[float]]) -> None:
         """Take back the states before a step, whose event, if any, has not been handled."""
         self.time, states = saved
         self.cause = ""
@@ -222,7 +222,7 @@ class ModelExchange(Calls):
             event, _, time = self.solver.step(self.time, target)
             return bool(event), float(time)
         spacing = math.ulp(max(abs(self.time), abs(target), target - self.start_time))
-        saved = self.save()
+        saved = self.save_state()
         hidden, false = set[int](), set[int]()  # indicators for which the step is too long
         while True:
             is_first = self.solver.is_first
@@ -231,7 +231,7 @@ class ModelExchange(Calls):
             event, roots, time = self.solver.step(self.time, target)
             if not (event or is_first):
                 return False, float(time)
-            reached, length = (float(time), self.save()[1]), self.solver.last_step
+            reached, length = (float(time), self.save_state()[1]), self.solver.last_step
             ends = self._indicators(*reached)
             if is_first:
                 ahead = self._ahead(saved, slopes, STRAIGHT * length)
@@ -314,7 +314,7 @@ class ModelExchange(Calls):
 
     def _point(self) -> tuple[list[float], ...]:
         """Return continuous states, their derivatives and the event indicators."""
-        states = self.save()[1]
+        states = self.save_state()[1]
         indicators = self._indicators(self.time, states) if self._indicator_count else []
         return states, self._rates(), indicators
 

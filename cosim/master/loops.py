@@ -28,7 +28,6 @@ from cosim.core.arrays import Array
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
 from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.copying import copy_values
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
@@ -129,7 +128,7 @@ class Member:
     def begin_step(self, t: float, h: float) -> None:
         """Step, or save the state for repeated steps."""
         if self.repeats:
-            self._state, self._is_stepped, self._step = self.call().instance.save_state(), False, (t, h)
+            self._state, self._is_stepped, self._step = self.call().save_state(), False, (t, h)
             return
         self.call(PUT).put()
         self.call(ADVANCE).advance(t, h)
@@ -137,7 +136,7 @@ class Member:
     def evaluate(self) -> None:
         """Write the outputs to the current inputs."""
         if self._state is not None and self._is_stepped:
-            self.call().instance.restore_state(self._state, keep=True)
+            self.call().restore_state(self._state, keep=True)
         component = self.call(PUT)
         getattr(component, "try_inputs", component.put)()
         if self._state is not None:
@@ -149,7 +148,7 @@ class Member:
         """Make the event of changed inputs; free the state."""
         if self._state is not None:
             state, self._state = self._state, None
-            self.call().instance.free_state(state)
+            self.call().free_state(state)
         elif self.changes_by_events:
             self.call(PUT).put()
             self.call(GET).get()
@@ -243,7 +242,7 @@ class LoopSolver:
                 except SimulationError:
                     continue
                 member.reacts = member.reactions()
-            copy_values(self.row, self._to_back, 0)
+            self._to_back(0)
             self._guesses = [self._values(self.unknowns)]
             self._write(self.unknowns, np.array([before[k] for k in self.unknowns]))
         self._at_start += self._solve(self.start)
@@ -312,7 +311,7 @@ class LoopSolver:
         """Copy known values of the end of a step, to components whose step is repeated after the last repetition."""
         for member in self.members:
             if member.repeats == repeats:
-                copy_values(self.row, self._known_into[member.component.name], self._point)
+                self._known_into[member.component.name](self._point)
 
     def _values(self, places: Sequence[int]) -> Array:
         return np.array([self.row[k] for k in places])
@@ -440,7 +439,7 @@ class LoopSolver:
         self._write(self.unknowns, z)
         try:
             for member in self.members:
-                copy_values(self.row, self._into[member.component.name], self._point)
+                self._into[member.component.name](self._point)
                 member.evaluate()
         except EarlyEnd:
             raise
@@ -449,7 +448,7 @@ class LoopSolver:
                 raise
             self._refusal = error
             return None
-        copy_values(self.row, self._to_back, self._point)
+        self._to_back(self._point)
         for transfer in self._transfers:
             for place in (transfer.source, transfer.target):
                 self._seen[place] = max(self._seen.get(place, 0.0), abs(self.row[place]))
@@ -500,7 +499,7 @@ class LoopSolver:
         results = []
         for shifted in (value + 1.0, value):  # The last one leaves the memory of faults as it was.
             self.row[transfer.source] = shifted
-            copy_values(self.row, self._one[transfer.name], self._point)
+            self._one[transfer.name](self._point)
             results.append(self.row[transfer.target])
         self.row[transfer.target] = at
         return float(results[0] - results[1])
@@ -518,7 +517,7 @@ class LoopSolver:
         missing = member.reacts & ~reacts
         is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
         is_silent = is_declared and not has_reacted
-        can_repeat = isinstance(fmu, FmuBlock) and fmu.instance.rolls_back
+        can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or has_reacted):
             member.late = f"{name} answers no input without a step, and none is declared to act"

@@ -36,7 +36,7 @@ from cosim.files.results import Results
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
-from cosim.master.copying import Copying, copy_values, doubles
+from cosim.master.copying import Copying, doubles
 from cosim.master.extrapolation import with_courses
 from cosim.master.inbox import Inbox
 from cosim.master.initialization import Initialization
@@ -256,15 +256,8 @@ class Master:
             t: Start of the step [s] of components without a step of their own.
             until: End of the step [s].
         """
-        row = self.view
-        for step, every, length, plain, noisy, through, late in actives:
-            for target_places, places in plain:
-                target_places[:] = places
-            for source, target, samples in noisy:
-                row[target] = row[source] + samples[k]
-            if through:
-                for origin, source, goal, target, function in through:
-                    goal[target] = function(k, origin[source])
+        for copy, step, every, length, late in actives:
+            copy(k)
             if every == 1:
                 step(t, length or until - t)
             else:
@@ -316,7 +309,7 @@ class Master:
                 self.announce(component, GET).get()
         if changed and self.loop != "C":  # C makes its held transfers again.
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
-            copy_values(self.row, self.copying.of(t for name in due for t in self.held[name]), k)
+            self.copying.of(t for name in due for t in self.held[name])(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
@@ -350,7 +343,7 @@ class Master:
         if key not in self._rounds:
             copies = self.copying.of(t for name in (*key[2], *held) for t in self.held[name])
             actives = [active if nominal else active._replace(length=0.0) for active in map(self.active, due)]
-            self._rounds[key] = (*actives, Active(lambda t, h: None, 1, 0.0, *copies, None))
+            self._rounds[key] = (*actives, Active(copies, lambda t, h: None))
         return self._rounds[key]
 
     def active(self, stage: Stage) -> Active:
@@ -361,8 +354,7 @@ class Master:
         pulls = self.copying.of(stage.pulls)
         solver = next((solver for solver in self.solvers if name in solver.names), None)
         if solver is not None:  # The last one steps all.
-            step = solver.step if name == solver.last else lambda t, h: None
-            active = Active(step, 1, 0.0, *pulls, None)
+            active = Active(pulls, solver.step if name == solver.last else lambda t, h: None)
         else:
             step, late = component.stepping(self.doing, self.numbers[name]), None
             if any(self.system.courses):
@@ -372,11 +364,11 @@ class Master:
 
                 def late(k: int) -> None:
                     """Set known values after the step, and read the outputs again."""
-                    copy_values(self.row, copies, k)
+                    copies(k)
                     exchange()
 
             length = stage.every * self.h if component.nominal_step else 0.0
-            active = Active(step, stage.every, length, *pulls, late)
+            active = Active(pulls, step, stage.every, length, late)
         self._actives[name] = active
         return active
 

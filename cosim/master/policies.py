@@ -33,7 +33,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.isolation.rows import GET
 from cosim.master.checkpoint import NOT_RESTORED
-from cosim.master.copying import Noisy, Plain, Through
+from cosim.master.copying import Copies
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
@@ -54,20 +54,18 @@ class Active(NamedTuple):
     """A component's step with the copies around it.
 
     Attributes:
+        copy: Copies before the step.
         step: Function of the start and the length of a step [s].
         every: Length of the step in steps of the run.
         length: Length of the step [s], 0.0 for the difference of communication points.
-        plain, noisy, through: Copies before the step.
         late: Function that sets the known values of a point after the step, if any.
     """
 
+    copy: Copies
     step: Callable[[float, float], None]
-    every: int
-    length: float
-    plain: Plain
-    noisy: Noisy
-    through: Through
-    late: Callable[[int], None] | None
+    every: int = 1
+    length: float = 0.0
+    late: Callable[[int], None] | None = None
 
 
 Round = tuple[Active, ...]  # the last one makes no step: its copies are those at the end of the step
@@ -110,12 +108,12 @@ class SavedPoint:
 
     def __init__(self, master: Master, fmus: Sequence[FmuBlock]) -> None:
         self.master, self._row, self._beside = master, bytes(master.row), list(master.beside)
-        self.states = [(fmu, master.announce(fmu).instance.save_state()) for fmu in fmus]
+        self.states = [(fmu, master.announce(fmu).save_state()) for fmu in fmus]
 
     def restore(self, *, keep: bool = False) -> None:
         """Go back; free the states unless `keep` is set."""
         for fmu, state in self.states:
-            self.master.announce(fmu).instance.restore_state(state, keep=keep)
+            self.master.announce(fmu).restore_state(state, keep=keep)
         self.restore_signals()
 
     def restore_signals(self) -> None:
@@ -338,7 +336,7 @@ class ControlledSteps(Policy):
         error /= 2.0**self.p - 1.0
         if error <= 1.0 or final:
             for fmu, state in before.states:
-                self.master.announce(fmu).instance.free_state(state)
+                self.master.announce(fmu).free_state(state)
             return error, name
         before.restore()
         self.rejected += 1

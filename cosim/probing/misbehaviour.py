@@ -105,9 +105,9 @@ def outputs_after_restoring(way: Way, fmu: Fmu, course: Course, at: int) -> tupl
     """Return the outputs from a row on, and the same again after the state of that row is restored."""
     with fmu.opened(course, way) as (block, row):
         _, early = run_along(block, row, course.first(at + 1))
-        state = block.instance.save_state()
+        state = block.save_state()
         table, stop = run_along(block, row, course, at)
-        block.instance.restore_state(state)
+        block.restore_state(state)
         block.instance.time = float(course.time[at])
         repeated, failure = run_along(block, row, course, at)
         if error := early or stop or failure:
