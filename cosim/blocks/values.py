@@ -28,6 +28,7 @@ class Values:
         unfed: Unconnected inputs.
         read: Variables to read after each step: outputs, then recorded variables.
         inward: Variables to set: all inputs except unconnected optional ones.
+        variables: All variables by name.
         clock_inputs: Triggered clocks; their places, behind the inputs, hold the number of ticks.
         clock_outputs: All other clocks, likewise behind the outputs.
         watched: Last inputs of model exchange, because unchanged inputs cause no event.
@@ -48,12 +49,12 @@ class Values:
         part: Callable[[Any], Hashable] = lambda variable: None,
         clocks: tuple[tuple[Signal, ...], tuple[Signal, ...]] = ((), ()),
     ) -> None:
-        self.instance, self._calls, self._part = instance, instance.calls, part
+        self.instance, self._part = instance, part
         self.description = description = instance.description
         self.clock_inputs, self.clock_outputs = clocks
         self.watched: list[Any] | None = None
         self.readable = False
-        self._variables = {v.name: v for v in description.modelVariables}
+        self.variables = {v.name: v for v in description.modelVariables}
         self._aliases = input_aliases(description)
         self.kinds = kinds_of(description.fmiVersion)
         fed, unfed, outputs, others = list[Any](), list[Any](), list[Any](), list[Any]()
@@ -133,8 +134,8 @@ class Values:
         """Return a C function with its arguments, or one of FMPy for binary values."""
         if exchange.kind.ctype is None:
             return partial(self._move_binary, verb, exchange)
-        prepared, name = self._calls.prepared, f"{verb}{exchange.kind.function}"
-        return prepared(self._calls.exchange, name, self.instance.component, *exchange.arguments)
+        prepared, name = self.instance.prepared, f"{verb}{exchange.kind.function}"
+        return prepared(self.instance.exchange, name, self.instance.component, *exchange.arguments)
 
     def _move_binary(self, verb: str, exchange: Exchange) -> int:
         with self.instance.check_calls():
@@ -154,7 +155,7 @@ class Values:
         values = [self.content(e) for e in self.fed]
         with self.instance.check_calls():
             has_changed, self.watched = values != self.watched, values
-            self._calls.inputs_changed(self.put_all if has_changed else None)
+            self.instance.inputs_changed(self.put_all if has_changed else None)
 
     def put_all(self) -> None:
         """Set all connected inputs, without an event."""
@@ -172,7 +173,7 @@ class Values:
     def get_from(self, exchange: Exchange) -> None:
         """Read values of the FMU; raise SimulationError if an output is not finite."""
         if status := self._getters[exchange]():
-            self.instance.judge(f"{self._calls.prefix}Get{exchange.kind.function}", status)
+            self.instance.judge(f"{self.instance.prefix}Get{exchange.kind.function}", status)
         if not exchange.is_direct:
             self._target(exchange)[exchange.places] = exchange.decode()
         if exchange.finite and not math.isfinite(sum(self.row[exchange.judged])):
@@ -196,16 +197,16 @@ class Values:
                     f"the input {reason}, the range of its type; scale or limit the value connected to it",
                 ) from None
         if status := self._setters[exchange]():
-            self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function}", status)
+            self.instance.judge(f"{self.instance.prefix}Set{exchange.kind.function}", status)
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set variables; an array takes a list of values."""
         for name, value in values.items():
-            variable = self._variables[name]
+            variable = self.variables[name]
             exchange = Exchange(self.kinds[variable.type], [variable])
             exchange.encode(value if isinstance(value, (list, tuple)) else [value] * exchange.count)
             if status := self._function("Set", exchange)():  # FMPy's own setters drop the status.
-                self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function} of {name}", status)
+                self.instance.judge(f"{self.instance.prefix}Set{exchange.kind.function} of {name}", status)
 
     def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
         """Store the set values of inputs in the row, else their start values; FMUs need not let inputs be read.
@@ -254,7 +255,7 @@ class Values:
         """Return values with those of the other inputs of their value references."""
         shown = dict(values)
         for name in values:
-            kind = self._variables[name].type
+            kind = self.variables[name].type
             for alias, is_negative in self._aliases.get(name, {}).items():
                 if alias not in values:
                     shown[alias] = negative(kind, values[name]) if is_negative else values[name]
@@ -293,4 +294,4 @@ class Values:
             self.put_in(fed[plan.moving])
         else:
             verb, exchanges = ("Set", fed) if plan.called == PUT else ("Get", read)
-            self.instance.judge(f"{self._calls.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)
+            self.instance.judge(f"{self.instance.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)

@@ -55,14 +55,14 @@ class Part:
 
     def __init__(self, master: Master, stage: Stage) -> None:
         component: Any = stage.component
-        active, takes_parts = master.active(stage), takes_part_of_step(stage, master.system.loops)
+        active, takes_parts = master.actives[component.name], takes_part_of_step(stage, master.system.loops)
         self.component, self.every, self.late = component, stage.every, active.late
         self.active = active._replace(late=None, length=0.0 if takes_parts else active.length)
-        first = master.first_place(component)
+        first = master.first_places[0].get(component.name, 0)
         self.row, self.inputs = master.row, slice(first, first + len(component.inputs))
         self.time, self.lead, self.ahead = master.system.start, 0.0, 0
         self.has_events = isinstance(component, EventFmu)
-        self.exchange: ModelExchange | None = component.calls if takes_parts and is_exchange(component) else None
+        self.exchange: ModelExchange | None = component.instance if takes_parts and is_exchange(component) else None
         self.state_owner = component if self.exchange is None else self.exchange
         self.may_return: bool = component.may_return if self.has_events else self.exchange is not None
         self.rank = LAST
@@ -239,7 +239,7 @@ class Instants(Policy):
             self.master.advance((part.active,), k, part.time, target)
             part.time = target
             if part.exchange is not None and part.exchange.cause:
-                part.time = component.instance.time = part.exchange.time
+                part.time = component.instance.time = part.exchange.reached
             return
         part.active.copy(k)
         self.call(component, PUT).put()
@@ -253,7 +253,7 @@ class Instants(Policy):
         here = [part for part in self.fmus if part in parts and abs(part.time - t) <= self.close]
         self._begin_instant(t, k, parts, here)
         for part in self.exchanges:
-            calls = part.component.calls
+            calls = part.component.instance
             if calls.cause and abs(part.time - t) <= self.close:
                 self._record(part, f"{calls.cause} event")
                 with self.call(part.component).instance.check_calls():
