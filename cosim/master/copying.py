@@ -18,13 +18,14 @@ class Copying:
 
     Attributes:
         links: Transfer name → conversions of its value.
+        functions: Transfer name → function of (point, value) that makes these.
     """
 
     def __init__(self, system: System, row: Any, beside: list[Any], steps: int, h: float) -> None:
         self.system, self.row, self.beside, self.steps, self.h = system, row, beside, steps, h
         self.links: dict[str, Sequence[LinkFunction]] = {}
         self._view = doubles(row)
-        self._functions: dict[str, Callable[[int, Any], Any]] = {}
+        self.functions: dict[str, Callable[[int, Any], Any]] = {}
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
         """Return a function that makes transfers: plain copies by contiguous parts of the row, then all others."""
@@ -33,11 +34,11 @@ class Copying:
         for transfer in transfers:
             if transfer.name not in self.links:
                 chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
-                self.links[transfer.name], self._functions[transfer.name] = chain, through(chain)
+                self.links[transfer.name], self.functions[transfer.name] = chain, through(chain)
             source, target = transfer.source, transfer.target
             if self.links[transfer.name] or any(transfer.beside):
                 origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
-                others.append((origin, source, goal, target, self._functions[transfer.name]))
+                others.append((origin, source, goal, target, self.functions[transfer.name]))
             elif parts and (source, target) == (parts[-1][0] + parts[-1][2], parts[-1][1] + parts[-1][2]):
                 parts[-1] = *parts[-1][:2], parts[-1][2] + 1
             else:

@@ -106,6 +106,7 @@ class Member:
     """A component of a loop, with the places in the row of its inputs and outputs within the loop.
 
     Attributes:
+        nominal: Input → nominal value, 1 if none is among `declared`.
         repeats: Whether its outputs follow its inputs only after a step, which is therefore repeated.
         late: Why its inputs act only in the next step, "" if they do not.
         reacts: Whether an output (row) followed an input (column) in initialization.
@@ -116,8 +117,11 @@ class Member:
         self.component, self.row, self.inputs, self.outputs = component, master.row, inputs, outputs
         self.call = partial(master.announce, component)
         self.variables = [[master.system.columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
-        nominal = component.nominal if isinstance(component, FmuBlock) else lambda _: 1.0
-        self.nominal = {k: nominal(name) for k, name in zip(inputs, self.variables[1], strict=True)}
+        self.nominal, self.declared = dict.fromkeys(inputs, 1.0), set[int]()
+        for k, name in zip(inputs, self.variables[1], strict=True):
+            if isinstance(component, FmuBlock) and (nominal := component.nominal(name, default=0.0)) > 0.0:
+                self.nominal[k] = nominal
+                self.declared.add(k)
         self.changes_by_events = getattr(component, "changes_by_events", False)
         self.repeats, self.promised, self.late = False, False, ""
         self.reacts = np.zeros((len(outputs), len(inputs)), bool)
@@ -207,17 +211,11 @@ class LoopSolver:
         self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
         self._to_back = copying.of(self.back)
         self._known_into = {s.component.name: copying.of(s.late) for s in system.stages}
-        self._one = {t.name: copying.of([t]) for t in loop.transfers}
+        self._functions = copying.functions
         self.members = members_of(loop, master)
-        self._nominal = {k: value for member in self.members for k, value in member.nominal.items()}
-        self._declared = {  # places of inputs that declare a nominal value
-            place
-            for member in self.members
-            for place, name in zip(member.inputs, member.variables[1], strict=True)
-            if isinstance(member.component, FmuBlock) and member.component.nominal(name, default=0.0) > 0.0
-        }
-        scale = np.array([self._nominal[place] for place in self.unknowns])
-        is_assumed = np.array([place not in self._declared for place in self.unknowns])
+        nominal = {place: value for member in self.members for place, value in member.nominal.items()}
+        scale = np.array([nominal[place] for place in self.unknowns])
+        is_assumed = ~np.isin(self.unknowns, [place for member in self.members for place in member.declared])
         self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
         self._seen: dict[int, float] = {}  # place of a signal → its largest magnitude
         self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of rough solutions
@@ -264,9 +262,10 @@ class LoopSolver:
         members = [m for m in self.members if m.inputs and not m.changes_by_events]
         warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
         if late := [member for member in self.members if member.late]:
-            places = sorted({place for member in late for place in member.inputs})
-            names, nominal = [self._columns[k] for k in places], [self._nominal[k] for k in places]
-            self._delayed = DelayedLoop("; ".join(member.late for member in late), places, names, nominal)
+            nominal = dict(sorted((place, size) for member in late for place, size in member.nominal.items()))
+            names = [self._columns[place] for place in nominal]
+            reason = "; ".join(member.late for member in late)
+            self._delayed = DelayedLoop(reason, [*nominal], names, [*nominal.values()])
         return warnings
 
     def step(self, t: float, h: float) -> None:
@@ -482,8 +481,8 @@ class LoopSolver:
                     return np.array(promised).reshape(shape)
         base, slopes = member.values(), np.zeros(shape)
         for j, place in enumerate(member.inputs):
-            shift, seen = SHIFT * max(abs(self.row[place]), self._nominal[place]), self._seen.get(place, 0.0)
-            if fresh and seen > 0.0 and place not in self._declared:
+            shift, seen = SHIFT * max(abs(self.row[place]), member.nominal[place]), self._seen.get(place, 0.0)
+            if fresh and seen > 0.0 and place not in member.declared:
                 shift = min(shift, SHIFT * seen)
             for step in (shift, -shift):
                 values = member.try_at(place, self.row[place] + step)
@@ -495,14 +494,9 @@ class LoopSolver:
 
     def _gain(self, transfer: Transfer) -> float:
         """Return the slope of a transfer."""
-        value, at = self.row[transfer.source], self.row[transfer.target]
-        results = []
-        for shifted in (value + 1.0, value):  # The last one leaves the memory of faults as it was.
-            self.row[transfer.source] = shifted
-            self._one[transfer.name](self._point)
-            results.append(self.row[transfer.target])
-        self.row[transfer.target] = at
-        return float(results[0] - results[1])
+        value, function = self.row[transfer.source], self._functions[transfer.name]
+        ahead = function(self._point, value + 1.0)
+        return float(ahead - function(self._point, value))  # This call leaves the memory of faults as it was.
 
     def _find_repeats(self, member: Member, gain: float) -> list[str]:
         """Note whether steps must be repeated, because outputs follow inputs only after a step; return warnings.
