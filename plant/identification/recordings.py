@@ -170,7 +170,7 @@ def play_on_fmu(
         recordings, rows = [], 0
         for run in runs:
             time, step, values = run.time, run.step, {"thrust_factor": run.thrust, "filter_time": run.low_pass}
-            block.begin({**parameters, **values}, float(time[0]), float(time[-1]))
+            block.restart({**parameters, **values}, float(time[0]), float(time[-1]))
             # row k holds the inputs, with reading noise, of the step that ends at t_k
             before, loads = np.maximum(np.arange(time.size) - 1, 0), (np.full(time.size, load) for load in run.loads)
             commanded = (run.duty[before], run.servo_duty[before], run.height, *loads, *run.noise)
