@@ -38,7 +38,7 @@ def tanks(p: Array, x: Array, u: float) -> Sequence[Array]:
 
 
 def tanks_full(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """A full upper tank runs over, a share of it into the lower one, which runs over at 10 V."""
+    """Two tanks that run over: the upper one, a share of it into the lower one, and that at 10 V."""
     full, share = p[4:]
     upper, lower = tanks(p, x, u)
     over = np.where(x[0] >= full, np.maximum(upper, 0.0), 0.0)
@@ -53,7 +53,7 @@ def exchanger(p: Array, x: Array, u: float) -> Sequence[Array]:
 
 
 def exchanger_wall(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """A wall with a capacity; its conductance to the water by a power of the flow."""
+    """Water and a wall with a capacity; the conductance between them by a power of the flow."""
     capacity, inner, power, outer, wall, steam = p
     passed = 1e3 * inner * (u / 0.3) ** power * (x[1] - x[0])
     return [
