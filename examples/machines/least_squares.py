@@ -52,14 +52,11 @@ def exchanger(p: Array, x: Array, u: float) -> Sequence[Array]:
     return [(WATER * u * (25.0 - x[0]) + conductance * (110.0 - x[0])) / capacity]
 
 
-def exchanger_wall(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """Water and a wall with a capacity; the conductance between them by a power of the flow."""
-    capacity, inner, power, outer, wall, steam = p
-    passed = 1e3 * inner * (u / 0.3) ** power * (x[1] - x[0])
-    return [
-        (WATER * u * (25.0 - x[0]) + passed) / (1e3 * capacity),
-        (1e3 * outer * (steam - x[1]) - passed) / (1e3 * wall),
-    ]
+def exchanger_lag(p: Array, x: Array, u: float) -> Sequence[Array]:
+    """Well mixed water with a conductance by a power of the flow, and a sensor with a lag."""
+    capacity, conductance, power, steam, lag = p
+    passed = 1e3 * conductance * (u / 0.3) ** power * (steam - x[0])
+    return [(WATER * u * (25.0 - x[0]) + passed) / (1e3 * capacity), (x[0] - x[1]) / lag]
 
 
 Model = tuple[str, Callable[[Array, Array, float], Sequence[Array]], list[float], list[float], int]
@@ -74,7 +71,7 @@ MODELS: dict[str, list[Model]] = {  # name, equations, parameters, state, place 
     ],
     "exchanger": [
         ("base", exchanger, [20.0, 8.0], [98.0], 0),
-        ("wall, power of the flow", exchanger_wall, [20.0, 16.0, 0.5, 16.0, 20.0, 110.0], [98.0, 100.0], 0),
+        ("power of the flow, lag", exchanger_lag, [80.0, 8.5, 0.5, 110.0, 5.0], [98.0, 98.0], 1),
     ],
 }
 
