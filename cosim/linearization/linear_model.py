@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,6 @@ class Linear:
         units: Units of states, inputs and outputs by name; "" if unknown.
         method: Origin of the derivatives.
         notes: Remarks on the derivatives.
-        kinks: State or input at a kink or a jump → the rates and outputs without a derivative in it.
     """
 
     A: Array
@@ -49,7 +48,6 @@ class Linear:
     units: Mapping[str, str]
     method: str
     notes: tuple[str, ...] = ()
-    kinks: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def at_rest(self) -> bool:

@@ -1,8 +1,4 @@
-"""Structure of a linear model: poles, controllability and observability.
-
-States with mutual feedback form a block, and A is block triangular, so that its poles are those of the blocks. A pole
-of several blocks is then equal to rounding in each, without the spread ε^(1/k) of a defective eigenvalue.
-"""
+"""Structure of a linear model: poles, controllability and observability."""
 
 from __future__ import annotations
 
@@ -83,13 +79,9 @@ def structure(linear: Linear) -> Structure:
 
 
 def poles(A: Array) -> Poles:
-    """Return the eigenvalues of A by blocks of states with mutual feedback, slowest first."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, label = connected_components(A != 0.0, directed=True, connection="strong") if len(A) else (0, np.zeros(0))
-    blocks = (np.flatnonzero(label == k) for k in range(count))
-    values = [complex(v) for block in blocks for v in np.linalg.eigvals(A[np.ix_(block, block)])]
-    return np.array(sorted(values, key=lambda v: (round(abs(v), 12), v.real, -v.imag)), dtype=complex)
+    """Return the eigenvalues of A, slowest first."""
+    values = np.linalg.eigvals(A).astype(complex)
+    return np.array(sorted(values.tolist(), key=lambda v: (round(abs(v), 12), v.real, -v.imag)), dtype=complex)
 
 
 def controllable_rank(A: Array, B: Array) -> int:
