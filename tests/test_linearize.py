@@ -13,8 +13,7 @@ import pytest
 import scipy.io
 
 from cosim.core.errors import InputError
-from cosim.linearization.linear_model import Linear
-from cosim.linearization.system_structure import structure
+from cosim.linearization.linear_model import Linear, structure
 from cosim.linearization.workflow import linearize
 from tests.conftest import ROOT
 from tests.tank import MODEL

@@ -16,7 +16,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import undeclared
 from cosim.simulation.workflow import run
 from cosim.system.system import build_system
-from cosim.verbs.check_verb import check
+from cosim.verbs.checks import check
 from tests.cases import some
 from tests.coupled import LINEAR, LOOP_A, LOOP_B, SQUARE, coupled_fmu, without_dependencies
 from tests.deeds import deeds_scenario

@@ -340,7 +340,11 @@ def test_changes_by_an_observer_are_in_the_checkpoint(walk: Walk, tmp_path: Path
     gone_on = run(tmp_path / "part", resume=True, report=False)
     assert len(gone_on.manifest["changes"]) == 1
     again = run(tmp_path / "part" / "manifest.json", tmp_path / "again", report=False)
-    assert (again.file).read_bytes() == gone_on.file.read_bytes() != (walk[1] / "results.csv").read_bytes()
+    assert (
+        (again.folder / "results.csv").read_bytes()
+        == (gone_on.folder / "results.csv").read_bytes()
+        != (walk[1] / "results.csv").read_bytes()
+    )
 
 
 def test_a_run_with_event_mode_is_made_again_and_compared(tmp_path: Path) -> None:

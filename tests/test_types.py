@@ -18,7 +18,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
 from cosim.system.system import System, build_system
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from tests.lag import lag_fmu
 from tests.typed import numbers_fmu, typed_fmu
 

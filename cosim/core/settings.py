@@ -118,8 +118,6 @@ Seed = Whole
 Port = Annotated[int, Ge(0), Le(65535)]
 Count = Annotated[int, Ge(1)]
 LATER = {  # types of rooms above, which modules of verbs import for type checkers only
-    "NamedFunctions": "cosim.master.observer:NamedFunctions",
-    "Observers": "cosim.master.observer:Observers",
     "Signals": "cosim.simulation.run_signals:Signals",
     "Subject": "cosim.estimation.subject.interface:Subject",
 }

@@ -201,7 +201,7 @@ def differentiate(
         reason = error.reason.partition(":")[0]
     note = f"finite differences of step {step:g} replace the FMU's own derivatives: {reason}"
     repeated = differentiate(path, description, start, points, step, False)
-    return [(*result, [note, *notes]) for *result, notes in repeated]
+    return [(*result[:-1], [note, *result[-1]]) for result in repeated]
 
 
 def _differentiate(block: DifferentiableFmu, point: Point, step: float, directional: bool) -> Differentiated:

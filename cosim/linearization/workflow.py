@@ -20,7 +20,7 @@ from cosim.files.folders import new_run, remove_earlier
 from cosim.files.kinds import check_given, kind_of
 from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import names_refine, refined_file
-from cosim.linearization.linear_model import missing_states, select
+from cosim.linearization.linear_model import missing_states, select, structure
 from cosim.linearization.linear_model import residualize as residualize_states
 from cosim.linearization.point import move, points_along, read_at
 from cosim.linearization.sources import (
@@ -31,7 +31,6 @@ from cosim.linearization.sources import (
     settle,
     with_parameters,
 )
-from cosim.linearization.system_structure import structure
 from cosim.linearization.write import FILES, Outcome, write
 from cosim.residuals.drive import start_values
 
