@@ -104,11 +104,10 @@ class Graph:
             title, sides = f"{number} {name}", ports[name]
             widths = sum(max((port.width for port in side.values()), default=0.0) for side in sides)
             width = max(MIN_WIDTH, widths + 40, BOLD * len(title) + 24, SMALL * len(about) + 24)
-            height = HEAD + 12 + max(sum(port.height for port in side.values()) for side in sides)
-            bottom = max(bottom, top + height + 12)
+            box = HEAD + 12 + max(sum(port.height for port in side.values()) for side in sides)
+            bottom = max(bottom, top + box + 12)
             parts += [
-                f'<rect class="box" x="{x:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" '
-                f'rx="{RADIUS}"/>',
+                f'<rect class="box" x="{x:.1f}" y="{top:.1f}" width="{width:.1f}" height="{box:.1f}" rx="{RADIUS}"/>',
                 f'<path class="head" d="M{x:.1f} {top + HEAD:.1f}h{width:.1f}"/>',
                 f'<text class="name" x="{x + 12:.1f}" y="{top + 20:.1f}">{escape(title)}</text>',
                 f'<text class="about" x="{x + 12:.1f}" y="{top + 37:.1f}">{escape(about)}</text>',
