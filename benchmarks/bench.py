@@ -1,4 +1,4 @@
-"""Benchmarks as ratios of medians, interleaved in one process because shared machines are noisy."""
+"""Benchmarks as median ratios, interleaved in one process because shared machines are noisy."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
-from statistics import median
-from typing import Any
 
 import numpy as np
 
 from benchmarks.bench_coupling import coupling_figures
 from benchmarks.bench_library import library_figures
 from benchmarks.bench_native import native_figures
+from benchmarks.measure import median_ratio, running
 from controller.loop import Loop
 from controller.settings import Settings
 from cosim.blocks.faults import gaussian, stream
@@ -43,7 +41,6 @@ from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 H = 0.02
 STEPS = 1000
 MANY = 100_000  # steps of FMUs with next to no computation
-ROUNDS = 9
 IMPORTS = "import numpy, fmpy, filterpy.kalman"
 NOISE = {name: SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")}
 
@@ -110,16 +107,6 @@ def bench() -> dict[str, float | str]:
     return {name: value if isinstance(value, str) else round(value, 3) for name, value in figures.items()}
 
 
-def ratio(ours: Callable[[], float], other: Callable[[], float], rounds: int = ROUNDS) -> float:
-    """Return the ratio of median times, measured in turn.
-
-    Each function returns its own seconds.
-    """
-    ours(), other()
-    pairs = [(ours(), other()) for _ in range(rounds)]
-    return median(a for a, _ in pairs) / median(b for _, b in pairs)
-
-
 def loop_seconds(system: System, steps: int, rows: Rows | None = None) -> float:
     """Return the seconds of the master's steps, without loading."""
     marks: list[float] = []
@@ -130,7 +117,7 @@ def loop_seconds(system: System, steps: int, rows: Rows | None = None) -> float:
 def loop_over_plain(scenario: Path) -> float:
     """Compare the master with plain functions."""
     file = ScenarioFile(scenario)
-    return ratio(lambda: loop_seconds(build_system(file), STEPS), plain_seconds)
+    return median_ratio(lambda: loop_seconds(build_system(file), STEPS), plain_seconds)
 
 
 def plain_seconds() -> float:
@@ -166,36 +153,14 @@ def fmpy_over_ours(place: Path) -> float:
     text += "  a: {fmu: idlea.fmu}\n  b: {fmu: idleb.fmu}\nconnections:\n" + "\n".join(links) + "\n"
     (place / "idle.yaml").write_text(text)
     file = ScenarioFile(place / "idle.yaml")
-    return ratio(lambda: fmpy_idle_seconds(place), lambda: loop_seconds(build_system(file), STEPS))
-
-
-@contextmanager
-def fmpy_slaves(starts: Mapping[Path, Mapping[str, float]]) -> Iterator[tuple[list[Any], list[dict[str, int]]]]:
-    """Yield FMPy instances after initialization, and their value references."""
-    import fmpy
-
-    slaves: list[Any] = []
-    numbers: list[dict[str, int]] = []
-    for path, start in starts.items():
-        description = fmpy.read_model_description(str(path))
-        numbers.append({v.name: v.valueReference for v in description.modelVariables})
-        slave = fmpy.instantiate_fmu(fmpy.extract(str(path), tempfile.mkdtemp(dir=path.parent)), description)
-        slave.setupExperiment(startTime=0.0, stopTime=STEPS * H)
-        slave.setReal([numbers[-1][name] for name in start], list(start.values()))
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
-        slaves.append(slave)
-    yield slaves, numbers
-    for slave in slaves:
-        slave.terminate()
-        slave.freeInstance()
+    return median_ratio(lambda: fmpy_idle_seconds(place), lambda: loop_seconds(build_system(file), STEPS))
 
 
 def fmpy_idle_seconds(place: Path) -> float:
     """Return the seconds of an FMPy loop of two idle FMUs."""
     a_in, b_in, a_out, b_out = list(range(5)), list(range(12)), list(range(5, 17)), list(range(12, 17))
     table = np.zeros((STEPS + 1, 34))
-    with fmpy_slaves({place / "idlea.fmu": {}, place / "idleb.fmu": {}}) as ((a, b), _):
+    with running(place / "idlea.fmu") as a, running(place / "idleb.fmu") as b:
         values_b = b.getReal(b_out)
         begin = time.perf_counter()
         for k in range(STEPS):
@@ -223,7 +188,7 @@ def dormant_over_base() -> float:
         return time.perf_counter() - begin
 
     dormant = Hovercraft(effects=tuple(kind() for kind in Hovercraft.catalogue))
-    return ratio(lambda: seconds(dormant), lambda: seconds(Hovercraft()), rounds=51)
+    return median_ratio(lambda: seconds(dormant), lambda: seconds(Hovercraft()), rounds=51)
 
 
 def startup_over_import(place: Path) -> float:
@@ -238,13 +203,13 @@ def startup_over_import(place: Path) -> float:
         subprocess.run(command, check=True, capture_output=True, env=environment)
         return time.perf_counter() - begin
 
-    return ratio(lambda: seconds(run), lambda: seconds([sys.executable, "-c", IMPORTS]))
+    return median_ratio(lambda: seconds(run), lambda: seconds([sys.executable, "-c", IMPORTS]))
 
 
 def ten_times_the_steps(place: Path) -> float:
     """Return the time ratio of ten times the steps."""
     short, long = ScenarioFile(place / "loop.yaml"), ScenarioFile(place / "long.yaml")
-    return ratio(
+    return median_ratio(
         lambda: loop_seconds(build_system(long), 10 * STEPS), lambda: loop_seconds(build_system(short), STEPS), rounds=5
     )
 
@@ -284,7 +249,7 @@ def isolated_over_inprocess(place: Path) -> float:
     watch = Watch([s.component.name for s in system.stages], limits=Limits(step=60.0, memory=1e10), width=8 * columns)
     allocate(table, 8 * (MANY + 1) * columns)
     with Worker(__name__) as other:
-        return ratio(
+        return median_ratio(
             lambda: float(other.call(worker_seconds, scenario, table, watch=watch)),
             lambda: loop_seconds(build_system(file), MANY),
             rounds=5,

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any
 
-import fmpy
 import numpy as np
 
-from benchmarks.bench_native import Seconds
+from benchmarks.measure import median_ratio, running
 from cosim.estimation.kernel.generate import generate
 from cosim.estimation.kernel.kernel import Filtered
 from cosim.estimation.kernel.library_kernel import LibraryKernel, LibraryOf
@@ -36,7 +31,7 @@ from cosim.probing.places import probe_structure
 from cosim.terms.code import TermCode
 from cosim.terms.fmu_model import FmuModel, fmu_model
 
-STEP, ROWS, CALLS, ROUNDS = 0.01, 2000, 20_000, 9
+STEP, ROWS, CALLS = 0.01, 2000, 20_000
 EQUAL = 1e-3  # largest difference of the innovations of both kernels, relative to the noise
 SUBSTEPS = 2  # of the filter between rows, for both kernels
 NOISE = {"current": 1e-2, "motor_angle": 1e-3, "load_angle": 1e-3}
@@ -98,12 +93,6 @@ def library_figures(place: Path) -> dict[str, float | str]:
         with running(built.path, way) as original, running(wrapped, way) as other:
             figures[name] = median_ratio(partial(seconds_of, way, other), partial(seconds_of, way, original))
     return dict(figures)
-
-
-def median_ratio(one: Seconds, other: Seconds) -> float:
-    """Return the median ratio of two times; each function returns its own seconds."""
-    one(), other()
-    return median(one() / other() for _ in range(ROUNDS))
 
 
 # -- filter -----------------------------------------------------------------------------------------
@@ -171,25 +160,6 @@ def filtered(kernel: Any, problem: Problem) -> Filtered:
 
 
 # -- wrapper ----------------------------------------------------------------------------------------
-
-
-@contextmanager
-def running(path: Path, way: str) -> Iterator[Any]:
-    """Yield an instance in step or continuous-time mode."""
-    description = fmpy.read_model_description(str(path))
-    folder = fmpy.extract(str(path), tempfile.mkdtemp(dir=path.parent))
-    fmu = fmpy.instantiate_fmu(folder, description, way)
-    fmu.setupExperiment(startTime=0.0)
-    fmu.enterInitializationMode()
-    fmu.exitInitializationMode()
-    if way == "ModelExchange":
-        fmu.newDiscreteStates()
-        fmu.enterContinuousTimeMode()
-    fmu.references = {v.name: v.valueReference for v in description.modelVariables}
-    fmu.order = len(description.derivatives)
-    yield fmu
-    fmu.terminate()
-    fmu.freeInstance()
 
 
 def seconds_of(way: str, fmu: Any) -> float:

@@ -8,24 +8,23 @@ from __future__ import annotations
 
 import ctypes
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
 
+from benchmarks.measure import Seconds, median_ratio, running
 from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import compiler, load_library
 from cosim.master.master import PROGRESS_EVERY, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import System, build_system
 
-H, STEPS, ROUNDS = 0.02, 5000, 9
+H, STEPS = 0.02, 5000
 DRIVER = Path(__file__).with_name("bench_native.c")
 START = {"plant": {"x_start": 1.0, "psi_start": 1.0}, "controller": {"x_hat_start": 1.0, "psi_hat_start": 1.0}}
 INPUTS = {
@@ -52,7 +51,6 @@ FIGURES = (
     "ecos_over_ours",
     "python_over_native_plant",
 )
-Seconds = Callable[[], float]
 
 
 def native_figures(place: Path) -> dict[str, float | str]:
@@ -61,17 +59,15 @@ def native_figures(place: Path) -> dict[str, float | str]:
         return dict.fromkeys(FIGURES, "no C compiler")
     scenario = native_scenario(place, STEPS * H)
     system = build_system(ScenarioFile(scenario))
-    craft = {name: UnpackedFmu(place / f"{name}-native.fmu", name) for name in INPUTS}
     ours, python_loop = (partial(loop_seconds, system, in_c=in_c) for in_c in (True, False))
-    fmpy_loop = partial(fmpy_seconds, craft)
-    figures: dict[str, float | str] = {
+    fmpy_loop = partial(fmpy_seconds, place)
+    return {
         "native_fmpy_over_ours": median_ratio(fmpy_loop, ours),
         "native_fmpy_over_ours_without_compiler": median_ratio(fmpy_loop, python_loop),
-        "native_over_c": median_ratio(ours, partial(c_seconds, craft)),
-        "python_over_native_plant": python_over_native_plant(place, craft["plant"]),
-        "ecos_over_ours": ecos_over_ours(craft, ours),
+        "native_over_c": median_ratio(ours, partial(c_seconds, place)),
+        "ecos_over_ours": ecos_over_ours(place, ours),
+        "python_over_native_plant": python_over_native_plant(place),
     }
-    return {name: figures[name] for name in FIGURES}
 
 
 def native_scenario(place: Path, duration: float) -> Path:
@@ -81,15 +77,6 @@ def native_scenario(place: Path, duration: float) -> Path:
     scenario = place / "native.yaml"
     scenario.write_text(SCENARIO.format(duration=duration, links=links))
     return scenario
-
-
-def median_ratio(one: Seconds, other: Seconds) -> float:
-    """Return the median ratio of two times.
-
-    Each function returns its own seconds.
-    """
-    one(), other()
-    return median(one() / other() for _ in range(ROUNDS))
 
 
 def loop_seconds(system: System, *, in_c: bool) -> float:
@@ -103,50 +90,32 @@ def loop_seconds(system: System, *, in_c: bool) -> float:
 # -- FMPy -------------------------------------------------------------------------------------------
 
 
-class UnpackedFmu:
-    """An FMU unpacked by FMPy, for several instances."""
-
-    def __init__(self, path: Path, name: str) -> None:
-        import fmpy
-
-        self.path, self.name, self.description = path, name, fmpy.read_model_description(str(path))
-        self.folder = fmpy.extract(str(path), tempfile.mkdtemp(dir=path.parent))
-        self.place = {v.name: v.valueReference for v in self.description.modelVariables}
-        outputs = [v for v in self.description.modelVariables if v.causality == "output"]
-        self.output_variables = outputs[: OUTPUT_COUNT[name]]
-        self.inputs = [self.place[n] for n in INPUTS[name]]
-        self.outputs = [v.valueReference for v in self.output_variables]
-
-    @contextmanager
-    def run(self) -> Iterator[Any]:
-        """Yield an instance after initialization."""
-        import fmpy
-
-        fmu = fmpy.instantiate_fmu(self.folder, self.description, "CoSimulation")
-        fmu.setupExperiment(startTime=0.0)
-        fmu.enterInitializationMode()
-        for name, value in START[self.name].items():
-            fmu.setReal([self.place[name]], [value])
-        fmu.exitInitializationMode()
-        yield fmu
-        fmu.terminate()
-        fmu.freeInstance()
+@contextmanager
+def running_craft(place: Path) -> Iterator[list[Any]]:
+    """Yield plant and controller in FMPy, with references of their inputs and first outputs."""
+    with ExitStack() as stack:
+        parts = []
+        for name, inputs in INPUTS.items():
+            part = stack.enter_context(running(place / f"{name}-native.fmu", start=START[name]))
+            part.inputs = [part.references[n] for n in inputs]
+            part.outputs = [part.references[n] for n in part.output_names[: OUTPUT_COUNT[name]]]
+            parts.append(part)
+        yield parts
 
 
-def fmpy_seconds(craft: Mapping[str, UnpackedFmu]) -> float:
+def fmpy_seconds(place: Path) -> float:
     """Return the seconds of setReal, doStep, getReal in FMPy."""
-    plant, controller = craft["plant"], craft["controller"]
     table = np.zeros((STEPS + 1, 20))
-    with plant.run() as a, controller.run() as b:
-        y, u = a.getReal(plant.outputs), b.getReal(controller.outputs)
+    with running_craft(place) as (plant, controller):
+        y, u = plant.getReal(plant.outputs), controller.getReal(controller.outputs)
         begin = time.thread_time()
         for k in range(STEPS):
             t = k * H
-            a.setReal(plant.inputs, u[:4])
-            b.setReal(controller.inputs, [y[PSI], y[PSI_DOT], y[AX]])
-            a.doStep(t, H)
-            b.doStep(t, H)
-            y, u = a.getReal(plant.outputs), b.getReal(controller.outputs)
+            plant.setReal(plant.inputs, u[:4])
+            controller.setReal(controller.inputs, [y[PSI], y[PSI_DOT], y[AX]])
+            plant.doStep(t, H)
+            controller.doStep(t, H)
+            y, u = plant.getReal(plant.outputs), controller.getReal(controller.outputs)
             table[k + 1] = (*y, *u)
         return time.thread_time() - begin
 
@@ -158,15 +127,15 @@ class _Part(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in ("instance", "set", "get", "step", "inputs", "outputs"))
 
 
-def c_seconds(craft: Mapping[str, UnpackedFmu]) -> float:
+def c_seconds(place: Path) -> float:
     """Return the seconds of an independent C loop."""
     drive = load_library(DRIVER.read_text(encoding="utf-8")).drive
     drive.argtypes = [*[ctypes.POINTER(_Part)] * 2, ctypes.c_long, ctypes.c_double, ctypes.c_void_p]
     table = np.zeros((STEPS + 1, 20))
-    with craft["plant"].run() as plant, craft["controller"].run() as controller:
+    with running_craft(place) as craft:
         parts, arrays = [], []
-        for unpacked, fmu in ((craft["plant"], plant), (craft["controller"], controller)):
-            references = [(ctypes.c_uint * len(r))(*r) for r in (unpacked.inputs, unpacked.outputs)]
+        for fmu in craft:
+            references = [(ctypes.c_uint * len(r))(*r) for r in (fmu.inputs, fmu.outputs)]
             names = ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
             functions = [ctypes.cast(getattr(fmu.dll, name), ctypes.c_void_p).value for name in names]
             parts.append(_Part(fmu.component, *functions, *map(ctypes.addressof, references)))
@@ -179,11 +148,8 @@ def c_seconds(craft: Mapping[str, UnpackedFmu]) -> float:
 # -- ecos -------------------------------------------------------------------------------------------
 
 
-def ecos_over_ours(craft: Mapping[str, UnpackedFmu], ours: Seconds) -> float | str:
-    """Compare ecos with the master.
-
-    The loop calls `step(1)`, then `get_real` of the 20 variables.
-    """
+def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
+    """Compare ecos with the master: it calls `step(1)`, then `get_real` of the 20 variables."""
     for library in sorted((Path(sys.prefix) / "lib").glob("libtbb.so*")):
         with suppress(OSError):
             ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)  # required by ecos, outside the search path
@@ -194,15 +160,17 @@ def ecos_over_ours(craft: Mapping[str, UnpackedFmu], ours: Seconds) -> float | s
         return f"no ecos: {error}"
     EcosLib.set_log_level("err")
     with EcosSimulationStructure() as structure:
-        for name, fmu in craft.items():
-            structure.add_model(name, str(fmu.path))
+        for name in INPUTS:
+            structure.add_model(name, str(place / f"{name}-native.fmu"))
         for a, name, b in LINKS:
             structure.make_real_connection(f"{a}::{name}", f"{b}::{name}")
         starts = {f"{name}::{key}": value for name, values in START.items() for key, value in values.items()}
         structure.add_parameter_set("start", starts)
         with EcosSimulation(structure=structure, step_size=H) as simulation:
             simulation.init(parameter_set="start")
-            outputs = [f"{name}::{v.name}" for name, fmu in craft.items() for v in fmu.output_variables]
+            with running_craft(place) as craft:
+                parts = zip(INPUTS, craft, strict=True)
+                outputs = [f"{n}::{o}" for n, part in parts for o in part.output_names[: OUTPUT_COUNT[n]]]
 
             def ecos() -> float:
                 begin = time.process_time()  # ecos uses its own threads
@@ -218,15 +186,14 @@ def ecos_over_ours(craft: Mapping[str, UnpackedFmu], ours: Seconds) -> float | s
 # -- the plant in Python ----------------------------------------------------------------------------
 
 
-def python_over_native_plant(place: Path, native: UnpackedFmu) -> float:
+def python_over_native_plant(place: Path) -> float:
     """Compare fmi2DoStep of the Python and the native plant."""
-    in_python = UnpackedFmu(place / "plant.fmu", "plant")
 
-    def seconds(plant: UnpackedFmu, steps: int) -> float:
-        with plant.run() as fmu:
+    def seconds(name: str, steps: int) -> float:
+        with running(place / name, start=START["plant"]) as fmu:
             begin = time.thread_time()
             for k in range(steps):
                 fmu.fmi2DoStep(fmu.component, k * H, H, 1)
             return (time.thread_time() - begin) / steps
 
-    return median_ratio(lambda: seconds(in_python, STEPS // 5), lambda: seconds(native, STEPS))
+    return median_ratio(lambda: seconds("plant.fmu", STEPS // 5), lambda: seconds("plant-native.fmu", STEPS))

@@ -16,6 +16,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.bench_native import native_scenario
+from benchmarks.view import chromium
 from cosim.pages.work_pages import LiveRun
 from cosim.simulation.workflow import run
 
@@ -32,22 +33,16 @@ def processor_time(scenario: Path, folder: Path, observers: Sequence[Any]) -> fl
 
 def live_figures(place: Path, rows: int) -> dict[str, object]:
     """Return the processor times with and without a page."""
-    from playwright.sync_api import sync_playwright
-
     scenario = native_scenario(place, rows * H)
     times: dict[str, list[float]] = {"without_s": [], "with_page_s": []}
-    with sync_playwright() as driver:
-        executable = os.environ.get("CHROMIUM", "/usr/bin/chromium")
-        browser = driver.chromium.launch(executable_path=executable if Path(executable).exists() else None)
+    with chromium() as tab:
         for number in range(ROUNDS):
             times["without_s"].append(processor_time(scenario, place / f"bare{number}", ()))
             with LiveRun("native", 0) as page:
-                tab = browser.new_page()
                 tab.goto(page.url)
                 times["with_page_s"].append(processor_time(scenario, place / f"page{number}", (page,)))
                 drawn = tab.evaluate("document.documentElement.dataset")
-                tab.close()
-        browser.close()
+                tab.goto("about:blank")
     figures: dict[str, object] = {name: round(median(each), 2) for name, each in times.items()}
     return {"rows": rows, **figures, "page": drawn}
 

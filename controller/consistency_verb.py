@@ -33,7 +33,7 @@ def command(
 
     Example: cosim consistency --runs 50 --seed 1
     """
-    from controller.consistency import CONSISTENT, check_size, headline
+    from controller.consistency import CONSISTENT, check_size, headline, page
     from controller.consistency import consistency as over_runs
 
     check_size(runs, steps)
@@ -43,8 +43,6 @@ def command(
         record = {"runs": runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
         write_json(out / FILES[0], record, indent=1)
         if report:
-            from controller.consistency_page import page
-
             write_text(out / FILES[1], page(rows, steps, seed))
     show(out / "report.html", open)
     if json:

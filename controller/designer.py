@@ -25,17 +25,18 @@ from controller.settings import (
     conflicts,
     craft_faults,
 )
-from controller.stability import flown_modes, worst_modes
 from controller.synthesis import (
     POLES,
     Q_INTEGRAL,
     Q_THESIS,
     R_THESIS,
+    flown_modes,
     lqr_gain,
     numbers_of,
     placed_gain,
     pole_faults,
     roll_numbers_of,
+    worst_modes,
 )
 from cosim.core.errors import Fault, refuse
 from cosim.files.artefact import Checking

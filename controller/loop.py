@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from controller.laws import Law, LawInput, StateFeedback
+from controller.observers import Stateful
 from controller.settings import Settings
 
 
-class Loop:
+class Loop(Stateful):
     """Controller at run time: prediction with the last command, update with (ψ, ψ̇, a_x), feedback.
 
     With the linear filter, the default estimator:
@@ -41,6 +41,8 @@ class Loop:
         self.law = StateFeedback(settings) if law is None else law
         self.estimator = self.law.estimator(settings, x_hat, fix)
         self.command = self.law.command(self.estimate, LawInput(x_ref, psi_ref, y_ref, fix=fix))
+        parts = {"estimator": self.estimator, "law": self.law}
+        self.memory = ("command", *(f"{part}.{name}" for part in parts for name in parts[part].memory))
 
     def step(
         self,
@@ -74,14 +76,3 @@ class Loop:
         """Return the estimated standard deviations of x [m] and ψ [rad]."""
         x, psi, *_ = self.estimator.sigma
         return x, psi
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return the complete state of the control loop as plain numbers."""
-        parts = {"estimator": self.estimator.snapshot(), "law": self.law.snapshot()}
-        return {**parts, "command": list(self.command)}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot exactly."""
-        self.estimator.restore(snapshot["estimator"])
-        self.law.restore(snapshot["law"])
-        self.command = tuple(snapshot["command"])

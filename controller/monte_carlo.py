@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from controller.closed_loop import manoeuvre
+from controller.closed_loop import ClosedLoop
 from controller.design_model import Matrix, discrete_model, measurement_matrix
-from controller.extended import AT, ESTIMATED, ExtendedFilter, carried
-from controller.loop import Loop
-from controller.observers import LinearFilter
+from controller.observers import AT, ESTIMATED, ExtendedFilter, LinearFilter, carried
 from controller.settings import ESTIMATORS, PLANT_STATES, SENSED, ExtendedSettings, Settings, variances_of
 from cosim.model import Moment, Stepper
 from cosim.model.namespaces import arrays
@@ -59,15 +57,10 @@ def sines(steps: int) -> Matrix:
 @cache
 def flown_manoeuvre(steps: int) -> Matrix:
     """Return the commands of the LQR for the manoeuvre of App. G, simulated without noise."""
-    loop, stepper = Loop(Settings(), (0.0,) * 5, *manoeuvre(0.0)), Stepper(Hovercraft())
-    moment, dt, commands = stepper.start(), loop.settings.sample_time, []
-    for k in range(steps):
-        command = (*loop.law.duties, *loop.command)
-        commands.append(command)
-        moment = stepper.step(moment, command, dt)
-        y = stepper.output(moment.t, moment.state, command)
-        loop.step([float(y[j]) for j in SENSED_AT], *manoeuvre((k + 1) * dt))
-    return np.array(commands)
+    craft = Hovercraft()
+    rig = ClosedLoop(craft, craft.excursion, {}, craft.rate * steps)
+    trial = rig.play(craft, rig.usual_signals(craft.rate * np.arange(steps, dtype=np.float64)))
+    return np.column_stack([*trial.inputs.values()])
 
 
 SINES = Flight("sines of the tilts", "tilts of ±0.08 rad together and ±0.05 rad against each other", sines)

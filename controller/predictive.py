@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import daqp
 import numpy as np
@@ -16,9 +16,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
 from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
-from controller.extended import ExtendedFilter, Slopes, level_tilt
 from controller.laws import Law, LawInput
-from controller.observers import Estimator
+from controller.observers import Estimator, ExtendedFilter, Slopes, level_tilt
 from controller.settings import (
     PLANT_STATES,
     PredictionSettings,
@@ -76,7 +75,7 @@ class Predicting(Law):
         given_up: Failures of the solver: number, first sample, its flag.
     """
 
-    memory: ClassVar[tuple[str, ...]] = ("last", "hot", "iterations", "solved", "samples", "given_up")
+    memory: tuple[str, ...] = ("last", "hot", "iterations", "solved", "samples", "given_up")
     P: Matrix
 
     def __init__(self, p: PredictionSettings) -> None:

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -71,13 +72,8 @@ def gallery() -> None:
 def draw_signals(folder: Path) -> None:
     """Draw `cosim view` with two runs, if there are Playwright and a Chromium."""
     sys.path.insert(0, str(ROOT))
-    from benchmarks.view import Chromium, served, wait_ready
+    from benchmarks.view import chromium, served, wait_ready
 
-    try:
-        browser = Chromium()
-    except Exception:
-        print("no Playwright or no Chromium: docs/view.md has no picture")
-        return
     runs = ("two-fmus", "firm")
     axes = [
         [{"curves": [{"run": run, "name": name, "colour": 2 * k + place} for place, run in enumerate(runs)]}]
@@ -87,13 +83,17 @@ def draw_signals(folder: Path) -> None:
     plots.append({"kind": "xy", "across": {"run": runs[0], "name": "Tank.level"}, "axes": axes[1]})
     layout = folder / "view.json"
     layout.write_text(json.dumps({"schema_version": 1, "layouts": {"last": {"plots": plots}}}))
-    try:
-        with served(*(str(folder / "results" / run) for run in runs), "--layout", str(layout)) as (url, _):
-            browser.open(url)
-            wait_ready(browser)
-            (MADE / "gallery" / "view.png").write_bytes(browser.screenshot())
-    finally:
-        browser.close()
+    with ExitStack() as stack:
+        try:
+            page = stack.enter_context(chromium())
+        except Exception:
+            print("no Playwright or no Chromium: docs/view.md has no picture")
+            return
+        files = (str(folder / "results" / run) for run in runs)
+        url, _ = stack.enter_context(served(*files, "--layout", str(layout)))
+        page.goto(url)
+        wait_ready(page)
+        (MADE / "gallery" / "view.png").write_bytes(page.screenshot())
 
 
 def draw_thumbnails() -> None:

@@ -1,27 +1,65 @@
-"""Controllers as FMI slaves: an estimator with a control law, saturation, reference inputs."""
+"""Controllers and estimators as FMI slaves: a communication step is one sample.
+
+Estimators have common inputs and outputs and can be exchanged by one line of a scenario; so can controllers.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, ClassVar
 
 from pythonfmu.enums import Fmi2Status
 
 from controller.laws import IntegralFeedback, Law, StateFeedback
 from controller.loop import Loop
+from controller.observers import DoubleIntegration, ExtendedFilter, LinearFilter, level_tilt
 from controller.settings import (
+    DOUBLE_INTEGRATION,
     INTEGRAL_SETTINGS,
     PLACED_SETTINGS,
+    ExtendedSettings,
+    FilterSettings,
+    Noise,
     PredictiveSettings,
     Settings,
     TimeVariantSettings,
 )
 from cosim.fmi.ports import Port, Value, parameter_port
-from cosim.fmi.slave import STEP
+from cosim.fmi.slave import STEP, Slave
 from cosim.model import parameters_of
-from fmus.craft_ports import ESTIMATE, ESTIMATES, FIXES, MEASURED, SIGMA, STARTS, SampledSlave
+from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 
 Dependencies = Mapping[str, Sequence[str]]
+ESTIMATED = {  # name → unit, meaning
+    "x": ("m", "distance along the craft's own axis"),
+    "vx": ("m/s", "forward velocity"),
+    "psi": ("rad", "heading"),
+    "psi_dot": ("rad/s", "yaw rate"),
+    "a": ("m/s2", "thrust acceleration"),
+}
+ESTIMATE = tuple(f"{name}_hat" for name in ESTIMATED)
+MEASURED = (
+    Port("psi", "input", 0.0, "rad", "measured heading, positive to the left"),
+    Port("psi_dot", "input", 0.0, "rad/s", "measured yaw rate"),
+    Port("ax", "input", 0.0, "m/s2", "measured forward acceleration"),
+)
+ESTIMATES = tuple(
+    Port(f"{name}_hat", "output", 0.0, unit, f"estimated {doc}") for name, (unit, doc) in ESTIMATED.items()
+)
+FIXES = (
+    Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
+    Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right", optional=True),
+    Port("fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True),
+)
+SIGMA = tuple(
+    Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat the estimator believes in")
+    for name, unit in (("x", "m"), ("psi", "rad"))
+)
+STARTS = tuple(
+    Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}; the estimator knows where it starts")
+    for p in ESTIMATES
+)
 INTEGRALS = (
     Port("x_integral", "output", 0.0, "m.s", "integral of the error of the measured position"),
     Port("psi_integral", "output", 0.0, "rad.s", "integral of the error of the measured heading"),
@@ -34,6 +72,12 @@ LATERAL = (
     Port("solved", "output", 1.0, "1", "1 where the solver ended in a solution, 0 by its limit of iterations"),
     Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat; the filter knows where it starts"),
 )
+
+
+def settings_ports(settings: Any, choice: str, doc: str) -> tuple[Port, ...]:
+    """Return the parameters of settings, and the text parameter `choice`."""
+    own = (parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings))
+    return (*own, Port(choice, "parameter", getattr(settings, choice), "", doc), *STARTS)
 
 
 def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
@@ -50,9 +94,7 @@ def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
         Port("tilt_left", "output", 0.0, "rad", "tilt command of the left propeller, saturated"),
         *ESTIMATES,
         *SIGMA,
-        *(parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings)),
-        Port("estimator", "parameter", settings.estimator, "", f"Kalman filter: {', '.join(settings.estimators)}"),
-        *STARTS,
+        *settings_ports(settings, "estimator", f"Kalman filter: {', '.join(settings.estimators)}"),
         *more,
     )
     return tuple(p for causality in ("input", "output", "parameter") for p in every if p.causality == causality)
@@ -81,6 +123,62 @@ INITIAL_DEPENDENCIES: Dependencies = {
 }
 
 
+class SampledSlave(Slave):
+    """Sampled slave: a communication step is one sample; a step other than `sample_time` is refused.
+
+    Attributes:
+        who: Noun for messages.
+        settings: Default values.
+        depends: Dependencies of outputs at a sample, and in initialization mode.
+        running: What runs, with the complete state.
+    """
+
+    who: ClassVar[str]
+    settings: ClassVar[Noise]
+    depends: ClassVar[tuple[Dependencies, Dependencies]]
+    running: Any
+
+    def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
+        """Return what runs, started at x̂ with P = 0, without an update."""
+        raise NotImplementedError
+
+    def process(self) -> None:
+        """Process one sample."""
+        raise NotImplementedError
+
+    def published(self) -> list[float]:
+        """Return the outputs."""
+        raise NotImplementedError
+
+    def initialize(self, given: dict[str, Value]) -> None:
+        """Start at `*_hat_start`, with the settings of the variables named as their fields."""
+        names = {field.name for field in fields(self.settings)}
+        values = zip((port.name for port in self.ports), self.values, strict=True)
+        kind: Any = type(self.settings)
+        settings = kind(**{name: value for name, value in values if name in names})
+        self.sample = settings.sample_time
+        self.running = self.start(settings, [float(given.get(name, 0.0)) for name in START_NAMES], given)
+        self.set_outputs(self.published())
+
+    def advance(self, t: float, h: float) -> None:
+        """Process one sample; raise ValueError for a step that is no sample."""
+        if abs(h - self.sample) > 1e-6 * self.sample:
+            raise ValueError(f"step of {h} s; the {self.who} is sampled at {self.sample} s (parameter sample_time)")
+        self.process()
+        self.set_outputs(self.published())
+
+    def snapshot(self) -> Any:
+        """Return estimate, covariance, last command and last fix."""
+        return self.running.snapshot()
+
+    def restore(self, snapshot: Any) -> None:
+        """Restore a snapshot exactly."""
+        self.running.restore(snapshot)
+
+
+# -- controllers ----------------------------------------------------------------------------------
+
+
 class HovercraftController(SampledSlave):
     """Sampled controller: a communication step is one sample; a step other than `sample_time` is refused.
 
@@ -94,37 +192,31 @@ class HovercraftController(SampledSlave):
     who = "controller"
     settings: ClassVar[Settings] = Settings()
     ports = controller_ports(settings)
-    depends: ClassVar[tuple[Dependencies, Dependencies]] = (DEPENDENCIES, INITIAL_DEPENDENCIES)
+    depends = DEPENDENCIES, INITIAL_DEPENDENCIES
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
         """Return the control law for parameters and start values of the host."""
         return StateFeedback(settings)
 
-    def initialize(self, given: dict[str, Value]) -> None:
-        """Start the control loop; its filter starts at `*_hat_start` with P = 0, without an update."""
-        settings = self.settings_of(type(self.settings))
-        x_hat = [float(given.get(name, 0.0)) for name in START_NAMES]
+    def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Loop:
+        """Return the control loop."""
         _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs  # y_ref exists only for laws with y
-        law = self.law(settings, given)
-        self.sample = settings.sample_time
-        self.running = Loop(settings, x_hat, x_ref, psi_ref, fix, y_ref=sum(y_ref), law=law)
-        self._publish()
+        return Loop(settings, x_hat, x_ref, psi_ref, fix, y_ref=sum(y_ref), law=self.law(settings, given))
 
-    def advance(self, t: float, h: float) -> None:
+    def process(self) -> None:
         """Process one sample."""
-        self.check_sample(h)
         psi, psi_dot, ax, x_ref, psi_ref, x_meas, y_meas, fix, *y_ref = self.inputs
         self.running.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
-        self._publish()
+
+    def published(self) -> list[float]:
+        """Return commands, estimate, its standard deviations, and further outputs of the law."""
+        loop = self.running
+        return [*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()]
 
     def terminate(self) -> None:
         """Log the control law's remarks on the run as a warning."""
         if self.phase is STEP and (words := self.running.law.words(self.start_time)):
             self.log(words, Fmi2Status.warning)
-
-    def _publish(self) -> None:
-        loop = self.running
-        self.set_outputs([*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()])
 
 
 class HovercraftPolesController(HovercraftController):
@@ -205,3 +297,78 @@ class HovercraftTimeVariantController(HovercraftController):
         from controller.predictive import TimeVariantLaw
 
         return TimeVariantLaw(settings, vars(printed), float(given.get("y_hat_start", 0.0)))
+
+
+# -- estimators -----------------------------------------------------------------------------------
+
+NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right"
+SIGNALS = (
+    *MEASURED,
+    Port("duty_right", "input", DUTY_NOMINAL, "%", "duty command of the right motor, as it has acted"),
+    Port("duty_left", "input", DUTY_NOMINAL, "%", "duty command of the left motor, as it has acted"),
+    Port("tilt_right", "input", 0.0, "rad", "tilt command of the right propeller, as it has acted"),
+    Port("tilt_left", "input", 0.0, "rad", "tilt command of the left propeller, as it has acted"),
+    *FIXES,
+    *ESTIMATES,
+    Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
+    *SIGMA,
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the estimator believes in"),
+    Port("nis", "output", 0.0, "1", NIS),
+)
+OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
+# A command acts until the sample, so no output depends on the command of the same time.
+ESTIMATED_FROM: Dependencies = dict.fromkeys(OUTPUTS, ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix"))
+ESTIMATED_AT_START: Dependencies = dict.fromkeys(OUTPUTS, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
+NUMBERS = [p for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)]
+FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
+
+
+class Estimator(SampledSlave):
+    """Sampled estimator: a communication step is one sample; a step other than `sample_time` is refused."""
+
+    who = "estimator"
+    depends = ESTIMATED_FROM, ESTIMATED_AT_START
+
+    def process(self) -> None:
+        """Process one sample."""
+        *both, x_meas, y_meas, fix = self.inputs
+        self.running.step(both[:3], both[3:], fix, (x_meas, y_meas))
+
+    def published(self) -> list[float]:
+        """Return estimate, standard deviations and NIS."""
+        return [*self.running.estimate, *self.running.sigma, self.running.nis]
+
+
+class HovercraftFilter(Estimator):
+    """Kalman filter of the thesis in three variants, or double integration, by parameter `estimator`."""
+
+    settings = FilterSettings()
+    ports = (*SIGNALS, *settings_ports(settings, "estimator", f"estimator: {', '.join(FilterSettings.estimators)}"))
+
+    def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
+        """Return the filter or double integration."""
+        kind: Any = DoubleIntegration if settings.estimator == DOUBLE_INTEGRATION else LinearFilter
+        return kind(settings, x_hat, self.inputs[-1])
+
+
+class HovercraftEkf(Estimator):
+    """Extended Kalman filter with the plant's equations as an FMU."""
+
+    settings = ExtendedSettings()
+    ports = (
+        *SIGNALS,
+        *(parameter_port(p, p.default) for p in NUMBERS),
+        *settings_ports(settings, "axes", FIX_AXES),
+    )
+    # The acceleration at the start also depends on plant parameters.
+    depends = ESTIMATED_FROM, {**ESTIMATED_AT_START, "a_hat": [p.name for p in ports if p.causality == "parameter"]}
+
+    def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> ExtendedFilter:
+        """Return the filter; both propellers start at the tilt of acceleration a_hat_start."""
+        from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
+
+        model = Hovercraft().with_values({p.name: given[p.name] for p in NUMBERS if p.name in given})
+        start = dict(zip(ESTIMATED, x_hat, strict=True))
+        tilt = level_tilt(model, start.pop("a"))
+        start |= {"tilt_right": tilt, "tilt_left": tilt}
+        return ExtendedFilter(model, settings, vars(printed), start, self.inputs[-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from controller.design_model import design_model, discrete_model, fix_matrix, measurement_matrix
@@ -13,57 +14,11 @@ from cosim.fmi.native.package import part
 from cosim.fmi.native.printing import LANGUAGE, quote, variable_tables
 from cosim.fmi.ports import Value
 from cosim.model import parameters_of
-from fmus.craft_ports import ESTIMATE
+from fmus.controller_fmu import ESTIMATE
 from fmus.recipes import controller_recipe
 
 STATES, COMMANDS, MEASURED, FIXED = len(ESTIMATE), 2, 3, 1
-NAMES = """
-static void measured(const Instance *m, double *z)
-{
-    z[0] = m->values[%(psi)d], z[1] = m->values[%(psi_dot)d], z[2] = m->values[%(ax)d];
-}
-
-/* The latest fix, and its number. */
-static double fixed(const Instance *m, double *z)
-{
-    z[0] = m->values[%(x_meas)d];
-    return m->values[%(fix)d];
-}
-
-/* Where it is to be: at rest at the distance and the heading of the references. */
-static void reference(const Instance *m, double *x)
-{
-    x[0] = m->values[%(x_ref)d], x[1] = 0.0, x[2] = m->values[%(psi_ref)d], x[3] = 0.0, x[4] = 0.0;
-}
-
-static void start(const Instance *m, double *x)
-{
-    for (int i = 0; i < NX; i++) x[i] = m->values[%(x_hat_start)d + i];
-}
-
-static void publish(const Instance *m, const double *u, const double *x, const double *variance, double *y)
-{
-    y[0] = y[1] = m->values[%(duty_nominal)d];
-    y[2] = u[0], y[3] = u[1];
-    for (int i = 0; i < NX; i++) y[4 + i] = x[i];
-    y[9] = sqrt(fmax(0.0, variance[0])), y[10] = sqrt(fmax(0.0, variance[2]));
-}
-"""
-DESIGN = """
-#define NX %(states)d
-#define NU %(commands)d
-#define NZ %(measured)d
-#define NF %(fixed)d
-#define EXP_SIZE (NX + NU)
-#define SAMPLE_NAME "sample_time"
-
-/* What the parameters say: the model that predicts, what is measured of it, noise, gain, limit, sample time, fixes. */
-typedef struct {
-    double F[NX][NX], G[NX][NU], H[NZ][NX], V[NX], W[NZ], L[NU][NX], limit, sample, fix_H[NF][NX], fix_W[NF];
-} Design;
-
-static void hold(double dt, double A[NX][NX], double B[NX][NU], double F[NX][NX], double G[NX][NU]);
-"""
+TEMPLATE = Path(__file__).with_name("templates") / "controller.c"
 
 
 def controller_native(starts: Mapping[str, Value] | None = None) -> Native:
@@ -89,9 +44,9 @@ def controller_native(starts: Mapping[str, Value] | None = None) -> Native:
         "EXCHANGE": 0,
     }
     counts = {"states": STATES, "commands": COMMANDS, "measured": MEASURED, "fixed": FIXED}
-    body = "".join((tables, DESIGN % counts, NAMES % place, _design(place)))
+    text = TEMPLATE.read_text(encoding="utf-8") % {**place, **counts}
     parts = {n: part(n) for n in ("filter.c", "steps_only.c")}
-    return Native("HovercraftController", recipe.about, body, sizes, parts, recipe.text)
+    return Native("HovercraftController", recipe.about, tables + text + _design(place), sizes, parts, recipe.text)
 
 
 def _design(place: dict[str, int]) -> str:

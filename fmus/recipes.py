@@ -70,7 +70,7 @@ def _sampled(slave: str, about: str, *documented: str, printed: bool = False) ->
     return replace(recipe, printed=(("controller.printed", jacobians()),)) if printed else recipe
 
 
-LOOP, MODEL, EXTENDED = "loop:Loop", "design_model:discrete_model", "extended:ExtendedFilter"
+LOOP, MODEL, EXTENDED = "loop:Loop", "design_model:discrete_model", "observers:ExtendedFilter"
 FLIGHT = "Flight controller of the hovercraft: "
 controller_recipe = partial(
     _sampled,
@@ -115,7 +115,7 @@ time_variant_recipe = partial(
 )
 filter_recipe = partial(
     _sampled,
-    "estimator_fmu:HovercraftFilter",
+    "controller_fmu:HovercraftFilter",
     "Estimators of the hovercraft: three Kalman filters, double integration",
     "observers:LinearFilter",
     MODEL,
@@ -123,7 +123,7 @@ filter_recipe = partial(
 )
 extended_recipe = partial(
     _sampled,
-    "estimator_fmu:HovercraftEkf",
+    "controller_fmu:HovercraftEkf",
     "Extended Kalman filter of the hovercraft on the plant's equations",
     EXTENDED,
     printed=True,

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from cosim.model import (
     SCALAR,
     Delay,
-    Effect,
     Equations,
     Model,
     Namespace,
@@ -21,6 +20,7 @@ from cosim.model import (
     Values,
     parameter,
 )
+from plant.effects import ActuatorSecondOrder
 from plant.powertrain import (
     assembly_moment,
     ground_effect,
@@ -71,18 +71,11 @@ class BenchDelay(Delay):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchSecondOrder(Effect):
+class BenchSecondOrder(ActuatorSecondOrder):
     """Overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
 
-    name = "actuator_second_order"
     equation = "α̈ = ωₙ²·e − 2ζωₙ·α̇ in place of the first-order tilt lag, e the error beyond the dead band"
     states = (Quantity("tilt_rate", "rad/s", "rate of the tilt"),)
-    starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and overdamped resembles slow and underdamped
-
-    natural_frequency: float = parameter(
-        0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=15.0, doc="natural frequency ωₙ; 0 = off"
-    )
-    damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -134,7 +134,7 @@ class ActuatorSecondOrder(HovercraftEffect):
 
     name = "actuator_second_order"
     equation = "α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ in place of the first-order tilt lag"
-    states = (
+    states: ClassVar[tuple[Quantity, ...]] = (
         Quantity("tilt_rate_right", "rad/s", "rate of the right tilt"),
         Quantity("tilt_rate_left", "rad/s", "rate of the left tilt"),
     )

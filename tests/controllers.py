@@ -32,7 +32,7 @@ from controller.settings import (
     Settings,
     TimeVariantSettings,
 )
-from controller.stability import LoopMode, flown_modes
+from controller.synthesis import LoopMode, flown_modes
 from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
 from cosim.model.symbolic.linearize import load_names
 from fmus.recipes import HEAVY, jacobians

@@ -191,7 +191,11 @@ def moved(
     u: Rows, numbers: Mapping[str, float] = SHEET, pull: Pull | None = None, push: Rows | None = None
 ) -> tuple[Rows, Rows]:
     """Position, velocity and their rates, a row each, by Runge-Kutta in eight parts of a row; `push` [N] is held."""
-    p = {**SHEET, **dict.fromkeys(("coulomb", "drag", "hardening", "slope", "sliding", "rest"), 0.0), **numbers}
+    p = {
+        **SHEET,
+        **dict.fromkeys(("coulomb", "drag", "hardening", "slope", "sliding", "rest", "fades"), 0.0),
+        **numbers,
+    }
     m, b, k, dry = (p[n] for n in ("mass", "viscous", "spring", "coulomb"))
     late, w = round(p.get("late", 0.0) / STEP * FINE), p.get("soft", 0.0)
     held = np.repeat(u, FINE)
@@ -202,14 +206,15 @@ def moved(
         x, v, f, df = state
         acts = f if w else given
         level = dry + p["sliding"] + (p["rest"] - p["sliding"]) * math.exp(-((v / 0.1) ** 2))
-        total = acts + beside - b * v - k * x - level * math.tanh(v / 0.02)
+        damping = b * (1.0 - p["fades"] * i / held.size)
+        total = acts + beside - damping * v - k * x - level * math.tanh(v / 0.02)
         total += -p["drag"] * abs(v) * v - p["hardening"] * x**3 + p["slope"] + (pull(x, v) if pull else 0.0)
         return v, total / m, df, w * w * (given - f) - 1.2 * w * df
 
     def ahead(state: tuple[float, ...], slope: tuple[float, ...], h: float) -> tuple[float, ...]:
         return tuple(a + h * s for a, s in zip(state, slope, strict=True))
 
-    h, state, states, rates = STEP / FINE, (0.0, 0.0, 0.0, 0.0), [], []
+    i, h, state, states, rates = 0, STEP / FINE, (0.0, 0.0, 0.0, 0.0), [], []
     for i, (given, beside) in enumerate(zip(held.tolist(), pushed.tolist(), strict=True)):
         a = rate(state, given, beside)
         if i % FINE == 0:

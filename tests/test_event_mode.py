@@ -268,10 +268,10 @@ def test_an_interruption_ends_a_long_step_at_the_next_step_of_the_fmu(folder: Pa
     block.start()
     block.update()
     block.leave()
-    block.calls.stop = KeyboardInterrupt()
+    block.instance.stop = KeyboardInterrupt()
     with pytest.raises(KeyboardInterrupt):
         block.go(1.0)
-    assert block.calls.last.value == pytest.approx(0.01)
+    assert block.instance.last.value == pytest.approx(0.01)
     block.close()
 
 

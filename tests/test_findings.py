@@ -286,6 +286,15 @@ def test_a_drag_that_no_candidate_is_has_no_name_but_an_equation_and_a_signal(tm
     )
 
 
+def test_a_damping_that_fades_during_each_log_is_unexplained_and_named(tmp_path: Path) -> None:
+    study = rail_study(tmp_path / "study", {"fades": 0.5}, TOLERANCE + "candidates: [coulomb, drag]\n")
+    found = proven(study, tmp_path / "out")
+    assert (found.record["verdict"], named(found)) == ("unexplained", set())
+    changing = found.record["residual"]["changing"]
+    assert set(changing) == {"viscous"}
+    assert -4.0 < changing["viscous"] < -1.0  # −2 in truth; the test is of first order
+
+
 @pytest.mark.thorough
 def test_a_claim_beside_a_drag_that_no_candidate_is_is_a_part_whatever_the_sealed_log_holds(tmp_path: Path) -> None:
     """Drag and a spring that stiffens; drag is not in the catalogue. Another sealed log is of a rail without either."""

@@ -12,8 +12,7 @@ import pytest
 
 from controller.laws import IntegralFeedback, StateFeedback
 from controller.settings import ESTIMATORS, GAINS, INTEGRAL_SETTINGS, INTEGRALS, FullSettings, Settings
-from controller.stability import LoopMode, flown_modes, worst_modes
-from controller.synthesis import POLES, Q_INTEGRAL, lqr_gain, placed_gain
+from controller.synthesis import POLES, Q_INTEGRAL, LoopMode, flown_modes, lqr_gain, placed_gain, worst_modes
 from tests.controllers import LAWS, STEP, fly
 
 FAST = (-2.0, -4.0, -11.0, -15.0, -16.0)  # stable on eqs 5.33/5.34, not where the turn lags

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import cosim
 from controller.design_model import design_model, measurement_matrix
-from controller.extended import ExtendedFilter
+from controller.observers import ExtendedFilter
 from controller.settings import ExtendedSettings, Settings
 from cosim.fmi.fmu_build import build
 from cosim.model.symbolic.linearize import load_names

@@ -204,8 +204,8 @@ def test_a_loop_is_solved_between_rows_too(tmp_path: Path) -> None:
 
 
 def test_an_fmu_that_does_not_restore_its_state_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cosim.blocks.instance import Instance
+    from cosim.blocks.fmu import FmuBlock
 
-    monkeypatch.setattr(Instance, "restore_state", lambda self, state, keep=False: None)
+    monkeypatch.setattr(FmuBlock, "restore_state", lambda self, state, keep=False: None)
     with pytest.raises(SimulationError, match=r"(chassis|wheel) at .* its outputs differ after a saved state"):
         ran(truck(tmp_path), HALVING.replace("min: 0.1 ms", "min: 20 ms"), seconds=1.2)

@@ -50,7 +50,7 @@ def times(kind: str, rows: int) -> Array:
 
 
 def recording(time: Array, values: Array, folder: Path | None, rest: int = 0) -> Recording:
-    """A recording in memory or in files, of which the last rows may not be written yet."""
+    """A recording in memory or in a file, to which rows are added in parts."""
     if folder is None:
         return Recording({TIME: time, "x": values}, {"x": "m"}, time.size)
     folder.mkdir()
@@ -61,8 +61,6 @@ def recording(time: Array, values: Array, folder: Path | None, rest: int = 0) ->
         row = end
     if rest:
         store.append(np.vstack((time[row:], values[row:])))
-    else:
-        store.finish()
     return store
 
 

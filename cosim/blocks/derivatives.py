@@ -20,7 +20,7 @@ from cosim.fmi.fmi_types import is_negated
 class DifferentiableFmu(FmuBlock):
     """An FMU for model exchange, evaluated at single points: `open`, any number of points, `close`."""
 
-    calls: ModelExchange
+    instance: ModelExchange
 
     def __init__(
         self, name: str, path: Any, description: Any, start: Mapping[str, Any], connected: frozenset[str]
@@ -39,7 +39,7 @@ class DifferentiableFmu(FmuBlock):
 
     def state_references(self) -> list[int]:
         """Return the value references of the states, FMI 1.0 only."""
-        return self.calls.state_references()
+        return self.instance.state_references()
 
     def current_point(self) -> tuple[Array, Array]:
         """Return the current states and inputs."""
@@ -54,7 +54,7 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             self.instance.fmu.setTime(t)
             self._put_states(states)
-            self.calls.event(lambda: self._write_reals(self._inputs, inputs))
+            self.instance.event(lambda: self._write_reals(self._inputs, inputs))
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def rates(self, states: Array, inputs: Array) -> Array:
@@ -70,9 +70,8 @@ class DifferentiableFmu(FmuBlock):
 
         Rows are derivatives and outputs, columns states and inputs.
         """
-        knowns = [v.valueReference for v in (*self._states, *self._inputs)]
-        unknowns = [v.valueReference for v in (*self._rates, *self._outputs)]
-        columns = [self.instance.call("getDirectionalDerivative", unknowns, [known], [1.0]) for known in knowns]
+        unknowns, knowns = (*self._rates, *self._outputs), (*self._states, *self._inputs)
+        columns = self.instance.directional_derivatives(unknowns, knowns)
         return np.array(columns, float).T.reshape(len(unknowns), len(knowns))
 
     # -- internal -------------------------------------------------------------------------------
@@ -95,7 +94,7 @@ class DifferentiableFmu(FmuBlock):
             return np.zeros(0)
         fmu, references = self.instance.fmu, [v.valueReference for v in variables]
         with self.instance.check_calls():
-            if self.instance.fmi3:
+            if self.instance.version == 3:
                 return np.array(fmu.getFloat64(references, nValues=len(scalars(variables))), float)
             values: Array = np.array(fmu.getReal(references), float)
             return np.where([is_negated(v) for v in variables], -values, values)
@@ -103,7 +102,7 @@ class DifferentiableFmu(FmuBlock):
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:
             fmu, references = self.instance.fmu, [v.valueReference for v in variables]
-            if self.instance.fmi3:
+            if self.instance.version == 3:
                 fmu.setFloat64(references, values.tolist())
             else:
                 fmu.setReal(references, np.where([is_negated(v) for v in variables], -values, values).tolist())

@@ -19,9 +19,9 @@ from typing import Any
 
 from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
-from cosim.blocks.fmi import STEPS, Calls, Listen, end_of
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.variable_access import Ports
+from cosim.blocks.instance import STEPS, Instance, end_of
+from cosim.blocks.values import Values
 from cosim.core.errors import SimulationError, Terminated
 from cosim.fmi.description import Way, takes_any_step
 from cosim.fmi.fmi_types import Exchange, element_names
@@ -31,8 +31,8 @@ TICK_NOW = 1e-9  # fraction of an interval within which a tick is due
 INITIALIZATION, EVENT, STEP = "initialization", "event", "step"
 
 
-class EventCalls(Calls):
-    """Calls of an FMU for FMI 3.0 co-simulation with event mode.
+class EventInstance(Instance):
+    """An FMU instance for FMI 3.0 co-simulation with event mode.
 
     Attributes:
         may_return: Whether the FMU may return early from a step. An FMU with steps of one length may not.
@@ -40,17 +40,17 @@ class EventCalls(Calls):
         stop: Interruption of the run that arrived during a step.
     """
 
-    def __init__(self, name: str, description: Any) -> None:
-        super().__init__(name, description)
+    def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
+        super().__init__(name, path, description, **settings)
         self.may_return = takes_any_step(description)
         self.in_small_steps = False
         self.stop: BaseException | None = None
 
-    def instantiate(self, listen: Listen, logging: bool, **options: Any) -> None:
+    def make_instance(self, logging: bool, **options: Any) -> None:
         options |= {"eventModeUsed": True, "earlyReturnAllowed": self.may_return}
         if self.about.providesIntermediateUpdate:
             options["intermediateUpdate"] = self._update_between
-        super().instantiate(listen, logging, **options)
+        super().make_instance(logging, **options)
 
     def _update_between(self, *arguments: Any) -> None:
         """Ask for an early return where one is due.
@@ -89,7 +89,7 @@ class EventFmu(FmuBlock):
 
     clock_types = frozenset({"Clock"})
     steps = True  # whether time passes in steps
-    calls: EventCalls
+    instance: EventInstance
 
     def __init__(
         self,
@@ -114,16 +114,16 @@ class EventFmu(FmuBlock):
         self._seen: list[list[Any]] = []
         self._places: dict[str, int] = {}  # places of the numbers of ticks
         super().__init__(name, path, description, start, connected, **settings)
-        self.may_return = self.calls.may_return
-        self._steady = [e for e in self._ports.fed if not self._is_jumping(e.variables[0])]
-        self._discrete = [e for e in self._ports.fed if e not in self._steady and not e.clocks]
+        self.may_return = self.instance.may_return
+        self._steady = [e for e in self._values.fed if not self._is_jumping(e.variables[0])]
+        self._discrete = [e for e in self._values.fed if e not in self._steady and not e.clocks]
 
     # -- description ----------------------------------------------------------------------------
 
-    def _make_calls(self, way: Way | None) -> Calls:
-        return EventCalls(self.name, self.description)
+    def _instance_class(self, way: Way | None) -> type[Instance]:
+        return EventInstance
 
-    def _make_ports(self, recorded: frozenset[str]) -> Ports:
+    def _make_values(self, recorded: frozenset[str]) -> Values:
         inputs, others = list[Signal](), list[Signal]()
         for c in self.clocks.values():
             is_ticked_here = c.causality == "input" and c.kind == "triggered" and c.name not in self.timings
@@ -135,7 +135,7 @@ class EventFmu(FmuBlock):
             return clocks, variable.causality == "input" and self._is_jumping(variable)
 
         both = tuple(inputs), tuple(others)
-        return Ports(self.description, self.connected, recorded, part=part, clocks=both)
+        return Values(self.instance, self.connected, recorded, part=part, clocks=both)
 
     def _is_jumping(self, variable: Any) -> bool:
         """Return whether an input is discrete or clocked."""
@@ -145,8 +145,8 @@ class EventFmu(FmuBlock):
 
     def ask_for_small_steps(self) -> None:
         """Ask the FMU to return after each of its own steps, if it can."""
-        about = self.calls.about
-        self.calls.in_small_steps = about.providesIntermediateUpdate and about.canReturnEarlyAfterIntermediateUpdate
+        about = self.instance.about
+        self.instance.in_small_steps = about.providesIntermediateUpdate and about.canReturnEarlyAfterIntermediateUpdate
 
     def settles(self, name: str) -> bool:
         """Return whether values of an input are exchanged until they settle, at each instant."""
@@ -157,20 +157,19 @@ class EventFmu(FmuBlock):
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         super().bind(row, first, beside, first_beside)
-        ports = self._ports
         ends = first + len(self.inputs), first + len(self.inputs) + len(self.outputs)
-        for clocks, end in zip((ports.clock_inputs, ports.clock_outputs), ends, strict=True):
+        for clocks, end in zip((self._values.clock_inputs, self._values.clock_outputs), ends, strict=True):
             self._places |= {c.name: end - len(clocks) + k for k, c in enumerate(clocks)}
 
-    def _begin(self, start: float, stop: float) -> None:
+    def begin(self, start: float, stop: float) -> None:
         self.timers, self.mode, self.reached = {}, INITIALIZATION, start
         self.next_event, self.asks, self.active = math.inf, False, set()
         self._changes, self._given, self._seen = {}, {}, []
-        super()._begin(start, stop)
-        self._values.show_outputs([e for e in self._ports.read if e.clocks])
+        super().begin(start, stop)
+        self._values.show_outputs([e for e in self._values.read if e.clocks])
 
     def start(self) -> None:
-        instance, start = self.instance, self.calls.start_time
+        instance, start = self.instance, self.instance.start_time
         with instance.check_calls():
             for clock in self.clocks.values():
                 timing = self.timings.get(clock.name)
@@ -196,28 +195,33 @@ class EventFmu(FmuBlock):
                     timer.begin(start + float(shift[0]), self._checked(clock, interval))
                 elif qualifier != NOT_YET_KNOWN:
                     timer.begin(start + self._checked(clock, interval))
-            self.calls.leave()
+            instance.leave()
         instance.initialized = True
         self.reached, self.mode, self.active = start, EVENT, set()
         if self.steps:
-            self._do_step = self.calls.bare(STEPS[3], "DoStep")
+            self._do_step = instance.bare(STEPS[3], "DoStep")
 
     # -- values --------------------------------------------------------------------------------------
 
     def put(self) -> None:
         """Set changed inputs, as far as the mode allows."""
-        values, begins = self._values, self.mode == INITIALIZATION
-        for exchange in self._ports.fed if self.mode != STEP else self._steady:
-            if exchange.clocks and not exchange.clocks & self.active:
-                continue
-            content = values.content(exchange)
-            if begins or self._given.get(exchange) != content:
-                self._given[exchange] = content
-                values.put_in(exchange)
+        for exchange in self._changed_inputs():
+            self._values.put_in(exchange)
+
+    def _changed_inputs(self) -> list[Exchange]:
+        """Note the inputs, as far as the mode allows; return those to set."""
+        changed = []
+        for exchange in self._values.fed if self.mode != STEP else self._steady:
+            if not exchange.clocks or exchange.clocks & self.active:
+                content = self._values.content(exchange)
+                if self.mode == INITIALIZATION or self._given.get(exchange) != content:
+                    self._given[exchange] = content
+                    changed.append(exchange)
+        return changed
 
     def get(self) -> None:
         """Read outputs, as far as the mode allows."""
-        for exchange in self._ports.read:
+        for exchange in self._values.read:
             if not exchange.clocks or exchange.clocks & self.active:
                 self._values.get_from(exchange)
 
@@ -236,7 +240,7 @@ class EventFmu(FmuBlock):
         return self._inputs() != self._seen
 
     def _inputs(self) -> list[list[Any]]:
-        return [self._values.content(e) for e in self._ports.fed if not e.clocks]
+        return [self._values.content(e) for e in self._values.fed if not e.clocks]
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Keep an event's values for the next instant."""
@@ -251,30 +255,34 @@ class EventFmu(FmuBlock):
         Raises:
             EarlyEnd: The FMU ended the simulation.
         """
-        calls, instance = self.calls, self.instance
-        status = int(self._do_step(instance.component, self.reached, target - self.reached, True, *calls.flags))
-        stop, calls.stop = calls.stop, None
+        instance = self.instance
+        status = int(self._do_step(instance.component, self.reached, target - self.reached, True, *instance.flags))
+        stop, instance.stop = instance.stop, None
         if stop is not None:
             raise stop
         if status:
             instance.time = self.reached
             instance.judge(instance.step_name, status)
-        self.reached = min(target, calls.last.value) if calls.is_early.value else target
+        self.reached = min(target, instance.last.value) if instance.is_early.value else target
         instance.time = self.reached
-        if calls.ends.value:
+        if instance.ends.value:
             raise end_of(self.name, self.reached)
-        self.asks = self.asks or bool(calls.is_event.value)
+        self.asks = self.asks or bool(instance.is_event.value)
         return self.reached
 
-    def save(self) -> Any:
-        """Return the state, for one restoration."""
-        return self.instance.save_state(), self.reached, self.asks, dict(self._given)
+    def save_state(self) -> Any:
+        return super().save_state(), self.reached, self.asks, dict(self._given)
 
-    def go_back(self, state: Any) -> None:
-        """Take back a saved state."""
-        fmu, self.reached, self.asks, self._given = state
-        self.instance.restore_state(fmu)
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        fmu, self.reached, self.asks, given = state
+        self._given = dict(given)
+        super().restore_state(fmu, keep=True)
         self.instance.time = self.reached
+        if not keep:
+            self.free_state(state)
+
+    def free_state(self, state: Any) -> None:
+        super().free_state(state[0])
 
     # -- events -------------------------------------------------------------------------------------
 
@@ -321,7 +329,7 @@ class EventFmu(FmuBlock):
 
     def _forget(self, clocks: Collection[str]) -> None:
         """Forget the inputs of clocks that tick: they are set at each tick, also with the value of the last one."""
-        for exchange in self._ports.fed:
+        for exchange in self._values.fed:
             if not exchange.clocks.isdisjoint(clocks):
                 self._given.pop(exchange, None)
 

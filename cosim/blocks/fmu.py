@@ -15,20 +15,13 @@ from typing import Any, Self
 
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, Component, Row, in_turn
-from cosim.blocks.fmi import STEPS, Calls, end_of
-from cosim.blocks.instance import Instance
+from cosim.blocks.instance import STEPS, Instance, end_of
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
-from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
+from cosim.blocks.stepping import Move, Plan, Slot, StopReason
 from cosim.blocks.values import Values
-from cosim.blocks.variable_access import Ports
 from cosim.core.errors import FmuError
-from cosim.fmi.description import (
-    Way,
-    declares_slopes,
-    slips_of,
-    ways,
-)
+from cosim.fmi.description import Way, declares_slopes, slips_of, ways
 from cosim.fmi.fmi_types import element_names
 from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
@@ -39,7 +32,7 @@ class FmuBlock(Component):
 
     Attributes:
         clock_types: Types of variables that are neither set nor read like others, but known.
-        calls: Calls of the FMU's version and interface.
+        instance: Instance of the FMU, by its interface.
         log: Messages of the FMU.
 
     Args:
@@ -56,6 +49,7 @@ class FmuBlock(Component):
     """
 
     clock_types: frozenset[str] = frozenset()
+    _refuses = False  # to serialize its state, though it declares that it can
     _arguments: tuple[Any, ...]
     _settings: dict[str, Any]
 
@@ -85,35 +79,35 @@ class FmuBlock(Component):
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected, self.feedthrough = start, connected, feedthrough
         self.compiles = permission.get() if compiles is None else compiles
-        self.calls = self._make_calls(way)
+        self.instance = instance = self._instance_class(way)(
+            name, path, description, logging=logging, compiles=self.compiles
+        )
         declared = getattr(description.defaultExperiment, "tolerance", None)
-        self.calls.tolerance = tolerance if tolerance is not None else float(declared) if declared else None
-        if isinstance(self.calls, ModelExchange):
-            self.calls.solver_name, self.calls.longest, self.calls.max_steps = solver, solver_step, max_steps
-        self.instance = Instance(path, self.calls, logging=logging, compiles=self.compiles)
-        self.log = self.instance.log
+        instance.tolerance = tolerance if tolerance is not None else float(declared) if declared else None
+        if isinstance(instance, ModelExchange):
+            instance.solver_name, instance.longest, instance.max_steps = solver, solver_step, max_steps
+        self.log = instance.log
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu
-        self._variables = {v.name: v for v in description.modelVariables}
-        self._ports = ports = self._make_ports(recorded)
-        self.inputs, self.outputs = ports.inputs, ports.outputs
-        self.exact_inputs, self.exact_outputs = ports.exact_inputs, ports.exact_outputs
-        self._values = Values(self.instance, ports)
+        self._values = values = self._make_values(recorded)
+        self._variables = values.variables
+        self.inputs, self.outputs = values.inputs, values.outputs
+        self.exact_inputs, self.exact_outputs = values.exact_inputs, values.exact_outputs
 
-    def _make_calls(self, way: Way | None) -> Calls:
+    def _instance_class(self, way: Way | None) -> type[Instance]:
         way = way or ways(self.description)[0]
         if way == "scheduled-execution":
             raise FmuError(
                 f"{self.path} is for scheduled execution, which a scenario runs (components: {{name: {{fmu: FILE}}}})"
             )
-        return (Calls if way == "co-simulation" else ModelExchange)(self.name, self.description)
+        return Instance if way == "co-simulation" else ModelExchange
 
-    def _make_ports(self, recorded: frozenset[str]) -> Ports:
+    def _make_values(self, recorded: frozenset[str]) -> Values:
         names = self.connected | self.start_values.keys()
         free = {v.name for v in self.description.modelVariables if v.causality == "input"} - names
         # Only FMUs of cosim declare optional inputs.
         optional = optional_inputs(self.path) & free if free and self.description.author == AUTHOR else frozenset[str]()
-        return Ports(self.description, self.connected, recorded, optional)
+        return Values(self.instance, self.connected, recorded, optional)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
         """Return a recipe for an instance in another process."""
@@ -171,7 +165,7 @@ class FmuBlock(Component):
             warnings.append(
                 f"{self.path.name} breaks a rule of the FMI standard: {slips[0]}{more}; it is used nevertheless"
             )
-        if types := {v.type for v in self.description.modelVariables} - self._ports.kinds.keys() - self.clock_types:
+        if types := {v.type for v in self.description.modelVariables} - self._values.kinds.keys() - self.clock_types:
             warnings.append(
                 f"variables of type {', '.join(sorted(types))} are not supported: they are neither set nor recorded"
             )
@@ -183,24 +177,19 @@ class FmuBlock(Component):
         self._values.bind(row, first, beside, first_beside)
 
     def open(self, start: float, stop: float) -> None:
-        self.load_and_begin(start, stop)
-
-    def load_and_begin(self, start: float, stop: float, loaded: Callable[[], None] = lambda: None) -> None:
-        """Load the FMU, call `loaded`, and enter initialization at `start`."""
         self.instance.time = start
-        self._load()
-        loaded()
-        self._begin(start, stop)
+        self.load()
+        self.begin(start, stop)
 
     def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:
         """Initialize a new instance with other start values; the library stays loaded."""
         self.start_values = values
         if self.instance.fmu is None:
-            self._load()
+            self.load()
         else:
             self.instance.renew()
             self._values.look_up()
-        self._begin(start, stop)
+        self.begin(start, stop)
         self.start()
 
     def bind_nothing(self) -> None:
@@ -209,15 +198,16 @@ class FmuBlock(Component):
         exact = len(self.exact_inputs) + len(self.exact_outputs)
         self.bind((ctypes.c_double * max(1, count))(), 0, [None] * exact, 0)
 
-    def _load(self) -> None:
+    def load(self) -> None:
+        """Load the FMU and make its instance."""
         self.instance.load()
         self._values.look_up()
 
-    def _begin(self, start: float, stop: float) -> None:
+    def begin(self, start: float, stop: float) -> None:
         """Enter initialization at `start`."""
-        calls, values, can_read = self.calls, self._values, self.calls.readable_before_start
-        self.instance.time, self.instance.initialized = start, False
-        calls.start_time, calls.stop_time = start, stop
+        instance, values, can_read = self.instance, self._values, self.instance.readable_before_start
+        instance.time, instance.initialized = start, False
+        instance.start_time, instance.stop_time = start, stop
         values.readable = can_read
         again = {}  # Some FMUs (20-sim) forget start values set before initialization.
         for name, value in self.start_values.items() if can_read else ():
@@ -226,17 +216,17 @@ class FmuBlock(Component):
                 continue
             if v.causality == "input" or v.initial == "exact":
                 again[name] = value
-        with self.instance.check_calls():
-            calls.prepare()
+        with instance.check_calls():
+            instance.prepare()
             values.set(self.start_values)
-            calls.enter()
+            instance.enter()
             values.set(again)
         values.show(self.start_values, readable=can_read)
-        values.watched = [] if self.changes_by_events and self._ports.fed else None
+        values.watched = [] if self.changes_by_events and self._values.fed else None
 
     def start(self) -> None:
         with self.instance.check_calls():
-            self.calls.leave()
+            self.instance.leave()
         self.instance.initialized = True
         self._values.readable = True
         self._do_step = self.instance.stepping()
@@ -254,19 +244,18 @@ class FmuBlock(Component):
     @property
     def changes_by_events(self) -> bool:
         """Return whether a change of inputs is an event."""
-        return isinstance(self.calls, ModelExchange)
+        return isinstance(self.instance, ModelExchange)
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
         """Return directional derivatives of outputs, None if unavailable."""
         if not self._is_differentiable or not {*outputs, *inputs} <= self._variables.keys():
             return None  # Elements of arrays have no value reference of their own.
-        unknowns, knowns = ([self._variables[n].valueReference for n in names] for names in (outputs, inputs))
-        columns = [self.instance.call("getDirectionalDerivative", unknowns, [known], [1.0]) for known in knowns]
-        return [list(row) for row in zip(*columns, strict=True)]
+        variables = ([self._variables[name] for name in names] for names in (outputs, inputs))
+        return [list(row) for row in zip(*self.instance.directional_derivatives(*variables), strict=True)]
 
     @cached_property
     def _is_differentiable(self) -> bool:
-        return declares_slopes(self.path, self.calls.way)
+        return declares_slopes(self.path, self.instance.way)
 
     def nominal(self, name: str, default: float = 1.0) -> float:
         """Return the nominal value of a variable."""
@@ -292,18 +281,18 @@ class FmuBlock(Component):
             times: Ends of steps [s] at which `change` follows.
             always: Whether inputs are set after every step.
         """
-        if isinstance(self.calls, ModelExchange):
-            self.calls.awaits_inputs, self.calls.changes_at = always, frozenset(times)
+        if isinstance(self.instance, ModelExchange):
+            self.instance.awaits_inputs, self.instance.changes_at = always, frozenset(times)
 
     def settle(self) -> None:
         """Handle an event of model exchange at the end of a step, if inputs do not change there."""
         with self.instance.check_calls():
-            self.calls.inputs_changed(None)
+            self.instance.inputs_changed(None)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
         with self.instance.check_calls():
-            self.calls.inputs_changed(lambda: self._values.set(values))
+            self.instance.inputs_changed(lambda: self._values.set(values))
         self._values.show_changes(values)
 
     def close(self) -> None:
@@ -311,40 +300,95 @@ class FmuBlock(Component):
         self.instance.remove()
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        return in_turn(self, doing, first, puts=bool(self._ports.fed))
+        return in_turn(self, doing, first, puts=bool(self._values.fed))
 
     # -- state --------------------------------------------------------------------------
 
     @property
+    def rolls_back(self) -> bool:
+        """Return whether steps can be repeated with other lengths.
+
+        The FMU must save and restore its state and accept steps of any length.
+        """
+        return bool(
+            self._declares("canGetAndSetFMU")
+            and self.instance.about.canHandleVariableCommunicationStepSize
+            and sampled_by(self.path) is None
+        )
+
+    @property
     def saves(self) -> bool:
-        return self.instance.serializes
+        return self._declares("canGetAndSetFMU") and self._declares("canSerializeFMU") and not self._refuses
+
+    def _declares(self, capability: str) -> bool:
+        """Return whether the FMU is stepped and declares a capability regarding its state."""
+        is_stepped = self.instance.way == "co-simulation"
+        return is_stepped and any(getattr(self.instance.about, f"{capability}{s}", False) for s in ("state", "State"))
+
+    def _state_function(self, verb: str) -> Any:
+        """Return a function of FMPy for the state of the FMU."""
+        is_fmi3 = self.instance.version == 3
+        verb = "deSerialize" if verb == "deserialize" and not is_fmi3 else verb
+        return getattr(self.instance.fmu, f"{verb}FMU{'State' if is_fmi3 else 'state'}")
+
+    def save_state(self) -> Any:
+        """Return the state, to restore and free."""
+        with self.instance.check_calls():
+            return self._state_function("get")()
+
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        """Restore a saved state, and free the state unless `keep` is set."""
+        with self.instance.check_calls():
+            self._state_function("set")(state)
+        if not keep:
+            self.free_state(state)
+
+    def free_state(self, state: Any) -> None:
+        """Free a state that is not restored."""
+        with self.instance.check_calls():
+            self._state_function("free")(state)
 
     def checkpoint(self) -> dict[str, Any] | None:
         log = self.log.state()
-        state = self.instance.serialize()
-        if state is None:
+        if not self.saves:
+            return None
+        try:
+            state = self._state_function("get")()
+            content = bytes(self._state_function("serialize")(state))
+            self._state_function("free")(state)
+        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
+            self._refuses = True
             return None
         self.log.restore(log)  # Messages of these calls are none of the run.
-        return {"state": state, "time": self.instance.time, "log": log}
+        return {"state": content, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self.instance.deserialize(state["state"])
+        self._deserialize(state["state"])
         self.instance.time = state["time"]
         self.log.restore(state["log"])
+
+    def _deserialize(self, content: bytes) -> None:
+        with self.instance.check_calls():
+            state = self._state_function("deserialize")(content)
+        self.restore_state(state)
 
     # -- stepped by C -------------------------------------------------------------------------
 
     def slot(self) -> Slot | str:
         """Return the slot for the C loop, or the reason for none."""
-        calls = self.calls
+        instance = self.instance
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
-        if type(calls) is not Calls or calls.version == 1:
-            return f"{self.name} is of FMI {self.description.fmiVersion} {calls.way}"
+        if type(instance) is not Instance or instance.version == 1:
+            return f"{self.name} is of FMI {self.description.fmiVersion} {instance.way}"
         if (moves := self._values.moves()) is None:
             return f"{self.name} has values that no double holds"
-        step = calls.bare(STEPS[calls.version], "DoStep")
-        return fmu_slot(calls.version, step, self.instance.component, *moves, self.instance.time)
+        (puts, gets), step = moves, instance.bare(STEPS[instance.version], "DoStep")
+        put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
+        slot = Slot(instance.version, ctypes.cast(step, ctypes.c_void_p), instance.component, time=instance.time)
+        slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
+        slot.keeping = put, get
+        return slot
 
     def set_time(self, t: float) -> None:
         """Note the time [s] after C steps; raise a pending stop."""
@@ -371,7 +415,7 @@ class FmuBlock(Component):
 class RestartableFmu(FmuBlock):
     """An FMU for repeated runs that restarts without unpacking, with access to the state of cosim's own FMUs."""
 
-    def begin(self, values: Mapping[str, Any], start: float, stop: float) -> None:
+    def restart(self, values: Mapping[str, Any], start: float, stop: float) -> None:
         """Reset or reload the FMU, and enter initialization at `start` with new start values."""
         self.start_values = values
         is_reset = False
@@ -381,8 +425,8 @@ class RestartableFmu(FmuBlock):
                 is_reset = True
         if not is_reset:
             self.instance.free()
-            self._load()
-        self._begin(start, stop)
+            self.load()
+        self.begin(start, stop)
 
     def own(self) -> Own:
         """Return the state that determines the future.
@@ -393,7 +437,7 @@ class RestartableFmu(FmuBlock):
 
     def remember(self, memory: Memory) -> None:
         """Write a memory into the state of a cosim FMU, since start values can express a constant past only."""
-        self.instance.deserialize(with_memory(self._state(), memory))
+        self._deserialize(with_memory(self._state(), memory))
 
     def _state(self) -> bytes:
         with self.instance.check_calls():

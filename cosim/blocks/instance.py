@@ -1,35 +1,54 @@
-"""Life cycle of an FMU instance: unpacking, loading, messages, status values and freeing."""
+"""An FMU instance: loading, calls in a common form for all versions and interfaces of FMI, messages and status values.
+
+The calls go through FMPy's classes, in this order: load, prepare, (start values), enter, (values)*, leave,
+(values, step, values)*, free.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import tempfile
+import weakref
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EarlyEnd
-from cosim.blocks.fmi import DISCARD, Calls, Step
 from cosim.blocks.loading import load_error
-from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.shared_code import claim, own_symbols_first
 from cosim.core.drafts import is_full
 from cosim.core.errors import CallFailed, DiskFull, FmuError, Terminated
+from cosim.core.messages import Note
 from cosim.core.scratch import process_folder
 from cosim.files.archive import unpack
-from cosim.fmi.description import C_CODE, library_of, no_library, platform_of, platforms_among
+from cosim.fmi.description import C_CODE, PARTS, Way, library_of, no_library, platform_of, platforms_among
 from cosim.fmi.guard import without_wrapping
 from cosim.fmi.lifetime import let_go_at_exit
-from cosim.fmi.sampled import sampled_by
 
+LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
+BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
+SIZE, REFERENCE, INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
+EXCHANGE = ctypes.CFUNCTYPE(INT, REFERENCE, REFERENCE, SIZE, REFERENCE)
+EXCHANGE3 = ctypes.CFUNCTYPE(INT, REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE)
+STEPS = {
+    1: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_byte),
+    2: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT),
+    3: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4),
+}
+Step = Callable[[Any, float, float, int], int]
+Listen = Callable[[int, bytes | None], None]  # status and message
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-WARNING, FATAL = 1, 4
+WARNING, DISCARD, FATAL = 1, 2, 4
 LONGEST_MESSAGE = 1000  # characters
 KEPT_FIRST, KEPT_LAST = 50, 50  # messages
+_listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
 class MessageLog:
@@ -80,10 +99,15 @@ class MessageLog:
 
 
 class Instance:
-    """An FMU instance and the folder of its unpacked FMU.
+    """An FMU instance, here for co-simulation, and the folder of its unpacked FMU.
 
     Attributes:
+        version: Version of FMI: 1, 2 or 3.
+        prefix: Prefix of FMI's functions.
+        about: Description of the interface.
+        readable_before_start: Whether values are readable during initialization; in FMI 1.0, a single call initializes.
         fmu: FMPy's object, None before loading and after Fatal; `component` is C's pointer.
+        is_event, ends, is_early, last: Outcome of a step of FMI 3.0.
         log: Messages and warnings.
         time: Reached time [s], for messages.
         place: Folder of the already unpacked FMU, left unchanged.
@@ -91,12 +115,25 @@ class Instance:
         compiles: Whether sources may be compiled for a missing library.
     """
 
-    def __init__(self, path: Path, calls: Calls, *, logging: bool = False, compiles: bool = False) -> None:
-        self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
-        self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
+    fmpy_class = "Slave"
+    way: Way = "co-simulation"
+
+    def __init__(
+        self, name: str, path: Path, description: Any, *, logging: bool = False, compiles: bool = False
+    ) -> None:
+        self.name, self.path, self.description = name, path, description
+        self.version = int(description.fmiVersion[0])
+        self.prefix = "fmi" if self.version == 1 else f"fmi{self.version}"
+        self.about = getattr(description, PARTS[self.way])
+        self.readable_before_start = self.version > 1
+        self.exchange = EXCHANGE3 if self.version == 3 else EXCHANGE
+        self.start_time, self.stop_time = 0.0, 0.0
+        self.tolerance: float | None = None
+        self.is_event, self.ends, self.is_early, self.last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
+        self.flags = tuple(ctypes.byref(cell) for cell in (self.is_event, self.ends, self.is_early, self.last))
+        self.by_pythonfmu = "pythonfmu" in (description.generationTool or "").lower()
         self.log = MessageLog()
-        self.fmi3 = calls.version == 3
-        self.step_name = f"{calls.prefix}DoStep"
+        self.step_name = f"{self.prefix}DoStep"
         self.fmu: Any = None
         self.component: Any = None
         self.place: Path | None = None
@@ -106,7 +143,6 @@ class Instance:
         self._folder: Path | None = None
         self._stop: BaseException | None = None
         self._words = ""  # last message
-        self._refuses = False  # to serialize its state, though it declares that it can
 
     # -- life cycle ---------------------------------------------------------------------------------
 
@@ -121,7 +157,7 @@ class Instance:
         hidden = claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
-        identifier = str(self.calls.about.modelIdentifier)
+        identifier = str(self.about.modelIdentifier)
         try:
             library, warning = library_of(folder, self.description, identifier) or (None, "")
             if library is None:
@@ -131,21 +167,18 @@ class Instance:
                 library = compile_library(folder, self.description, identifier)
             try:
                 with own_symbols_first(self.path, library):
-                    self.calls.load(folder, library)
+                    self._load_library(folder, library)
             except Exception as error:  # FMPy raises bare Exceptions.
                 raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
             for text in filter(None, (warning, *hidden)):
                 self.remember(text)
-            # pythonfmu reports its reasons in debug messages only.
-            self.calls.instantiate(self.listen, self._logging or self.by_pythonfmu)
-            if self.by_pythonfmu and not self._logging:
-                self.calls.limit_logging()
+            self._instantiate()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
+            self.fmu = None
             reason = "; ".join((self.last_words() or str(error), *hidden))
             raise FmuError(f"{self.path} does not load: {reason}") from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
-        self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
         let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
 
     def _unpack(self) -> Path:
@@ -167,8 +200,8 @@ class Instance:
 
     def free(self) -> None:
         """Terminate and free the instance; keep the folder."""
-        fmu, self.fmu = self.fmu, None
-        if fmu is not None:
+        fmu, component, self.fmu, self.component = self.fmu, self.component, None, None
+        if fmu is not None and component is not None:
             try:
                 if self.initialized:
                     fmu.terminate()
@@ -179,14 +212,13 @@ class Instance:
 
     def renew(self) -> None:
         """Replace the instance by a new one; the library stays loaded."""
-        fmu, self.fmu = self.fmu, None
         with suppress(Exception):  # FMPy raises bare Exceptions; a refusal to terminate does not matter.
             if self.initialized:
-                fmu.terminate()
+                self.fmu.terminate()
         self.initialized = False
-        getattr(fmu, f"{self.calls.prefix}FreeInstance")(fmu.component)
-        self.calls.instantiate(self.listen, self._logging or self.by_pythonfmu)
-        self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
+        component, self.component = self.component, None
+        getattr(self.fmu, f"{self.prefix}FreeInstance")(component)
+        self._instantiate()
 
     def remove(self) -> None:
         """Delete the folder, unless it is foreign."""
@@ -194,64 +226,91 @@ class Instance:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
-    # -- state ----------------------------------------------------------------------------
+    def _load_library(self, folder: Path, library: Path) -> None:
+        """Load the library; failures raise bare Exceptions."""
+        kind = getattr(import_module(f"fmpy.fmi{self.version}"), f"FMU{self.version}{self.fmpy_class}")
+        # FMPy derives the library's path from the identifier. In FMI 1.0 the names of functions begin with it.
+        names = {"modelIdentifier": library.stem}
+        if self.version == 1:
+            names = {"modelIdentifier": str(self.about.modelIdentifier), "libraryPath": str(library)}
+        self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **names)
+
+    def _instantiate(self) -> None:
+        """Instantiate the FMU; pythonfmu gives reasons in debug messages only."""
+        self.make_instance(self._logging or self.by_pythonfmu)
+        self.component = self.fmu.component
+        if self.by_pythonfmu and not self._logging:  # Limit debug logging to categories about problems.
+            words = ("warning", "error", "fatal", "discard", "logall")  # pythonfmu is silent without logall
+            names = [c.name for c in self.description.logCategories]
+            problems = [name for name in names if any(word in name.lower() for word in words)]
+            if problems and len(problems) < len(names):
+                self.fmu.setDebugLogging(True, problems)
+
+    def make_instance(self, logging: bool, **options: Any) -> None:
+        """Instantiate the FMU through FMPy's object."""
+        if self.version == 3:
+            options["logMessage"] = lambda _, status, category, message: self.listen(status, message)
+        else:
+            callbacks = _callbacks(self.version, self.name, self.listen)
+            options["functions" if self.version == 1 else "callbacks"] = callbacks
+        self.fmu.instantiate(loggingOn=logging, **options)
+
+    # -- call sequence ----------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Announce the experiment before start values are set."""
+        if self.version == 2:
+            self.fmu.setupExperiment(**self._experiment)
+
+    def enter(self) -> None:
+        """Begin initialization."""
+        if self.version > 1:
+            self.fmu.enterInitializationMode(**self._experiment if self.version == 3 else {})
 
     @property
-    def rolls_back(self) -> bool:
-        """Return whether steps can be repeated with other lengths.
+    def _experiment(self) -> dict[str, float | None]:
+        tolerance = None if self.way == "model-exchange" else self.tolerance  # It is the solver's there.
+        return {"tolerance": tolerance, "startTime": self.start_time, "stopTime": self.stop_time}
 
-        The FMU must save and restore its state and accept steps of any length.
-        """
-        return bool(
-            self._declares("canGetAndSetFMU")
-            and self.calls.about.canHandleVariableCommunicationStepSize
-            and sampled_by(self.path) is None
-        )
+    def leave(self) -> None:
+        """End initialization."""
+        if self.version == 1:
+            self.fmu.initialize(tStart=self.start_time, stopTime=self.stop_time)
+        else:
+            self.fmu.exitInitializationMode()
 
-    @property
-    def serializes(self) -> bool:
-        """Return whether bytes hold the whole state."""
-        return self._declares("canGetAndSetFMU") and self._declares("canSerializeFMU") and not self._refuses
+    def symbol(self, name: str) -> str:
+        """Return the name of a function in the library."""
+        return f"{self.about.modelIdentifier}_fmi{name}" if self.version == 1 else f"{self.prefix}{name}"
 
-    def _declares(self, capability: str) -> bool:
-        """Return whether the FMU is stepped and declares a capability regarding its state."""
-        is_stepped = self.calls.way == "co-simulation"
-        return is_stepped and any(getattr(self.calls.about, f"{capability}{s}", False) for s in ("state", "State"))
+    def bare(self, prototype: Any, name: str) -> Any:
+        """Return a library function without FMPy's checks and copies."""
+        function = getattr(self.fmu.dll, self.symbol(name))
+        return prototype(ctypes.cast(function, ctypes.c_void_p).value)
 
-    def _of_state(self, name: str) -> str:
-        """Return the name of a function for the state of the FMU, by its first word."""
-        return f"{name}FMU{'State' if self.fmi3 else 'state'}"
+    def prepared(self, prototype: Any, name: str, *arguments: Any) -> partial[int]:
+        """Return a library function with arguments that no call converts again; those beyond its prototype are left."""
+        values = [kind(value) for kind, value in zip(prototype._argtypes_, arguments, strict=False)]
+        return partial(self.bare(ctypes.CFUNCTYPE(ctypes.c_int), name), *values)
 
-    def save_state(self) -> Any:
-        """Return the state, to restore and free."""
-        return self.call(self._of_state("get"))
+    def stepping(self) -> Step:
+        """Return a function of (component, t, h, flag) → status."""
+        step: Any = self.bare(STEPS[self.version], "DoStep")
+        if self.version < 3:
+            return step  # type: ignore[no-any-return]
 
-    def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        """Restore a saved state, and free the state unless `keep` is set."""
-        self.call(self._of_state("set"), state)
-        if not keep:
-            self.free_state(state)
+        def do_step(component: Any, t: float, h: float, _: int) -> int:
+            status = int(step(component, t, h, True, *self.flags))
+            if self.ends.value and status < DISCARD:
+                raise end_of(self.name, self.last.value if self.is_early.value else t + h)
+            return status
 
-    def free_state(self, state: Any) -> None:
-        """Free a state that is not restored."""
-        self.call(self._of_state("free"), state)
+        return do_step
 
-    def serialize(self) -> bytes | None:
-        """Return the state as bytes, if possible."""
-        if not self.serializes:
-            return None
-        try:
-            state = getattr(self.fmu, self._of_state("get"))()
-            content = getattr(self.fmu, self._of_state("serialize"))(state)
-            getattr(self.fmu, self._of_state("free"))(state)
-        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
-            self._refuses = True
-            return None
-        return bytes(content)
-
-    def deserialize(self, content: bytes) -> None:
-        """Restore a state from bytes."""
-        self.restore_state(self.call(self._of_state("deserialize" if self.fmi3 else "deSerialize"), content))
+    def inputs_changed(self, take: Callable[[], None] | None) -> None:
+        """Apply changed inputs by calling `take`; None says that no input has changed at the end of a step."""
+        if take is not None:
+            take()
 
     # -- messages -------------------------------------------------------------------------
 
@@ -295,25 +354,10 @@ class Instance:
         with self.check_calls():
             return getattr(self.fmu, name)(*arguments)
 
-    def stepping(self) -> Step:
-        """Return the function that steps the FMU.
-
-        Model exchange makes many FMI calls per step. Its errors therefore name the failed call and the call's time.
-        """
-        calls, step = self.calls, self.calls.stepping()
-        if not isinstance(calls, ModelExchange):
-            return step
-        from fmpy.fmi1 import FMICallException
-
-        def step_and_judge(component: Any, t: float, h: float, flag: int) -> int:
-            try:
-                return step(component, t, h, flag)
-            except FMICallException as error:
-                self.time = calls.time
-                self.judge(error.function, error.status)
-                return 0
-
-        return step_and_judge
+    def directional_derivatives(self, unknowns: Sequence[Any], knowns: Sequence[Any]) -> list[Sequence[float]]:
+        """Return a column of slopes for each known variable."""
+        references = [v.valueReference for v in unknowns]
+        return [self.call("getDirectionalDerivative", references, [v.valueReference], [1.0]) for v in knowns]
 
     def judge(self, function: str, status: int) -> None:
         """Handle a status other than OK; log a warning.
@@ -325,7 +369,7 @@ class Instance:
         if status == WARNING:
             self.remember(f"{function} returned Warning")
             return
-        if status == DISCARD and function == self.step_name and (reached := self.calls.end_time(self.time)) is not None:
+        if status == DISCARD and function == self.step_name and (reached := self._end_time()) is not None:
             words = self.last_words()
             raise EarlyEnd(
                 self.name,
@@ -340,3 +384,46 @@ class Instance:
             raise KeyboardInterrupt
         because = f": {words}" if words else ""
         raise CallFailed(self.name, self.time, f"{function} returned {name}{because}")
+
+    def _end_time(self) -> float | None:
+        """Return the end time if the FMU discarded a step to end."""
+        try:
+            if self.version != 2 or not self.fmu.getBooleanStatus(TERMINATED):
+                return None
+        except Exception:  # The function is optional.
+            return None
+        try:
+            return max(self.time, float(self.fmu.getRealStatus(LAST_SUCCESSFUL)))
+        except Exception:
+            return self.time
+
+
+def end_of(name: str, reached: float) -> EarlyEnd:
+    """Return the error of an ended simulation."""
+    return EarlyEnd(name, reached, Note("the FMU ended the simulation"), readable=True)
+
+
+def _callbacks(version: int, name: str, listen: Listen) -> Any:
+    """Return the callbacks of an instance of FMI 1.0 or 2.0, whose messages are routed by instance name.
+
+    pythonfmu sends all messages of a process to the instance made last.
+    """
+    import fmpy
+
+    module = import_module(f"fmpy.fmi{version}")
+    _listeners[name] = weakref.WeakMethod(listen)
+
+    def logger(_: Any, instance: bytes | None, status: int, category: Any, message: bytes | None) -> None:
+        listener = _listeners.get((instance or b"").decode("utf-8", "replace"), lambda: None)() or listen
+        listener(status, message)
+
+    functions = {"Logger": logger, "AllocateMemory": fmpy.calloc, "FreeMemory": fmpy.free}
+    callbacks = getattr(module, f"fmi{version}CallbackFunctions")()
+    for kind, function in functions.items():
+        field = f"{kind[0].lower()}{kind[1:]}"
+        setattr(callbacks, field, getattr(module, f"fmi{version}Callback{kind}TYPE")(function))
+    with suppress(ImportError):
+        from fmpy.logging import addLoggerProxy  # formats C's variadic arguments
+
+        addLoggerProxy(ctypes.byref(callbacks))
+    return callbacks

@@ -12,9 +12,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
-from cosim.blocks.fmi import Calls, Step, end_of
+from cosim.blocks.instance import Instance, Step, end_of
 from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, solver
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import Way
@@ -38,10 +39,11 @@ EVER_FASTER = 4  # spans between crossings of an indicator that are each shorter
 STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
 
 
-class ModelExchange(Calls):
-    """Calls of an FMU for model exchange.
+class ModelExchange(Instance):
+    """An FMU instance for model exchange.
 
     Attributes:
+        reached: Time [s] of the solver.
         longest: Longest step of the solver [s]; None for a share of the run.
         max_steps: Largest number of solver steps between communication points and events; None for the solver's own.
         stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
@@ -53,9 +55,9 @@ class ModelExchange(Calls):
     way: Way = "model-exchange"
     fmpy_class = "Model"
 
-    def __init__(self, name: str, description: Any) -> None:
-        super().__init__(name, description)
-        self.time = 0.0
+    def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
+        super().__init__(name, path, description, **settings)
+        self.reached = 0.0
         self.next_event: float | None = None
         self._states, self._indicator_count = description.numberOfContinuousStates, description.numberOfEventIndicators
         # FMI 1.0 demands the call of every host.
@@ -85,7 +87,7 @@ class ModelExchange(Calls):
             self._first = self.fmu.initialize()
         else:
             self.fmu.exitInitializationMode()
-        self.time = self.start_time
+        self.reached = self.start_time
         self.update()
         self._enter("ContinuousTime")
         self.solver = solver(
@@ -103,7 +105,18 @@ class ModelExchange(Calls):
         self._started = True
 
     def stepping(self) -> Step:
-        return self._step
+        """Return the step; its errors name the failed call of many, and the time of this call."""
+        from fmpy.fmi1 import FMICallException
+
+        def step(component: Any, t: float, h: float, _: int) -> int:
+            try:
+                self._step(t, h)
+            except FMICallException as error:
+                self.time = self.reached
+                self.judge(error.function, error.status)
+            return 0
+
+        return step
 
     def _enter(self, mode: str) -> None:
         """Enter a mode of the FMU; FMI 1.0 has none."""
@@ -112,7 +125,7 @@ class ModelExchange(Calls):
 
     def inputs_changed(self, take: Callable[[], None] | None) -> None:
         if take is None:  # An event at the end of the step is handled without them, unless a change is due.
-            if self.cause and not self.stops_at_events and not self._is_changed_at(self.time, CLOSE * self._length):
+            if self.cause and not self.stops_at_events and not self._is_changed_at(self.reached, CLOSE * self._length):
                 self.handle_event(self._length)
             return
         if not self._started:
@@ -122,7 +135,7 @@ class ModelExchange(Calls):
             self.event_counts[self.cause] += 1
             self.cause = ""
         self.event(take)
-        self.solver.reset(self.time)
+        self.solver.reset(self.reached)
 
     def event(self, change: Callable[[], None] | None = None) -> None:
         """Handle an event: change inputs, then update discrete states."""
@@ -132,16 +145,16 @@ class ModelExchange(Calls):
         self.update()
         self._enter("ContinuousTime")
 
-    def save(self) -> tuple[float, list[float]]:
-        """Return time [s] and continuous states, for `go_back`."""
-        return self.time, self._numbers(self.fmu.getContinuousStates, self._states)
+    def save_state(self) -> tuple[float, list[float]]:
+        """Return time [s] and continuous states, for `restore_state`."""
+        return self.reached, self._numbers(self.fmu.getContinuousStates, self._states)
 
-    def go_back(self, saved: tuple[float, list[float]]) -> None:
+    def restore_state(self, saved: tuple[float, list[float]]) -> None:
         """Take back the states before a step, whose event, if any, has not been handled."""
-        self.time, states = saved
+        self.reached, states = saved
         self.cause = ""
-        self._place(self.time, states)
-        self.solver.reset(self.time)
+        self._place(self.reached, states)
+        self.solver.reset(self.reached)
 
     # -- internal -------------------------------------------------------------------------------
 
@@ -153,7 +166,7 @@ class ModelExchange(Calls):
             function(ctypes.cast(cells, DOUBLES), count)
         return list(cells)[:count]
 
-    def _step(self, component: Any, t: float, h: float, _: int) -> int:
+    def _step(self, t: float, h: float) -> None:
         """Integrate to the communication point across all events."""
         end, self._length = t + h, h
         if self.cause and not self.stops_at_events:  # Nothing has changed at the last step's end.
@@ -164,7 +177,7 @@ class ModelExchange(Calls):
             raise SimulationError(
                 self.name, t, f"a step of {h:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
             )
-        while end - self.time > close:
+        while end - self.reached > close:
             event = self.next_event
             at_event = event is not None and event <= end + close
             target = end
@@ -173,14 +186,13 @@ class ModelExchange(Calls):
             state_event, step_event = self._integrate(target, ULPS * spacing)
             if state_event or step_event or at_event:
                 self.cause = (
-                    "state" if state_event else "step" if self.time < target else "time" if at_event else "step"
+                    "state" if state_event else "step" if self.reached < target else "time" if at_event else "step"
                 )
                 if self.stops_at_events:
-                    return 0
-                if end - self.time <= close and (self.awaits_inputs or self._is_changed_at(end, close)):
-                    return 0
+                    return
+                if end - self.reached <= close and (self.awaits_inputs or self._is_changed_at(end, close)):
+                    return
                 self.handle_event(h)
-        return 0
 
     def _is_changed_at(self, time: float, close: float) -> bool:
         return any(abs(time - at) <= close for at in self.changes_at)
@@ -192,21 +204,21 @@ class ModelExchange(Calls):
         """
         while True:
             state_event = False
-            if target - self.time <= min_span:
-                self.time = max(self.time, target)
+            if target - self.reached <= min_span:
+                self.reached = max(self.reached, target)
             else:
                 try:
-                    state_event, self.time = self._solver_step(target)
+                    state_event, self.reached = self._solver_step(target)
                 except SolverFailed as error:
-                    raise SimulationError(self.name, self.time, self._explain(error)) from None
-            self.fmu.setTime(self.time)
+                    raise SimulationError(self.name, self.reached, self._explain(error)) from None
+            self.fmu.setTime(self.reached)
             step_event = False
             if self.needs_completed_steps:
                 answer = self.fmu.completedIntegratorStep()
                 step_event, terminate = (answer, False) if self.version == 1 else answer
                 if terminate:
-                    raise end_of(self.name, self.time)
-            if state_event or step_event or self.time >= target:
+                    raise end_of(self.name, self.reached)
+            if state_event or step_event or self.reached >= target:
                 return state_event, step_event
 
     def _solver_step(self, target: float) -> tuple[bool, float]:
@@ -219,19 +231,19 @@ class ModelExchange(Calls):
             SimulationError: Two events are closer together than times can be separated.
         """
         if not self._indicator_count:
-            event, _, time = self.solver.step(self.time, target)
+            event, _, time = self.solver.step(self.reached, target)
             return bool(event), float(time)
-        spacing = math.ulp(max(abs(self.time), abs(target), target - self.start_time))
-        saved = self.save()
+        spacing = math.ulp(max(abs(self.reached), abs(target), target - self.start_time))
+        saved = self.save_state()
         hidden, false = set[int](), set[int]()  # indicators for which the step is too long
         while True:
             is_first = self.solver.is_first
             begins = self._indicators(*saved) if is_first else []
             slopes = self._rates() if is_first else []
-            event, roots, time = self.solver.step(self.time, target)
+            event, roots, time = self.solver.step(self.reached, target)
             if not (event or is_first):
                 return False, float(time)
-            reached, length = (float(time), self.save()[1]), self.solver.last_step
+            reached, length = (float(time), self.save_state()[1]), self.solver.last_step
             ends = self._indicators(*reached)
             if is_first:
                 ahead = self._ahead(saved, slopes, STRAIGHT * length)
@@ -249,9 +261,9 @@ class ModelExchange(Calls):
             self._place(*saved)
             if SHORTENED * length <= SEPARABLE * spacing:
                 fields = {"span": length, "number": min(hidden | false) + 1}
-                raise SimulationError(self.name, self.time, EVENTS_NOT_SEPARATED.format(**fields))
+                raise SimulationError(self.name, self.reached, EVENTS_NOT_SEPARATED.format(**fields))
             self._shortened += 1
-            self.solver.reset(self.time, SHORTENED * length)
+            self.solver.reset(self.reached, SHORTENED * length)
 
     def _note_crossings(self, roots: Sequence[int], time: float, spacing: float) -> None:
         """Note the time of crossings; raise SimulationError if they come ever faster, too fast for the solver."""
@@ -263,7 +275,7 @@ class ModelExchange(Calls):
                 continue
             if spans[0] <= SEPARABLE * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
                 fault = EVENTS_NOT_SEPARATED.format(span=spans[-1], number=crossing[0] + 1)
-                raise SimulationError(self.name, self.time, fault)
+                raise SimulationError(self.name, self.reached, fault)
 
     def _ahead(self, point: tuple[float, Sequence[float]], slopes: Sequence[float], span: float) -> list[float]:
         """Return the event indicators a time span [s] ahead of a point, along the slopes of the states."""
@@ -303,19 +315,19 @@ class ModelExchange(Calls):
         """Handle the event at which the step of `h` [s] has come to; raise SimulationError for chattering."""
         cause, self.cause = self.cause, ""
         self.event_counts[cause] += 1
-        self._events.append(self.time)
+        self._events.append(self.reached)
         if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
             fault = f"it chatters: {len(self._events)} events within {AT_ONCE * h:.2g} s, so that time stands still"
-            raise SimulationError(self.name, self.time, fault)
+            raise SimulationError(self.name, self.reached, fault)
         before = self._point() if cause == "step" else None
         self.event()
         if before is None or self._point() != before:  # Else the solution goes on smoothly.
-            self.solver.reset(self.time)
+            self.solver.reset(self.reached)
 
     def _point(self) -> tuple[list[float], ...]:
         """Return continuous states, their derivatives and the event indicators."""
-        states = self.save()[1]
-        indicators = self._indicators(self.time, states) if self._indicator_count else []
+        states = self.save_state()[1]
+        indicators = self._indicators(self.reached, states) if self._indicator_count else []
         return states, self._rates(), indicators
 
     def update(self) -> None:
@@ -330,22 +342,22 @@ class ModelExchange(Calls):
                 converged, _, _, terminate, defined, time = self.fmu.eventUpdate() if first is None else first
                 more = first is None and not converged
             if terminate:
-                raise end_of(self.name, self.time)
+                raise end_of(self.name, self.reached)
             due = time if defined else None
             if more:
                 continue
-            if due is None or due > self.time:
+            if due is None or due > self.reached:
                 self.next_event = due
                 return
             self._enter("ContinuousTime")  # A time event due now is an event of its own.
             self._enter("Event")
         fault = f"its discrete states still change after {MOST_EVENTS} updates"
-        if due is not None and due <= self.time:
+        if due is not None and due <= self.reached:
             fault = (
                 f"{MOST_EVENTS} times in a row it gives t = {due:.6g} s as the time of its next event, which is "
                 "not in the future; the FMU must give a later time or none"
             )
-        raise SimulationError(self.name, self.time, fault)
+        raise SimulationError(self.name, self.reached, fault)
 
     def state_references(self) -> list[int]:
         """Return the value references of the continuous states. FMI 1.0 declares them at run time only, if at all."""

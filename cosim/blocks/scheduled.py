@@ -5,19 +5,19 @@ Partitions run one after another and are never interrupted, so the FMU's locks a
 
 from __future__ import annotations
 
-import heapq
 import math
 import os
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any
 
-from cosim.blocks.event_mode import INITIALIZATION, EventCalls, EventFmu
-from cosim.blocks.fmi import Calls, Listen
+from cosim.blocks.event_mode import INITIALIZATION, EventFmu, EventInstance
+from cosim.blocks.instance import Instance
 from cosim.fmi.description import Way
 
 
-class ScheduledCalls(EventCalls):
-    """Calls of an FMU for FMI 3.0 scheduled execution.
+class ScheduledInstance(EventInstance):
+    """An FMU instance for FMI 3.0 scheduled execution.
 
     Attributes:
         on_update: Function called when the FMU says that a clock has changed.
@@ -25,16 +25,16 @@ class ScheduledCalls(EventCalls):
 
     fmpy_class, way = "ScheduledExecution", "scheduled-execution"
 
-    def __init__(self, name: str, description: Any) -> None:
-        super().__init__(name, description)
+    def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
+        super().__init__(name, path, description, **settings)
         self.may_return = False
         self.on_update: Any = lambda: None
 
-    def instantiate(self, listen: Listen, logging: bool, **options: Any) -> None:
+    def make_instance(self, logging: bool, **options: Any) -> None:
         from fmpy import fmi3
 
         fmu = self.fmu  # FMPy's own method drops the updates of clocks; the callbacks must live as long as the FMU.
-        fmu.logMessage = fmi3.fmi3LogMessageCallback(lambda _, status, category, message: listen(status, message))
+        fmu.logMessage = fmi3.fmi3LogMessageCallback(lambda _, status, category, message: self.listen(status, message))
         fmu.clockUpdate = fmi3.fmi3ClockUpdateCallback(lambda _: self.on_update())
         fmu.lockPreemption = fmi3.fmi3LockPreemptionCallback(lambda: None)
         fmu.unlockPreemption = fmi3.fmi3UnlockPreemptionCallback(lambda: None)
@@ -51,17 +51,17 @@ class ScheduledFmu(EventFmu):
 
     steps = False
     has_jumped = is_stirred = False  # Inputs are taken by the partitions.
+    instance: ScheduledInstance
 
-    def _make_calls(self, way: Way | None) -> Calls:
-        calls = ScheduledCalls(self.name, self.description)
-        calls.on_update = self._on_update
-        return calls
+    def _instance_class(self, way: Way | None) -> type[Instance]:
+        return ScheduledInstance
 
     def start(self) -> None:
         super().start()
         self._fired: list[str] = []
         self._last: dict[str, float] = {}  # clock → time of its last activation [s]
         self._failure: BaseException | None = None
+        self.instance.on_update = self._on_update
 
     def put(self) -> None:
         """Set the inputs during initialization only."""
@@ -84,15 +84,12 @@ class ScheduledFmu(EventFmu):
         Clocks that a partition sets take their place among them.
         """
         t = self.instance.time
-        queue = [(self.clocks[name].priority, k, name) for k, name in enumerate(names)]
-        heapq.heapify(queue)
-        while queue:
-            _, k, name = heapq.heappop(queue)
+        waiting = [*names]
+        while waiting:
+            name = min(waiting, key=lambda clock: self.clocks[clock].priority)
+            waiting.remove(name)
             self._activate(name, t)
-            waiting = {name for *_, name in queue}
-            for other in self.due_clocks(t, 0.0):
-                if other not in waiting and other != name:
-                    heapq.heappush(queue, (self.clocks[other].priority, k, other))
+            waiting = [*(c for c in self.due_clocks(t, 0.0) if c != name and c not in waiting), *waiting]
 
     def _activate(self, name: str, t: float) -> None:
         """Run a partition between its inputs and outputs."""

@@ -83,7 +83,7 @@ class SourceBlock(Component):
         """Return the C loop's slot with prepared values, or the reason for none."""
         if self.exact_functions:
             return f"{self.name} has values that no double holds"
-        slot = Slot(0, every=1, time=self._t, scalars=len(self.outputs))
+        slot = Slot(0, time=self._t, scalars=len(self.outputs))
         slot.row = ctypes.addressof(self._row) + 8 * self._first
         return slot
 

@@ -17,9 +17,9 @@
 typedef void (*Function)(void);
 
 enum { PUT, ADVANCE, GET };                                       /* what is called, as in isolation/rows.py */
-enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, FAILED }; /* why `run` returned */
+enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER }; /* why `run` returned */
 enum { DOUBLES, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, BOOL8 };
-enum { PREPARED, CALLED };                                        /* versions of slots that are no FMU of C */
+enum { PREPARED };                                                /* version of slots that are no FMU */
 enum { AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS };
 
 typedef struct {           /* what becomes of a value on its way, at points first..last or always */
@@ -49,9 +49,7 @@ typedef struct {           /* variables of one type, moved in one call; `values`
     int32_t type;
 } Move;
 
-/* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on; or (CALLED) a component whose
-   `step` is a function of Python that puts, steps and gets, only puts and gets where the step has no length, and sets the
-   flag at `instance` where it succeeds */
+/* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on */
 typedef struct {
     int32_t version;
     Function step;
@@ -86,7 +84,6 @@ typedef struct {
 typedef int (*Exchange2)(void *, const unsigned *, size_t, void *);
 typedef int (*Exchange3)(void *, const unsigned *, size_t, void *, size_t);
 typedef int (*Step2)(void *, double, double, int);
-typedef void (*Call)(double, double);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
 
 /* `*ok` false where a value is no item of the enumeration it goes to */
@@ -215,19 +212,6 @@ static int step_slot(Plan *p, Slot *s, int64_t k)
     switch (p->phase) {
     case PULLS:
         if (!make_transfers(s->pull, s->pulls, k)) return NO_ITEM;
-        if (s->version == CALLED) {
-            bool *done = s->instance;
-            *done = false;
-            ((Call)s->step)(since, length);
-            if (!*done) return FAILED;
-            s->time = since + length;
-            if (!s->lates) return FINISHED;
-            if (!make_transfers(s->late, s->lates, k)) return NO_ITEM;
-            *done = false;
-            ((Call)s->step)(s->time, 0.0);
-            if (!*done) return FAILED;
-            return FINISHED;
-        }
         if (s->version == PREPARED) {
             memcpy(s->row, s->prepared + (size_t)(k - s->since) * s->scalars, s->scalars * sizeof(double));
             s->time = since + length;

@@ -1,56 +1,141 @@
-"""Transfer of values by type between an FMU instance, the row and the storage beside the row.
+"""Variables of an FMU: their places in and beside the row, and the transfer of their values by type.
 
 The FMU reads and writes doubles in the row itself; all other types pass through a buffer.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from cosim.blocks.component import PUT, Row
+from cosim.blocks.component import PUT, Row, Signal
 from cosim.blocks.instance import Instance
 from cosim.blocks.stepping import Move, Plan, StopReason, move
-from cosim.blocks.variable_access import Ports
 from cosim.core.errors import NotFinite, SimulationError
-from cosim.fmi.fmi_types import Exchange, element_names, elements, input_aliases, negative
+from cosim.fmi.description import enumeration_items, is_difference, unit_definition, unit_of
+from cosim.fmi.fmi_types import Exchange, element_names, elements, input_aliases, is_negated, kinds_of, negative
 
 
 class Values:
-    """Values put into and read from an instance; call `bind` and `look_up` first.
+    """Inputs, outputs and recorded variables of an instance, put and read; call `bind` and `look_up` first.
 
     Attributes:
+        fed: Connected inputs.
+        unfed: Unconnected inputs.
+        read: Variables to read after each step: outputs, then recorded variables.
+        inward: Variables to set: all inputs except unconnected optional ones.
+        variables: All variables by name.
+        clock_inputs: Triggered clocks; their places, behind the inputs, hold the number of ticks.
+        clock_outputs: All other clocks, likewise behind the outputs.
         watched: Last inputs of model exchange, because unchanged inputs cause no event.
         readable: Whether outputs can be read.
+
+    Args:
+        part: Function of a variable; variables of different parts are moved by calls of their own.
+        clocks: Signals of triggered input clocks, and of all other clocks.
     """
 
-    def __init__(self, instance: Instance, ports: Ports) -> None:
-        self.instance, self.ports = instance, ports
-        self._calls = instance.calls
+    def __init__(
+        self,
+        instance: Instance,
+        connected: frozenset[str],
+        recorded: frozenset[str],
+        optional: frozenset[str] = frozenset(),
+        *,
+        part: Callable[[Any], Hashable] = lambda variable: None,
+        clocks: tuple[tuple[Signal, ...], tuple[Signal, ...]] = ((), ()),
+    ) -> None:
+        self.instance, self._part = instance, part
+        self.description = description = instance.description
+        self.clock_inputs, self.clock_outputs = clocks
         self.watched: list[Any] | None = None
         self.readable = False
-        self._variables = {v.name: v for v in instance.description.modelVariables}
-        self._aliases = input_aliases(instance.description)
+        self.variables = {v.name: v for v in description.modelVariables}
+        self._aliases = input_aliases(description)
+        self.kinds = kinds_of(description.fmiVersion)
+        fed, unfed, outputs, others = list[Any](), list[Any](), list[Any](), list[Any]()
+        seen = set[str]()
+        for v in description.modelVariables:
+            if v.type not in self.kinds or v.name in seen:  # a name that stands twice means its first variable
+                continue
+            seen.add(v.name)
+            if v.causality == "output":
+                outputs.append(v)
+            elif v.causality != "input":
+                others += [v] if v.name in recorded else []
+            elif not connected.isdisjoint({v.name, *element_names(v)}):
+                fed.append(v)
+            elif v.name not in optional:
+                unfed.append(v)
+        self.fed, self.unfed = self._exchanges(fed), self._exchanges(unfed)
+        self.read = self._exchanges([*outputs, *others], {name for v in outputs for name in element_names(v)})
+        self.inward = (*self.fed, *self.unfed)
+        self.inputs = self._signals(self.inward, beside=False) + self.clock_inputs
+        self.exact_inputs = self._signals(self.inward, beside=True)
+        self.outputs = self._signals(self.read, beside=False) + self.clock_outputs
+        self.exact_outputs = self._signals(self.read, beside=True)
+
+    def _exchanges(self, variables: Iterable[Any], outputs: Iterable[str] = ()) -> tuple[Exchange, ...]:
+        """Return an exchange per type, part and sign, doubles first."""
+        groups: dict[tuple[Any, Hashable], list[Any]] = {}
+        for variable in variables:
+            part = self._part(variable), is_negated(variable)
+            groups.setdefault((self.kinds[variable.type], part), []).append(variable)
+        exchanges = (Exchange(kind, group, {*outputs}) for (kind, _), group in groups.items())
+        return tuple(sorted(exchanges, key=lambda exchange: exchange.kind.ctype is not ctypes.c_double))
+
+    def _signals(self, exchanges: Iterable[Exchange], *, beside: bool) -> tuple[Signal, ...]:
+        """Return the signals in the row, or beside the row."""
+        signals = []
+        for v in (v for e in exchanges if e.kind.beside == beside for v in e.variables):
+            unit, declared = unit_of(v), v.declaredType
+            items = enumeration_items(v) if v.type == "Enumeration" and declared else None
+            signal = Signal(
+                v.name,
+                unit,
+                unit_definition(self.description, unit),
+                v.type,
+                items,
+                v.name if v.shape else "",
+                v.causality not in {"input", "output"},
+                is_difference(v),
+                declared.name if items is not None else "",
+                v.variability not in (None, "continuous"),
+            )
+            signals += [replace(signal, name=name) for name in element_names(v)]
+        return tuple(signals)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None, first_beside: int) -> None:
         """Set the places of the signals, inputs first."""
-        exact = len(self.ports.exact_inputs) + len(self.ports.exact_outputs)
-        self.row, self._beside = row, [None] * exact if beside is None else beside
-        self.ports.place(row, first, first_beside)
+        self.row = row
+        self._beside = [None] * (len(self.exact_inputs) + len(self.exact_outputs)) if beside is None else beside
+        place = {False: first, True: first_beside}
+        for exchanges in (self.inward, self.read):
+            for exchange in exchanges:
+                begin = place[exchange.kind.beside]
+                exchange.places = slice(begin, begin + exchange.count)
+                exchange.judged = slice(begin, begin + exchange.finite)
+                if exchange.is_direct:
+                    exchange.move_by((ctypes.c_double * exchange.count).from_buffer(row, 8 * begin))
+                place[exchange.kind.beside] += exchange.count
+            if exchanges is self.inward:
+                place[False] += len(self.clock_inputs)
 
     def look_up(self) -> None:
         """Look up the functions that set and get values of the new instance."""
-        exchanges = (*self.ports.inward, *self.ports.read)
+        exchanges = (*self.inward, *self.read)
         self._setters, self._getters = ({e: self._function(verb, e) for e in exchanges} for verb in ("Set", "Get"))
 
     def _function(self, verb: str, exchange: Exchange) -> partial[int]:
         """Return a C function with its arguments, or one of FMPy for binary values."""
         if exchange.kind.ctype is None:
             return partial(self._move_binary, verb, exchange)
-        prepared, name = self._calls.prepared, f"{verb}{exchange.kind.function}"
-        return prepared(self._calls.exchange, name, self.instance.component, *exchange.arguments)
+        prepared, name = self.instance.prepared, f"{verb}{exchange.kind.function}"
+        return prepared(self.instance.exchange, name, self.instance.component, *exchange.arguments)
 
     def _move_binary(self, verb: str, exchange: Exchange) -> int:
         with self.instance.check_calls():
@@ -67,20 +152,20 @@ class Values:
         if self.watched is None:
             self.put_all()
             return
-        values = [self.content(e) for e in self.ports.fed]
+        values = [self.content(e) for e in self.fed]
         with self.instance.check_calls():
             has_changed, self.watched = values != self.watched, values
-            self._calls.inputs_changed(self.put_all if has_changed else None)
+            self.instance.inputs_changed(self.put_all if has_changed else None)
 
     def put_all(self) -> None:
         """Set all connected inputs, without an event."""
-        for exchange in self.ports.fed:
+        for exchange in self.fed:
             self.put_in(exchange)
 
     def get(self) -> None:
         """Read outputs and recorded variables; raise SimulationError if an output is not finite."""
         if self.readable:
-            for exchange in self.ports.read:
+            for exchange in self.read:
                 self.get_from(exchange)
 
     # -- single exchanges -------------------------------------------------------------------------
@@ -88,7 +173,7 @@ class Values:
     def get_from(self, exchange: Exchange) -> None:
         """Read values of the FMU; raise SimulationError if an output is not finite."""
         if status := self._getters[exchange]():
-            self.instance.judge(f"{self._calls.prefix}Get{exchange.kind.function}", status)
+            self.instance.judge(f"{self.instance.prefix}Get{exchange.kind.function}", status)
         if not exchange.is_direct:
             self._target(exchange)[exchange.places] = exchange.decode()
         if exchange.finite and not math.isfinite(sum(self.row[exchange.judged])):
@@ -112,16 +197,16 @@ class Values:
                     f"the input {reason}, the range of its type; scale or limit the value connected to it",
                 ) from None
         if status := self._setters[exchange]():
-            self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function}", status)
+            self.instance.judge(f"{self.instance.prefix}Set{exchange.kind.function}", status)
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set variables; an array takes a list of values."""
         for name, value in values.items():
-            variable = self._variables[name]
-            exchange = Exchange(self.ports.kinds[variable.type], [variable])
+            variable = self.variables[name]
+            exchange = Exchange(self.kinds[variable.type], [variable])
             exchange.encode(value if isinstance(value, (list, tuple)) else [value] * exchange.count)
             if status := self._function("Set", exchange)():  # FMPy's own setters drop the status.
-                self.instance.judge(f"{self._calls.prefix}Set{exchange.kind.function} of {name}", status)
+                self.instance.judge(f"{self.instance.prefix}Set{exchange.kind.function} of {name}", status)
 
     def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
         """Store the set values of inputs in the row, else their start values; FMUs need not let inputs be read.
@@ -130,7 +215,7 @@ class Values:
             readable: Whether inputs without a start value can be read.
         """
         values = self._with_aliases(values)
-        for exchange in self.ports.inward:
+        for exchange in self.inward:
             try:
                 content = [
                     x for v in exchange.variables for x in elements(exchange.kind, v, values.get(v.name, v.start))
@@ -158,7 +243,7 @@ class Values:
     def show_changes(self, values: Mapping[str, Any]) -> None:
         """Store the values that an event has set for unconnected inputs in the row."""
         values = self._with_aliases(values)
-        for exchange in self.ports.unfed:
+        for exchange in self.unfed:
             place = exchange.places.start
             for variable in exchange.variables:
                 end = place + len(element_names(variable))
@@ -170,7 +255,7 @@ class Values:
         """Return values with those of the other inputs of their value references."""
         shown = dict(values)
         for name in values:
-            kind = self._variables[name].type
+            kind = self.variables[name].type
             for alias, is_negative in self._aliases.get(name, {}).items():
                 if alias not in values:
                     shown[alias] = negative(kind, values[name]) if is_negative else values[name]
@@ -194,20 +279,19 @@ class Values:
 
     def moves(self) -> tuple[list[Move], list[Move]] | None:
         """Return C's calls to put and get values; None if values beside the row exist."""
-        ports = self.ports
-        if any(exchange.kind.beside for exchange in (*ports.fed, *ports.read)):
+        if any(exchange.kind.beside for exchange in (*self.fed, *self.read)):
             return None
-        puts = [move(self._setters[e].func, e, self.row) for e in ports.fed]
-        gets = [move(self._getters[e].func, e, self.row) for e in ports.read]
+        puts = [move(self._setters[e].func, e, self.row) for e in self.fed]
+        gets = [move(self._getters[e].func, e, self.row) for e in self.read]
         return puts, gets
 
     def raise_error(self, reason: StopReason, plan: Plan) -> None:
         """Raise the error of a transfer by C; warnings are only logged."""
-        fed, read = self.ports.fed, self.ports.read
+        fed, read = self.fed, self.read
         if reason == StopReason.NOT_FINITE:
             self._raise_not_finite(read[plan.moving])
         elif reason == StopReason.UNFIT:
             self.put_in(fed[plan.moving])
         else:
             verb, exchanges = ("Set", fed) if plan.called == PUT else ("Get", read)
-            self.instance.judge(f"{self._calls.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)
+            self.instance.judge(f"{self.instance.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)

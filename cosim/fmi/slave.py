@@ -6,14 +6,15 @@ hosts ignore. Checks therefore raise.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 from pythonfmu import Boolean, Fmi2Slave, Real, String
 
 from cosim.fmi.ports import Kind, Port, Value
-from cosim.fmi.state import to_bytes
 
 INSTANTIATED, INITIALIZATION, STEP = "instantiated", "initialization", "step"
 TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
@@ -24,9 +25,13 @@ def tuples(value: Any) -> Any:
     return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
 
 
-def make_loggable(error: Exception) -> Exception:
-    """Return an error with text safe for FMI's printf-like logger."""
-    return RuntimeError(f"{type(error).__name__}: {error}".replace("%", "%%"))
+@contextmanager
+def loggable() -> Iterator[None]:
+    """Raise errors with text safe for FMI's printf-like logger."""
+    try:
+        yield
+    except Exception as error:
+        raise RuntimeError(f"{type(error).__name__}: {error}".replace("%", "%%")) from error
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
@@ -92,12 +97,12 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             raise RuntimeError(f"a step while {self.phase}; end initialization first")
         if not (0.0 < step_size < math.inf and math.isfinite(current_time)):
             raise ValueError(f"step of {step_size} s at t = {current_time} s; a step is positive and finite")
-        try:
-            self.advance(current_time, step_size)
-        except Exception as error:
-            # pythonfmu drops the exception's text while messages are queued.
-            self.log_queue.clear()
-            raise make_loggable(error) from error
+        with loggable():
+            try:
+                self.advance(current_time, step_size)
+            except Exception:
+                self.log_queue.clear()  # pythonfmu drops the exception's text while messages are queued.
+                raise
         self.is_stale = False
         return True
 
@@ -109,10 +114,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             self._refresh()
         elif self.is_stale:
             self.is_stale = False
-            try:
+            with loggable():
                 self.follow_inputs()
-            except Exception as error:
-                raise make_loggable(error) from error
         if max(vrs, default=0) >= self.output_slice.stop:
             self._check_kind(vrs, "Real")
         values = self.values
@@ -180,7 +183,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     @staticmethod
     def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
-        return to_bytes(state)
+        return json.dumps(state).encode()
 
     # -- internal -------------------------------------------------------------------------------
 
@@ -189,10 +192,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     def _refresh(self) -> None:
         if not self.current:
-            try:
+            with loggable():
                 self._initialize()
-            except Exception as error:
-                raise make_loggable(error) from error
             self.current = True
 
     def _check_kind(self, vrs: list[int], kind: Kind) -> None:

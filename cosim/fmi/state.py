@@ -1,16 +1,17 @@
-"""Serialized state of a cosim FMU, as bytes for the host.
+"""Serialized states of cosim's FMUs, as read by a replay.
 
-Plain JSON. "own" holds everything that determines the future: time, continuous state, and the memory of each shaping
-effect. The slave writes and reads the state, and a replay analyses it. A native FMU writes doubles instead, as laid out
-in `cosim/fmi/native/instance.c`: its memory is a delay's command history, then the memory of further effects.
+"own" of a Python FMU's JSON holds everything that determines the future: time, continuous state, and the memory of each
+shaping effect. A native FMU writes doubles instead, as laid out in `cosim/fmi/native/instance.c`: its memory is a
+delay's command history, then the memory of further effects.
 """
 
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 Own = list[Any]  # time [s], state, memory
 STATE, MEMORY = 1, 2  # indices of parts of Own
@@ -20,71 +21,55 @@ GUID, SIZES, FLAGS, TIME = 40, 6, 6, 2
 Memory = Mapping[tuple[int, int], Any]  # (part, index) → value
 
 
-def to_bytes(state: Mapping[str, Any]) -> bytes:
-    """Return the state as bytes; floats are reproduced exactly."""
-    return json.dumps(state).encode()
-
-
 def own_of(data: bytes) -> Own:
     """Return the part of an FMU state that determines the future.
 
     Foreign bytes raise ValueError, KeyError or TypeError.
     """
-    if not data.startswith(JSON):
-        return _Doubles(data).own
-    t, state, memory = json.loads(data)["own"]
-    return [float(t), [*state], [*memory]]
+    if data.startswith(JSON):
+        t, state, memory = json.loads(data)["own"]
+        return [float(t), [*state], [*memory]]
+    fixed, first, split, memories, history, _ = _parts_of_native(data)
+    return [fixed[SIZES + TIME], fixed[first:split], [history, *fixed[split : split + memories]]]
 
 
 def with_memory(data: bytes, memory: Memory) -> bytes:
     """Return an FMU state with changed memory."""
-    if not data.startswith(JSON):
-        return _Doubles(data).bytes_with(memory)
-    state = json.loads(data)
-    for (part, place), value in memory.items():
-        state["own"][part][place] = value
-    return to_bytes(state)
-
-
-class _Doubles:
-    """State of a native FMU, parsed from its bytes; invalid bytes raise ValueError."""
-
-    def __init__(self, data: bytes) -> None:
-        count = (len(data) - GUID) // 8
-        if count < SIZES:
-            raise ValueError("not the state of an FMU of ours")
-        self.head, numbers = data[:GUID], list(struct.unpack_from(f"{count}d", data, GUID))
-        if not all(0 <= n < 1e9 for n in numbers[:SIZES]):
-            raise ValueError("not the state of an FMU of ours")
-        self.inputs, variables, self.states, self.memories, own, texts = map(int, numbers[:SIZES])
-        self.first = SIZES + FLAGS + 2 * variables  # index of the part that determines the future
-        fixed = self.first + own + 1
-        if fixed > count or len(data) != GUID + 8 * (fixed + int(numbers[fixed - 1]) * (1 + self.inputs)) + texts:
-            raise ValueError("not the state of an FMU of ours")
-        self.texts = data[len(data) - texts :]
-        self.fixed, rows = numbers[: fixed - 1], numbers[fixed : fixed + int(numbers[fixed - 1]) * (1 + self.inputs)]
-        width = 1 + self.inputs
-        self.history = [[rows[k], rows[k + 1 : k + width]] for k in range(0, len(rows), width)]
-
-    @property
-    def own(self) -> Own:
-        """Return the part of the state that determines the future: time, continuous state and memory."""
-        split = self.first + self.states
-        memory = [self.history, *self.fixed[split : split + self.memories]]
-        return [self.fixed[SIZES + TIME], self.fixed[self.first : split], memory]
-
-    def bytes_with(self, memory: Memory) -> bytes:
-        """Return the bytes of the state with changed values."""
-        numbers, history = list(self.fixed), self.history
+    if data.startswith(JSON):
+        state = json.loads(data)
         for (part, place), value in memory.items():
-            if (part, place) == (MEMORY, 0):
-                history = value
-            elif part == STATE and 0 <= place < self.states:
-                numbers[self.first + place] = value
-            elif part == MEMORY and place <= self.memories:
-                numbers[self.first + self.states + place - 1] = value
-            else:
-                raise KeyError(f"no place {place} in part {part} of a state")
-        rows = [number for since, command in history for number in (since, *command)]
-        numbers += [float(len(history)), *rows]
-        return self.head + struct.pack(f"{len(numbers)}d", *numbers) + self.texts
+            state["own"][part][place] = value
+        return json.dumps(state).encode()
+    fixed, first, split, memories, history, texts = _parts_of_native(data)
+    for (part, place), value in memory.items():
+        if (part, place) == (MEMORY, 0):
+            history = value
+        elif part == STATE and 0 <= place < split - first:
+            fixed[first + place] = value
+        elif part == MEMORY and place <= memories:
+            fixed[split + place - 1] = value
+        else:
+            raise KeyError(f"no place {place} in part {part} of a state")
+    rows = [number for since, command in history for number in (since, *command)]
+    return data[:GUID] + np.array([*fixed, len(history), *rows]).tobytes() + texts
+
+
+def _parts_of_native(data: bytes) -> tuple[list[float], int, int, int, list[Any], bytes]:
+    """Return the parts of a native FMU's state; raise ValueError for invalid bytes.
+
+    Returns:
+        Numbers before the history, indices of the first state and of the first memory, number of memories, history of
+        commands, and texts.
+    """
+    count = max(0, len(data) - GUID) // 8
+    numbers = np.frombuffer(data, count=count, offset=GUID).tolist() if count else []
+    if count < SIZES or not all(0 <= n < 1e9 for n in numbers[:SIZES]):
+        raise ValueError("not the state of an FMU of ours")
+    inputs, variables, states, memories, own, texts = map(int, numbers[:SIZES])
+    first, width = SIZES + FLAGS + 2 * variables, 1 + inputs
+    end = first + own
+    rows = int(numbers[end]) if end < count else -1
+    if rows < 0 or len(data) != GUID + 8 * (end + 1 + rows * width) + texts:
+        raise ValueError("not the state of an FMU of ours")
+    table = (numbers[k : k + width] for k in range(end + 1, end + 1 + rows * width, width))
+    return numbers[:end], first, first + states, memories, [[t, u] for t, *u in table], data[len(data) - texts :]

@@ -180,7 +180,7 @@ def ended_states(master: Master, row: Sequence[float], states: Mapping[str, Any]
         master.row[:] = [*row]
         try:
             master.announce(component).restore(states[component.name])
-            step, every, length, *_ = master.active(stage)
+            _, step, every, length, _ = master.actives[component.name]
             for k in range((last // every + 1) * every, min(end + BEYOND * every, master.steps) + 1, every):
                 since = master.system.start + (k - every) * master.h
                 step(since, length or float(master.time[k]) - since)

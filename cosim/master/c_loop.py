@@ -6,21 +6,19 @@ the operating system. Python then acts as in its own loop, so the rows have the 
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.blocks.component import without_step
-from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, called_slot, library, transfer
+from cosim.blocks.stepping import ConvertedLink, NotCompiled, Plan, Slot, StopReason, address_of, library
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
 from cosim.master.inbox import MOST_IN_C
-from cosim.system.events import is_exchange
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
@@ -46,7 +44,7 @@ class CompiledSteps:
     """
 
     def __init__(self, master: Master) -> None:
-        self.master, system, h = master, master.system, master.h
+        self.master, system = master, master.system
         if not master.in_c:
             raise NotCompiled("asked for")
         if master.solvers:
@@ -55,49 +53,49 @@ class CompiledSteps:
             raise NotCompiled("inputs follow polynomials during a step")
         if system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
-        self.slots: list[Slot] = []
+        slots: list[Slot] = []
         for stage in system.stages:
-            component, announced = stage.component, (master.doing, master.numbers[stage.component.name])
+            component: Any = stage.component
             slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
-            others = (c for c in master.components if isinstance(c, FmuBlock) and isinstance(c.slot(), Slot))
-            if isinstance(slot, str) and is_exchange(component) and any(others):
-                # Solvers of model exchange are Python; beside FMUs that C steps, C calls them.
-                slot = called_slot(component.stepping(*announced), system.start, without_step(component, *announced))
             if not isinstance(slot, Slot):
                 raise NotCompiled(slot)
-            slot.every, slot.doing = stage.every, announced[1]
-            self.slots.append(slot)
-        library()  # compiled only if used
-        every = {stage.component.name: stage.every for stage in system.stages}
-
-        def transfers(each: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})) -> list[CTransfer]:
-            """Return transfers in the form for C. A held value is transferred when its target steps."""
-            periods = [(t, every.get(t.name.partition(".")[0], 1)) for t in each]
-            links = master.copying.links
-            return [
-                transfer(master.row, t.source, t.target, [link.link() for link in links[t.name]], period)
-                for t, period in periods
-            ]
-
-        self.loop = Loop(
-            [
-                (slot, transfers(stage.pulls), transfers(stage.late))
-                for slot, stage in zip(self.slots, system.stages, strict=True)
-            ],
-            transfers(system.held, every),
-            master.row,
-            master.table,
-            begin=system.start,
-            h=h,
-            counter=master.row_count,
-            doing=master.doing,
-            asked=master.asked,
-            first=master.done,
+            slot.every, slot.doing = stage.every, master.numbers[component.name]
+            slots.append(slot)
+        self._run = library()  # compiled only if used
+        self._keeping: list[Any] = [slots]  # memory that C uses
+        for slot, stage in zip(slots, system.stages, strict=True):
+            (slot.pulls, slot.pull), (slot.lates, slot.late) = map(self._transfers, (stage.pulls, stage.late))
+        self.slots = (Slot * len(slots))(*slots)
+        self.plan = plan = Plan(system.start, master.h, len(slots), width=len(master.row), next=master.done)
+        plan.slot = ctypes.addressof(self.slots)
+        plan.holds, plan.hold = self._transfers(
+            system.held, {stage.component.name: stage.every for stage in system.stages}
         )
+        plan.row, plan.table = ctypes.addressof(master.row), master.table.ctypes.data
+        plan.counter, plan.doing, plan.asked = map(address_of, (master.row_count, master.doing, master.asked))
+
+    def _transfers(
+        self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})
+    ) -> tuple[int, int]:
+        """Return the number and the address of transfers in the form for C.
+
+        Args:
+            every: Component → its step; a held value is transferred when its target steps.
+        """
+        first, made = ctypes.addressof(self.master.row), []
+        for t in transfers:
+            links = [link.link() for link in self.master.copying.links[t.name]]
+            chain = (ConvertedLink * len(links))(*links)
+            ends = first + 8 * t.source, first + 8 * t.target
+            made.append(CTransfer(*ends, every.get(t.name.partition(".")[0], 1), len(chain), ctypes.addressof(chain)))
+            self._keeping += links, chain
+        array = (CTransfer * len(made))(*made)
+        self._keeping.append(array)
+        return len(made), ctypes.addressof(array)
 
     def make_all(self) -> None:
         """Make all steps; errors are those of the Python loop. Source values are prepared for some points at a time."""
-        master, loop, system = self.master, self.loop, self.master.system
+        master, plan, system = self.master, self.plan, self.master.system
         if master.inbox is not None:
             master.inbox.most = MOST_IN_C
         stages = enumerate(system.stages)
@@ -108,33 +106,31 @@ class CompiledSteps:
             points = np.arange(first, last + 1 if sources else first, dtype=np.float64)
             for k, every, source in sources:  # Times are computed as by the sources themselves.
                 values.append(source.over((system.start + (points - every) * master.h) + every * master.h))
-                loop.prepare(k, values[-1], first)
+                self.slots[k].prepared, self.slots[k].since = values[-1].ctypes.data, first
             # C returns at points where Python is to act.
-            pause = master.next_call(loop.plan.next)
+            plan.last, plan.pause = last, master.next_call(plan.next)
             while True:
                 try:
-                    why = loop.run(last, pause)
+                    why = StopReason(self._run(ctypes.byref(plan)))
                 finally:
-                    for component, slot in zip(master.components, loop.slots, strict=True):
+                    for component, slot in zip(master.components, self.slots, strict=True):
                         component.set_time(slot.time)
-                place = loop.plan.place
+                place = plan.place
                 if why == StopReason.FINISHED:
                     break
                 if why == StopReason.PAUSED:
-                    master.change(pause)
-                    master.tell(pause)
+                    master.change(plan.pause)
+                    master.tell(plan.pause)
                     # Events may have changed outputs: the held transfers are made again.
-                    loop.plan.place = loop.plan.slots
-                    pause = master.next_call(pause + 1)
+                    plan.place = plan.slots
+                    plan.pause = master.next_call(plan.pause + 1)
                 elif why == StopReason.NO_ITEM:
                     for t in system.stages[place].transfers if place < len(system.stages) else system.held:
-                        t.check_item(master.row[t.target], system.start + loop.plan.next * master.h)
+                        t.check_item(master.row[t.target], system.start + plan.next * master.h)
                     raise AssertionError("C met a value that is no item, and there is none")
-                elif why == StopReason.FAILED:  # without an error after Ctrl-C between C and Python
-                    raise next(iter(self.slots[place].failures), KeyboardInterrupt())
                 elif why == StopReason.LATER:
                     if master.asked[0] and master.keeper is not None:
-                        master.keeper.look(master, loop.plan.next - 1)
-                    pause = master.next_call(loop.plan.next)  # Steps may have become slower.
+                        master.keeper.look(master, plan.next - 1)
+                    plan.pause = master.next_call(plan.next)  # Steps may have become slower.
                 else:
-                    master.components[place].raise_error(why, loop.plan, loop.slots[place])
+                    master.components[place].raise_error(why, plan, self.slots[place])

@@ -161,7 +161,7 @@ class Keeper:
                 component.restore(state["components"][component.name])
                 if last == 0 or component.name in master.system.events.get(last, {}):
                     continue  # An event may change outputs after they are recorded.
-                first = master.first_place(component) + len(component.inputs)
+                first = master.first_places[0].get(component.name, 0) + len(component.inputs)
                 outputs = slice(first, first + len(component.outputs))
                 master.announce(component, GET)
                 component.get()

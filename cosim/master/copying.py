@@ -7,15 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from cosim.blocks.faults import LinkFunction
-from cosim.blocks.stepping import LinkKind
 from cosim.system.system import System
 from cosim.system.wiring import Transfer, through
 
-Plain = tuple[tuple["memoryview[float]", "memoryview[float]"], ...]  # contiguous parts of the row, target first
-Noisy = tuple[tuple[int, int, Sequence[float]], ...]
-# from a place to a place, in the row or beside it, through a function of (point, value)
-Through = tuple[tuple[Any, int, Any, int, Callable[[int, Any], Any]], ...]
-Copies = tuple[Plain, Noisy, Through]
+Copies = Callable[[int], None]  # makes the copies of a communication point
 
 
 class Copying:
@@ -23,50 +18,40 @@ class Copying:
 
     Attributes:
         links: Transfer name → conversions of its value.
+        functions: Transfer name → function of (point, value) that makes these.
     """
 
     def __init__(self, system: System, row: Any, beside: list[Any], steps: int, h: float) -> None:
         self.system, self.row, self.beside, self.steps, self.h = system, row, beside, steps, h
         self.links: dict[str, Sequence[LinkFunction]] = {}
         self._view = doubles(row)
-        self._entries: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → kind of copy (0 … 2) and its entry
+        self.functions: dict[str, Callable[[int, Any], Any]] = {}
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
-        """Return transfers as plain copies of contiguous parts, as noisy, and as other copies."""
+        """Return a function that makes transfers: plain copies by contiguous parts of the row, then all others."""
         parts: list[tuple[int, int, int]] = []  # first source, first target, length
-        kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+        others: list[tuple[Any, int, Any, int, Callable[[int, Any], Any]]] = []  # from a place to a place by a function
         for transfer in transfers:
-            if transfer.name not in self._entries:
+            if transfer.name not in self.links:
                 chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
-                noise = next((link.values for link in chain if link.kind is LinkKind.ADDED), None)
-                ends: tuple[int, tuple[Any, ...]] = 0, (transfer.source, transfer.target)
-                if not transfer.plain:
-                    origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
-                    ends = 2, (origin, transfer.source, goal, transfer.target, through(chain))
-                elif noise is not None:
-                    ends = 1, (transfer.source, transfer.target, noise)
-                self.links[transfer.name], self._entries[transfer.name] = chain, ends
-            kind, entry = self._entries[transfer.name]
-            kinds[kind].append(entry)
-        for source, target in kinds[0]:
-            first, goal, count = parts[-1] if parts else (0, 0, 0)
-            if parts and (source, target) == (first + count, goal + count):
-                parts[-1] = first, goal, count + 1
+                self.links[transfer.name], self.functions[transfer.name] = chain, through(chain)
+            source, target = transfer.source, transfer.target
+            if self.links[transfer.name] or any(transfer.beside):
+                origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
+                others.append((origin, source, goal, target, self.functions[transfer.name]))
+            elif parts and (source, target) == (parts[-1][0] + parts[-1][2], parts[-1][1] + parts[-1][2]):
+                parts[-1] = *parts[-1][:2], parts[-1][2] + 1
             else:
                 parts.append((source, target, 1))
-        plain = tuple((self._view[b : b + n], self._view[a : a + n]) for a, b, n in parts)
-        return plain, tuple(kinds[1]), tuple(kinds[2])
+        plain = [(self._view[target : target + n], self._view[source : source + n]) for source, target, n in parts]
 
+        def copy(k: int) -> None:
+            for target_places, places in plain:
+                target_places[:] = places
+            for origin, source, goal, target, function in others:
+                goal[target] = function(k, origin[source])
 
-def copy_values(row: Any, copies: Copies, k: int) -> None:
-    """Make the copies of communication point k."""
-    plain, noisy, others = copies
-    for target_places, places in plain:
-        target_places[:] = places
-    for source, target, samples in noisy:
-        row[target] = row[source] + samples[k]
-    for origin, source, goal, target, function in others:
-        goal[target] = function(k, origin[source])
+        return copy
 
 
 def doubles(buffer: Any) -> memoryview[float]:

@@ -16,7 +16,6 @@ from cosim.blocks.component import EarlyEnd
 from cosim.core.arrays import Array
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.isolation.rows import GET, PUT
-from cosim.master.copying import copy_values
 from cosim.master.loops import MOST_DIFFERENCES, SHIFT, LoopSolver, is_lost
 from cosim.master.root_finding import NotDefined, RootFinding
 from cosim.scenario.scenario import LoopSettings
@@ -147,13 +146,13 @@ class Initialization:
     def sweep(self) -> None:
         """Exchange all values once."""
         for component in self.components:
-            copy_values(self.row, self.pulls[component.name], 0)
+            self.pulls[component.name](0)
             if (solver := self.solver_of.get(component.name)) is None:
                 self.announce(component, PUT).put()
                 self.announce(component, GET).get()
             elif component.name == solver.last:
                 solver.solve_start()
-        copy_values(self.row, self.held, 0)
+        self.held(0)
 
     def _values(self) -> tuple[bytes, list[Any]]:
         return bytes(self.row), list(self.beside)

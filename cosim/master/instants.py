@@ -27,7 +27,7 @@ from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, Model
 from cosim.blocks.sources import SourceBlock
 from cosim.core.errors import SimulationError
 from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.copying import Copies, copy_values
+from cosim.master.copying import Copies
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Policy
 from cosim.system.events import is_exchange, takes_part_of_step
@@ -55,21 +55,22 @@ class Part:
 
     def __init__(self, master: Master, stage: Stage) -> None:
         component: Any = stage.component
-        active, takes_parts = master.active(stage), takes_part_of_step(stage, master.system.loops)
+        active, takes_parts = master.actives[component.name], takes_part_of_step(stage, master.system.loops)
         self.component, self.every, self.late = component, stage.every, active.late
         self.active = active._replace(late=None, length=0.0 if takes_parts else active.length)
-        first = master.first_place(component)
+        first = master.first_places[0].get(component.name, 0)
         self.row, self.inputs = master.row, slice(first, first + len(component.inputs))
         self.time, self.lead, self.ahead = master.system.start, 0.0, 0
         self.has_events = isinstance(component, EventFmu)
-        self.exchange: ModelExchange | None = component.calls if takes_parts and is_exchange(component) else None
+        self.exchange: ModelExchange | None = component.instance if takes_parts and is_exchange(component) else None
+        self.state_owner = component if self.exchange is None else self.exchange
         self.may_return: bool = component.may_return if self.has_events else self.exchange is not None
         self.rank = LAST
         if not takes_parts:
             self.rank = WHOLE
         elif isinstance(component, SourceBlock):
             self.rank = SOURCES
-        elif isinstance(component, FmuBlock) and component.instance.rolls_back:
+        elif isinstance(component, FmuBlock) and component.rolls_back:
             self.rank = REPEATABLE
         elif self.exchange is not None:
             self.exchange.stops_at_events = True
@@ -80,27 +81,21 @@ class Part:
 
     def save(self) -> Any:
         """Return the state, None if not restorable."""
-        saved = None
-        if self.rank == REPEATABLE:
-            owner = self.component if self.has_events else self.exchange
-            saved = self.component.instance.save_state() if owner is None else owner.save()
-        return (self.time, self.row[self.inputs], saved) if self.rank in (SOURCES, REPEATABLE) else None
+        if self.rank not in (SOURCES, REPEATABLE):
+            return None
+        return self.time, self.row[self.inputs], self.state_owner.save_state() if self.rank == REPEATABLE else None
 
     def go_back(self, state: Any) -> None:
         """Take back a state."""
         self.time, self.row[self.inputs], saved = state
-        if self.has_events:
-            self.component.go_back(saved)
-        elif self.exchange is not None:
-            self.exchange.go_back(saved)
+        if self.rank == REPEATABLE:
+            self.state_owner.restore_state(saved)
             self.component.instance.time = self.time
-        elif self.rank == REPEATABLE:
-            self.component.instance.restore_state(saved)
 
     def forget(self, state: Any) -> None:
         """Free a state that is not needed."""
         if self.rank == REPEATABLE and self.exchange is None:
-            self.component.instance.free_state(state[-1][0] if self.has_events else state[-1])
+            self.component.free_state(state[-1])
 
 
 class Instants(Policy):
@@ -244,9 +239,9 @@ class Instants(Policy):
             self.master.advance((part.active,), k, part.time, target)
             part.time = target
             if part.exchange is not None and part.exchange.cause:
-                part.time = component.instance.time = part.exchange.time
+                part.time = component.instance.time = part.exchange.reached
             return
-        copy_values(self.master.row, part.active[3:6], k)
+        part.active.copy(k)
         self.call(component, PUT).put()
         part.time = self.call(component, ADVANCE).go(target)
         self.call(component, GET).get()
@@ -258,13 +253,13 @@ class Instants(Policy):
         here = [part for part in self.fmus if part in parts and abs(part.time - t) <= self.close]
         self._begin_instant(t, k, parts, here)
         for part in self.exchanges:
-            calls = part.component.calls
+            calls = part.component.instance
             if calls.cause and abs(part.time - t) <= self.close:
                 self._record(part, f"{calls.cause} event")
                 with self.call(part.component).instance.check_calls():
                     calls.handle_event(self.h)
                 self.call(part.component, GET).get()
-                self._copy()
+                self.copies(self.point)
         asked = []
         for part in here:
             fmu = part.component
@@ -289,7 +284,7 @@ class Instants(Policy):
             transfers = (t for name in names for t in (*self.master.held[name], *stages[name].transfers))
             self._copies[names] = self.master.copying.of(transfers)
         self.copies = self._copies[names]
-        self._copy()
+        self.copies(self.point)
         for part in here:
             part.component.look()
 
@@ -343,7 +338,7 @@ class Instants(Policy):
                 for clock in ticked:
                     self._trigger(name, clock)
                 is_quiet = is_quiet and not (fired or ticked)
-                self._copy()
+                self.copies(self.point)
             self._propagate()
             for part in self.here:
                 if part not in self.joined and part.component.is_stirred:
@@ -368,12 +363,12 @@ class Instants(Policy):
 
     def _propagate(self) -> None:
         """Copy all values, also through model exchange."""
-        self._copy()
+        self.copies(self.point)
         for part in self.exchanges:
             self.call(part.component, PUT).put()
             self.call(part.component, GET).get()
         if self.exchanges:
-            self._copy()
+            self.copies(self.point)
 
     def _join(self, part: Part) -> None:
         """Enter event mode, once in an instant."""
@@ -414,9 +409,6 @@ class Instants(Policy):
                 self._record(part, f"clock {target}")
             else:
                 self.pending.setdefault(name, []).append(target)
-
-    def _copy(self) -> None:
-        copy_values(self.master.row, self.copies, self.point)
 
     def _record(self, part: Part, cause: str) -> None:
         event = self.time, part.component.name, cause

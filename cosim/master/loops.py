@@ -28,7 +28,6 @@ from cosim.core.arrays import Array
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
 from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.copying import copy_values
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
@@ -107,6 +106,7 @@ class Member:
     """A component of a loop, with the places in the row of its inputs and outputs within the loop.
 
     Attributes:
+        nominal: Input → nominal value, 1 if none is among `declared`.
         repeats: Whether its outputs follow its inputs only after a step, which is therefore repeated.
         late: Why its inputs act only in the next step, "" if they do not.
         reacts: Whether an output (row) followed an input (column) in initialization.
@@ -117,8 +117,11 @@ class Member:
         self.component, self.row, self.inputs, self.outputs = component, master.row, inputs, outputs
         self.call = partial(master.announce, component)
         self.variables = [[master.system.columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
-        nominal = component.nominal if isinstance(component, FmuBlock) else lambda _: 1.0
-        self.nominal = {k: nominal(name) for k, name in zip(inputs, self.variables[1], strict=True)}
+        self.nominal, self.declared = dict.fromkeys(inputs, 1.0), set[int]()
+        for k, name in zip(inputs, self.variables[1], strict=True):
+            if isinstance(component, FmuBlock) and (nominal := component.nominal(name, default=0.0)) > 0.0:
+                self.nominal[k] = nominal
+                self.declared.add(k)
         self.changes_by_events = getattr(component, "changes_by_events", False)
         self.repeats, self.promised, self.late = False, False, ""
         self.reacts = np.zeros((len(outputs), len(inputs)), bool)
@@ -129,7 +132,7 @@ class Member:
     def begin_step(self, t: float, h: float) -> None:
         """Step, or save the state for repeated steps."""
         if self.repeats:
-            self._state, self._is_stepped, self._step = self.call().instance.save_state(), False, (t, h)
+            self._state, self._is_stepped, self._step = self.call().save_state(), False, (t, h)
             return
         self.call(PUT).put()
         self.call(ADVANCE).advance(t, h)
@@ -137,7 +140,7 @@ class Member:
     def evaluate(self) -> None:
         """Write the outputs to the current inputs."""
         if self._state is not None and self._is_stepped:
-            self.call().instance.restore_state(self._state, keep=True)
+            self.call().restore_state(self._state, keep=True)
         component = self.call(PUT)
         getattr(component, "try_inputs", component.put)()
         if self._state is not None:
@@ -149,7 +152,7 @@ class Member:
         """Make the event of changed inputs; free the state."""
         if self._state is not None:
             state, self._state = self._state, None
-            self.call().instance.free_state(state)
+            self.call().free_state(state)
         elif self.changes_by_events:
             self.call(PUT).put()
             self.call(GET).get()
@@ -208,17 +211,11 @@ class LoopSolver:
         self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
         self._to_back = copying.of(self.back)
         self._known_into = {s.component.name: copying.of(s.late) for s in system.stages}
-        self._one = {t.name: copying.of([t]) for t in loop.transfers}
+        self._functions = copying.functions
         self.members = members_of(loop, master)
-        self._nominal = {k: value for member in self.members for k, value in member.nominal.items()}
-        self._declared = {  # places of inputs that declare a nominal value
-            place
-            for member in self.members
-            for place, name in zip(member.inputs, member.variables[1], strict=True)
-            if isinstance(member.component, FmuBlock) and member.component.nominal(name, default=0.0) > 0.0
-        }
-        scale = np.array([self._nominal[place] for place in self.unknowns])
-        is_assumed = np.array([place not in self._declared for place in self.unknowns])
+        nominal = {place: value for member in self.members for place, value in member.nominal.items()}
+        scale = np.array([nominal[place] for place in self.unknowns])
+        is_assumed = ~np.isin(self.unknowns, [place for member in self.members for place in member.declared])
         self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
         self._seen: dict[int, float] = {}  # place of a signal → its largest magnitude
         self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of rough solutions
@@ -243,7 +240,7 @@ class LoopSolver:
                 except SimulationError:
                     continue
                 member.reacts = member.reactions()
-            copy_values(self.row, self._to_back, 0)
+            self._to_back(0)
             self._guesses = [self._values(self.unknowns)]
             self._write(self.unknowns, np.array([before[k] for k in self.unknowns]))
         self._at_start += self._solve(self.start)
@@ -265,9 +262,10 @@ class LoopSolver:
         members = [m for m in self.members if m.inputs and not m.changes_by_events]
         warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
         if late := [member for member in self.members if member.late]:
-            places = sorted({place for member in late for place in member.inputs})
-            names, nominal = [self._columns[k] for k in places], [self._nominal[k] for k in places]
-            self._delayed = DelayedLoop("; ".join(member.late for member in late), places, names, nominal)
+            nominal = dict(sorted((place, size) for member in late for place, size in member.nominal.items()))
+            names = [self._columns[place] for place in nominal]
+            reason = "; ".join(member.late for member in late)
+            self._delayed = DelayedLoop(reason, [*nominal], names, [*nominal.values()])
         return warnings
 
     def step(self, t: float, h: float) -> None:
@@ -312,7 +310,7 @@ class LoopSolver:
         """Copy known values of the end of a step, to components whose step is repeated after the last repetition."""
         for member in self.members:
             if member.repeats == repeats:
-                copy_values(self.row, self._known_into[member.component.name], self._point)
+                self._known_into[member.component.name](self._point)
 
     def _values(self, places: Sequence[int]) -> Array:
         return np.array([self.row[k] for k in places])
@@ -440,7 +438,7 @@ class LoopSolver:
         self._write(self.unknowns, z)
         try:
             for member in self.members:
-                copy_values(self.row, self._into[member.component.name], self._point)
+                self._into[member.component.name](self._point)
                 member.evaluate()
         except EarlyEnd:
             raise
@@ -449,7 +447,7 @@ class LoopSolver:
                 raise
             self._refusal = error
             return None
-        copy_values(self.row, self._to_back, self._point)
+        self._to_back(self._point)
         for transfer in self._transfers:
             for place in (transfer.source, transfer.target):
                 self._seen[place] = max(self._seen.get(place, 0.0), abs(self.row[place]))
@@ -483,8 +481,8 @@ class LoopSolver:
                     return np.array(promised).reshape(shape)
         base, slopes = member.values(), np.zeros(shape)
         for j, place in enumerate(member.inputs):
-            shift, seen = SHIFT * max(abs(self.row[place]), self._nominal[place]), self._seen.get(place, 0.0)
-            if fresh and seen > 0.0 and place not in self._declared:
+            shift, seen = SHIFT * max(abs(self.row[place]), member.nominal[place]), self._seen.get(place, 0.0)
+            if fresh and seen > 0.0 and place not in member.declared:
                 shift = min(shift, SHIFT * seen)
             for step in (shift, -shift):
                 values = member.try_at(place, self.row[place] + step)
@@ -496,14 +494,9 @@ class LoopSolver:
 
     def _gain(self, transfer: Transfer) -> float:
         """Return the slope of a transfer."""
-        value, at = self.row[transfer.source], self.row[transfer.target]
-        results = []
-        for shifted in (value + 1.0, value):  # The last one leaves the memory of faults as it was.
-            self.row[transfer.source] = shifted
-            copy_values(self.row, self._one[transfer.name], self._point)
-            results.append(self.row[transfer.target])
-        self.row[transfer.target] = at
-        return float(results[0] - results[1])
+        value, function = self.row[transfer.source], self._functions[transfer.name]
+        ahead = function(self._point, value + 1.0)
+        return float(ahead - function(self._point, value))  # This call leaves the memory of faults as it was.
 
     def _find_repeats(self, member: Member, gain: float) -> list[str]:
         """Note whether steps must be repeated, because outputs follow inputs only after a step; return warnings.
@@ -518,7 +511,7 @@ class LoopSolver:
         missing = member.reacts & ~reacts
         is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
         is_silent = is_declared and not has_reacted
-        can_repeat = isinstance(fmu, FmuBlock) and fmu.instance.rolls_back
+        can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or has_reacted):
             member.late = f"{name} answers no input without a step, and none is declared to act"

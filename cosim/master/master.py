@@ -18,6 +18,7 @@ import ctypes
 import errno
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -36,7 +37,7 @@ from cosim.files.results import Results
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
-from cosim.master.copying import Copying, copy_values, doubles
+from cosim.master.copying import Copying, doubles
 from cosim.master.extrapolation import with_courses
 from cosim.master.inbox import Inbox
 from cosim.master.initialization import Initialization
@@ -112,10 +113,10 @@ class Master:
         self.row = (ctypes.c_double * len(system.columns))()
         self.view = doubles(self.row)
         self.beside: list[Any] = [None] * len(system.beside)
-        self._first_places = [  # component → place of its first signal, in the row and beside it
-            {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}
-            for columns in (system.columns, system.beside)
-        ]
+        self.first_places: tuple[dict[str, int], dict[str, int]] = {}, {}  # of each component, in the row and beside it
+        for columns, first_places in zip((system.columns, system.beside), self.first_places, strict=True):
+            for k, column in enumerate(columns):
+                first_places.setdefault(column.partition(".")[0], k)
         self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
         self.table, self.row_count, self.doing, self.asked = rows.table, rows.made, rows.doing, rows.asked
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
@@ -123,7 +124,6 @@ class Master:
         self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
-        self._actives: dict[str, Active] = {}
         self._rounds: dict[tuple[Any, ...], Round] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
@@ -200,7 +200,8 @@ class Master:
     def open(self) -> None:
         """Open all components."""
         for component in self.components:
-            component.bind(self.row, self.first_place(component), self.beside, self.first_place(component, beside=True))
+            first, first_beside = (places.get(component.name, 0) for places in self.first_places)
+            component.bind(self.row, first, self.beside, first_beside)
         for component in self.components:
             self.announce(component).open(self.system.start, float(self.time[-1]))
 
@@ -256,15 +257,8 @@ class Master:
             t: Start of the step [s] of components without a step of their own.
             until: End of the step [s].
         """
-        row = self.view
-        for step, every, length, plain, noisy, through, late in actives:
-            for target_places, places in plain:
-                target_places[:] = places
-            for source, target, samples in noisy:
-                row[target] = row[source] + samples[k]
-            if through:
-                for origin, source, goal, target, function in through:
-                    goal[target] = function(k, origin[source])
+        for copy, step, every, length, late in actives:
+            copy(k)
             if every == 1:
                 step(t, length or until - t)
             else:
@@ -316,7 +310,7 @@ class Master:
                 self.announce(component, GET).get()
         if changed and self.loop != "C":  # C makes its held transfers again.
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
-            copy_values(self.row, self.copying.of(t for name in due for t in self.held[name]), k)
+            self.copying.of(t for name in due for t in self.held[name])(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
@@ -334,10 +328,6 @@ class Master:
         self.doing[0] = self.numbers[component.name] + call
         return component
 
-    def first_place(self, component: Any, *, beside: bool = False) -> int:
-        """Return a component's first place, in the row or beside it."""
-        return self._first_places[beside].get(component.name, 0)
-
     def round(self, stages: Sequence[Stage], k: int, held: Collection[str] = (), *, nominal: bool = True) -> Round:
         """Return the steps of stages that are due at point k, and the copies at their end.
 
@@ -345,40 +335,36 @@ class Master:
             held: Components whose held values are copied at any point.
             nominal: Whether components may have steps of nominal length.
         """
-        due = [stage for stage in stages if k % stage.every == 0]
-        key = nominal, tuple(held), tuple(stage.component.name for stage in due)
+        due = tuple(stage.component.name for stage in stages if k % stage.every == 0)
+        key = nominal, tuple(held), due
         if key not in self._rounds:
-            copies = self.copying.of(t for name in (*key[2], *held) for t in self.held[name])
-            actives = [active if nominal else active._replace(length=0.0) for active in map(self.active, due)]
-            self._rounds[key] = (*actives, Active(lambda t, h: None, 1, 0.0, *copies, None))
+            copies = self.copying.of(t for name in (*due, *held) for t in self.held[name])
+            actives = [self.actives[n] if nominal else self.actives[n]._replace(length=0.0) for n in due]
+            self._rounds[key] = (*actives, Active(copies, lambda t, h: None))
         return self._rounds[key]
 
-    def active(self, stage: Stage) -> Active:
-        """Return a component's step with the copies around it."""
-        component, name = stage.component, stage.component.name
-        if name in self._actives:
-            return self._actives[name]
-        pulls = self.copying.of(stage.pulls)
+    @cached_property
+    def actives(self) -> dict[str, Active]:
+        """Return the step of each component with the copies around it, once all have started."""
+        return {stage.component.name: self._active(stage) for stage in self.system.stages}
+
+    def _active(self, stage: Stage) -> Active:
+        component, name, pulls = stage.component, stage.component.name, self.copying.of(stage.pulls)
         solver = next((solver for solver in self.solvers if name in solver.names), None)
         if solver is not None:  # The last one steps all.
-            step = solver.step if name == solver.last else lambda t, h: None
-            active = Active(step, 1, 0.0, *pulls, None)
-        else:
-            step, late = component.stepping(self.doing, self.numbers[name]), None
-            if any(self.system.courses):
-                step = with_courses(step, self.system, stage, self.view)
-            if stage.late:
-                copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
+            return Active(pulls, solver.step if name == solver.last else lambda t, h: None)
+        step, late = component.stepping(self.doing, self.numbers[name]), None
+        if any(self.system.courses):
+            step = with_courses(step, self.system, stage, self.view)
+        if stage.late:
+            copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
 
-                def late(k: int) -> None:
-                    """Set known values after the step, and read the outputs again."""
-                    copy_values(self.row, copies, k)
-                    exchange()
+            def late(k: int) -> None:
+                """Set known values after the step, and read the outputs again."""
+                copies(k)
+                exchange()
 
-            length = stage.every * self.h if component.nominal_step else 0.0
-            active = Active(step, stage.every, length, *pulls, late)
-        self._actives[name] = active
-        return active
+        return Active(pulls, step, stage.every, stage.every * self.h if component.nominal_step else 0.0, late)
 
     def _rows_so_far(self) -> Results:
         beside = self.rows.beside if isinstance(self.rows.beside, list) else []

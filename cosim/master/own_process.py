@@ -8,12 +8,9 @@ from dataclasses import replace
 from itertools import count
 from typing import Any
 
-from cosim.blocks.component import Component, Row, Signal
-from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.component import Component, Row
+from cosim.blocks.event_mode import INITIALIZATION, EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.instance import Instance
-from cosim.blocks.values import Values as InstanceValues
-from cosim.fmi.fmi_types import Exchange
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
@@ -24,10 +21,10 @@ from cosim.system.system import System
 
 Signals = tuple[list[float], list[Any]]  # in the row, and beside the row
 Request = tuple[Any, ...]  # method of the component, or of `HostedComponent`, and its arguments
-COPIED = (
+COPIED = {
     *("name", "inputs", "outputs", "exact_inputs", "exact_outputs", "nominal_step"),
     *("description", "log", "saves", "depends_on"),
-)
+}
 MIRRORED = "mode", "reached", "next_event", "asks", "active", "timers"  # attributes of an FMU with event mode
 
 
@@ -40,7 +37,7 @@ class HostedComponent:
         self.beside: list[Any] = [None] * (len(component.exact_inputs) + len(component.exact_outputs))
         component.bind(self.row, 0, self.beside, 0)
         here.share_log(component)
-        self._mirrored = MIRRORED if isinstance(component, EventFmu) and not is_exchange(component) else ()
+        self._mirrored = MIRRORED if isinstance(component, EventFmu) else ()
         self._states: dict[int, Any] = {}
         self._numbers = count()
 
@@ -60,21 +57,16 @@ class HostedComponent:
     def save_state(self) -> int:
         """Save the state of the component; return its number."""
         number = next(self._numbers)
-        self._states[number] = self.component.save() if self._mirrored else self.component.instance.save_state()
+        self._states[number] = self.component.save_state()
         return number
 
     def restore_state(self, number: int, keep: bool) -> None:
         """Restore a saved state, and free it unless `keep` is set."""
-        if self._mirrored:
-            self.component.go_back(self._states.pop(number))
-        else:
-            state = self._states[number] if keep else self._states.pop(number)
-            self.component.instance.restore_state(state, keep=keep)
+        self.component.restore_state(self._states[number] if keep else self._states.pop(number), keep=keep)
 
     def free_state(self, number: int) -> None:
         """Free a saved state."""
-        state = self._states.pop(number)
-        self.component.instance.free_state(state[0] if self._mirrored else state)
+        self.component.free_state(self._states.pop(number))
 
     def close(self) -> list[str]:
         """Free the component; return its messages."""
@@ -90,23 +82,19 @@ def _there(method: str, doing: int = OTHER) -> Any:
 class OwnProcess:
     """Proxy of a component in another process; a crash there becomes an error naming the component."""
 
-    name: str
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-    exact_inputs: tuple[Signal, ...]
-    exact_outputs: tuple[Signal, ...]
-    nominal_step: bool
-    description: Any
-    log: Any
-    saves: Any
-    depends_on: Any
     start, change, checkpoint, restore = map(_there, ("start", "change", "checkpoint", "restore"))
     put, get = _there("put", PUT), _there("get", GET)
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
-        self.__dict__ |= {name: getattr(component, name) for name in COPIED}
-        self._limits, self._remote = limits, Remote(Worker(__name__), HostedComponent, component)
+        self._component, self._limits = component, limits
+        self._remote = Remote(Worker(__name__), HostedComponent, component)
         self.reached = 0.0  # time [s] for messages
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the component that needs no call there."""
+        if name not in COPIED:
+            raise AttributeError(name)
+        return getattr(self._component, name)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the component's signals in the row and in the list of exact values."""
@@ -145,6 +133,10 @@ class OwnProcess:
         finally:
             self._remote.worker.end()
 
+    def slot(self) -> str:
+        """Return the reason against the C loop."""
+        return f"{self.name} has a process of its own"
+
     def act(self, *requests: Request, doing: int = OTHER) -> Any:
         """Set all signals and call methods there; show their effects here, and return the last result."""
         watch = Watch([self.name], [fmi_calls(self.description)], lambda row, doing: self.reached, self._limits)
@@ -155,36 +147,20 @@ class OwnProcess:
         return result
 
 
-class _OwnInstance(Instance):
-    """The instance of an FMU in another process: its states stay there and have numbers here."""
-
-    def __init__(self, owner: OwnProcess, component: FmuBlock) -> None:
-        super().__init__(component.path, component.calls)
-        self.owner, self.fmu, self.log = owner, owner, component.log  # a crash loses the FMU, and ends the run
-
-    def save_state(self) -> Any:
-        return self.owner.act(("save_state",))
-
-    def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        self.owner.act(("restore_state", state, keep))
-
-    def free_state(self, state: Any) -> None:
-        self.owner.act(("free_state", state))
-
-
 class OwnFmu(OwnProcess, FmuBlock):
-    """An FMU for co-simulation in another process, whose steps can be repeated."""
+    """An FMU for co-simulation in another process, whose steps can be repeated; its states stay there."""
 
     try_inputs, slopes = _there("put", PUT), _there("slopes")
+    save_state, free_state = _there("save_state"), _there("free_state")
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
         self.__dict__ |= component.__dict__
         OwnProcess.__init__(self, component, limits)
-        self.instance = _OwnInstance(self, component)
+        self.instance.fmu = self  # a crash loses the FMU, and ends the run
 
-    def slot(self) -> str:
-        """Return the reason against the C loop."""
-        return f"{self.name} has a process of its own"
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        """Restore a saved state there, and free the state unless `keep` is set."""
+        self.act(("restore_state", state, keep))
 
 
 class OwnEvents(OwnFmu, EventFmu):
@@ -196,10 +172,6 @@ class OwnEvents(OwnFmu, EventFmu):
 
     enter, go, update, leave = _there("enter"), _there("go", ADVANCE), _there("update"), _there("leave")
     ask_for_small_steps = _there("ask_for_small_steps")
-
-    def __init__(self, component: EventFmu, limits: Limits) -> None:
-        super().__init__(component, limits)
-        self._values = _ChangedInputs(self.instance, self._ports)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the signals."""
@@ -213,11 +185,7 @@ class OwnEvents(OwnFmu, EventFmu):
 
     def put(self) -> None:
         """Set changed inputs, as far as the mode allows."""
-        values = self._values
-        assert isinstance(values, _ChangedInputs)
-        values.has_changed = False
-        super(OwnProcess, self).put()
-        if values.has_changed:
+        if (self.steps or self.mode == INITIALIZATION) and self._changed_inputs():
             self.act(("put",), doing=PUT)
 
     def tick(self, names: Collection[str]) -> None:
@@ -231,20 +199,25 @@ class OwnEvents(OwnFmu, EventFmu):
         self._forget(names)
         return names
 
+    def save_state(self) -> Any:
+        """Return the number of the state, and the inputs as last set."""
+        return OwnFmu.save_state(self), dict(self._given)
+
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        """Restore a saved state there, and the inputs here."""
+        number, given = state
+        OwnFmu.restore_state(self, number, keep=keep)
+        self._given = dict(given)
+
+    def free_state(self, state: Any) -> None:
+        """Free a saved state there."""
+        OwnFmu.free_state(self, state[0])
+
     def act(self, *requests: Request, doing: int = OTHER) -> Any:
         """Call methods there, as `OwnProcess.act`."""
         result = super().act(*requests, doing=doing)
         self.instance.time = self.reached
         return result
-
-
-class _ChangedInputs(InstanceValues):
-    """Values that note whether an input would be set."""
-
-    has_changed = False
-
-    def put_in(self, exchange: Exchange) -> None:
-        self.has_changed = True
 
 
 def in_own_processes(system: System, limits: Limits) -> System:

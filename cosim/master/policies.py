@@ -33,7 +33,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.isolation.rows import GET
 from cosim.master.checkpoint import NOT_RESTORED
-from cosim.master.copying import Noisy, Plain, Through
+from cosim.master.copying import Copies
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
@@ -54,20 +54,18 @@ class Active(NamedTuple):
     """A component's step with the copies around it.
 
     Attributes:
+        copy: Copies before the step.
         step: Function of the start and the length of a step [s].
         every: Length of the step in steps of the run.
         length: Length of the step [s], 0.0 for the difference of communication points.
-        plain, noisy, through: Copies before the step.
         late: Function that sets the known values of a point after the step, if any.
     """
 
+    copy: Copies
     step: Callable[[float, float], None]
-    every: int
-    length: float
-    plain: Plain
-    noisy: Noisy
-    through: Through
-    late: Callable[[int], None] | None
+    every: int = 1
+    length: float = 0.0
+    late: Callable[[int], None] | None = None
 
 
 Round = tuple[Active, ...]  # the last one makes no step: its copies are those at the end of the step
@@ -110,12 +108,12 @@ class SavedPoint:
 
     def __init__(self, master: Master, fmus: Sequence[FmuBlock]) -> None:
         self.master, self._row, self._beside = master, bytes(master.row), list(master.beside)
-        self.states = [(fmu, master.announce(fmu).instance.save_state()) for fmu in fmus]
+        self.states = [(fmu, master.announce(fmu).save_state()) for fmu in fmus]
 
     def restore(self, *, keep: bool = False) -> None:
         """Go back; free the states unless `keep` is set."""
         for fmu, state in self.states:
-            self.master.announce(fmu).instance.restore_state(state, keep=keep)
+            self.master.announce(fmu).restore_state(state, keep=keep)
         self.restore_signals()
 
     def restore_signals(self) -> None:
@@ -173,10 +171,9 @@ class ControlledSteps(Policy):
     Attributes:
         sizes: Lengths of accepted steps [s].
         made: Number of communication points, with those of rejected and comparing steps.
-        failed: Accepted steps with an error above the tolerance, `missed` those of them that could not be shorter.
-        first: Time, error and signal of the first failed step, `first_missed` of the first missed one.
         worst: Largest error of an accepted step.
-        worst_missed: Error and signal of the worst missed step.
+        failed: Time, error and signal of accepted steps with an error above the tolerance; `missed` has those of them
+            that could not be shorter.
     """
 
     reason = "steps are controlled"
@@ -198,9 +195,9 @@ class ControlledSteps(Policy):
         self.q = self.p + (control.estimator == "halving")
         self.wish, self.before, self._is_checked = control.shortest, 1.0, False
         self.sizes: list[float] = []
-        self.made = self.rejected = self.failed = self.missed = 0
-        self.first: tuple[float, float, str] = (0.0, 0.0, "")
-        self.first_missed, self.worst, self.worst_missed = self.first, 0.0, (0.0, "")
+        self.made, self.rejected, self.worst = 0, 0, 0.0
+        self.failed: list[tuple[float, float, str]] = []
+        self.missed: list[tuple[float, float, str]] = []
 
     def advance_to(self, k: int) -> None:
         """Make the steps between two rows, then those of components that step only at rows."""
@@ -226,20 +223,23 @@ class ControlledSteps(Policy):
     def finish(self) -> None:
         """Note steps above the tolerance, signals far below their nominal value, and an estimator without signals."""
         notes, control, tolerance = self.master.notes, self.control, self.control.tolerance
-        worst = f"the largest is {self.worst * tolerance:.2g}"
-        t, error, signal = self.first_missed if self.missed else self.first
-        first = f"first at t = {t:.6g} s, {error * tolerance:.2g} of {signal}"
-        if self.missed:
-            notes.append(
-                f"the error of {self.missed} steps is above the tolerance {tolerance:g} although min allows no shorter "
-                f"ones, {control.shortest:g} s: {first}; {worst}. Give a shorter min or a larger tolerance"
+        if steps := self.missed or self.failed:
+            t, error, signal = steps[0]
+            errors = (
+                f"first at t = {t:.6g} s, {error * tolerance:.2g} of {signal}; the largest is "
+                f"{self.worst * tolerance:.2g}"
             )
-        elif self.failed:
-            notes.append(
-                f"the error of {self.failed} steps turned out above the tolerance {tolerance:g}; estimator: "
-                f"{control.estimator} does not repeat steps: {first}; {worst}. Give a max below {control.longest:g} s "
-                "or a larger tolerance"
-            )
+            if self.missed:
+                notes.append(
+                    f"the error of {len(steps)} steps is above the tolerance {tolerance:g} although min allows no "
+                    f"shorter ones, {control.shortest:g} s: {errors}. Give a shorter min or a larger tolerance"
+                )
+            else:
+                notes.append(
+                    f"the error of {len(steps)} steps turned out above the tolerance {tolerance:g}; estimator: "
+                    f"{control.estimator} does not repeat steps: {errors}. Give a max below {control.longest:g} s or a "
+                    "larger tolerance"
+                )
         allowed = tolerance * np.array(control.nominal)
         if (small := np.flatnonzero((self.largest > 0.0) & (allowed > MUCH * self.largest))).size:
             names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
@@ -259,8 +259,10 @@ class ControlledSteps(Policy):
     def record(self) -> dict[str, Any]:
         """Return the entry of the manifest."""
         sizes, tolerance = np.array(self.sizes or [math.nan]), self.control.tolerance
-        error, name = self.worst_missed
-        missed = {"steps": self.missed, "error": error * tolerance, "signal": name}
+        missed = None
+        if self.missed:
+            error, name = max(step[1:] for step in self.missed)
+            missed = {"steps": len(self.missed), "error": error * tolerance, "signal": name}
         return {
             "estimator": self.control.estimator,
             "tolerance": tolerance,
@@ -268,8 +270,8 @@ class ControlledSteps(Policy):
             "accepted": len(self.sizes),
             "rejected": self.rejected,
             "communication_points": self.made,
-            "above_tolerance": self.failed,
-            "missed": missed if self.missed else None,
+            "above_tolerance": len(self.failed),
+            "missed": missed,
             "largest_error": self.worst * tolerance,
             "is_met": not self.failed,
             "sizes": {f"{share:g} %": float(np.percentile(sizes, share)) for share in (0, 10, 50, 90, 100)},
@@ -307,12 +309,9 @@ class ControlledSteps(Policy):
         self.sizes.append(h)
         self.worst = max(self.worst, error)
         if error > 1.0:
-            self.first = self.first if self.failed else (t, error, name)
-            self.failed += 1
+            self.failed.append((t, error, name))
             if final:
-                self.first_missed = self.first_missed if self.missed else (t, error, name)
-                self.worst_missed = max(self.worst_missed, (error, name))
-                self.missed += 1
+                self.missed.append((t, error, name))
         error = max(error, LEAST_ERROR)
         factor = SAFETY * error ** (-INTEGRAL / self.q) * self.before ** (PROPORTIONAL / self.q)
         wish = h * min(max(factor, SMALLEST), LARGEST)
@@ -338,7 +337,7 @@ class ControlledSteps(Policy):
         error /= 2.0**self.p - 1.0
         if error <= 1.0 or final:
             for fmu, state in before.states:
-                self.master.announce(fmu).instance.free_state(state)
+                self.master.announce(fmu).free_state(state)
             return error, name
         before.restore()
         self.rejected += 1

@@ -19,9 +19,8 @@ from cosim.core.text import counted
 from cosim.pages.rows import TIME, Recording
 from cosim.pages.runs import ViewedRun
 
-LONGEST, DEEPEST = 500, 40  # characters of a formula, levels of brackets
+LONGEST = 500  # characters of a formula
 LARGEST = 10**308  # of a number; larger ones are infinite
-UNIFORM = 1e-6  # largest deviation of a step, relative to the steps
 
 
 def derivative(time: Array, values: Array) -> Array:
@@ -46,17 +45,9 @@ def lowpass(time: Array, values: Array, constant: float) -> Array:
 
     Each value acts until the next row, and the steps are exact for any distances of the rows.
     """
-    if not time.size:
-        return values
     steps = np.diff(time)
     gains = -np.expm1(-steps / constant) if constant > 0.0 else np.ones_like(steps)
-    if steps.size and float(np.ptp(steps)) <= UNIFORM * float(np.mean(steps)):
-        from scipy.signal import lfilter
-
-        gain = float(np.mean(gains))
-        rest, _ = lfilter([0.0, gain], [1.0, gain - 1.0], values, zi=[values[0]])
-        return np.asarray(rest, dtype=np.float64)
-    out = [float(values[0])]
+    out = values[:1].tolist()
     for value, gain in zip(values[:-1].tolist(), gains.tolist(), strict=True):
         out.append(out[-1] + gain * (value - out[-1]))
     return np.array(out)
@@ -67,96 +58,87 @@ BINARY = {"atan2": np.arctan2, "hypot": np.hypot, "min": np.minimum, "max": np.m
 PLAIN: dict[str, Callable[..., Any]] = {name.replace("arc", "a"): getattr(np, name) for name in UNARY} | BINARY
 OVER_TIME: dict[str, Callable[..., Array]] = {"der": derivative, "integral": integral, "lowpass": lowpass}
 FUNCTIONS = (*OVER_TIME, *PLAIN)
-OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
-    ast.Div: np.divide,
-    ast.Pow: lambda base, exponent: np.power(np.asarray(base, dtype=np.float64), exponent),
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
 }
 
 
-class Formula:
-    """A formula over signals that are called by letters; a signal of another run is interpolated linearly.
+def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str = "") -> tuple[Array, list[str]]:
+    """Return the values of a formula at the rows of its first signal, and notes on them.
 
-    Attributes:
-        notes: Notes on the values, after their evaluation.
+    Args:
+        signals: Letter → signal. A signal of another run is interpolated linearly.
+        name: Name of the derived signal, for the notes.
 
     Raises:
         InputError: The formula is not understood, or uses a letter without a signal.
     """
+    notes: list[str] = []
 
-    def __init__(self, text: str, signals: Mapping[str, tuple[Recording, str]], name: str = "") -> None:
-        self._text, self._signals, self._name = text, dict(signals), name or text
-        self.notes: list[str] = []
-        if not signals or len(text) > LONGEST:
-            self._refuse("it has no signal" if not signals else "it is too long")
-        self._rows = next(iter(signals.values()))[0]
-        try:
-            self._tree = ast.parse(text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
-            self._refuse("it is no formula")
+    def refuse(reason: str) -> NoReturn:
+        cure = f"use + - * / **, numbers, the letters of signals and {', '.join(FUNCTIONS)}"
+        raise InputError.at(Path("formula"), f"{text[:LONGEST]}: {reason}; {cure}")
 
-    def evaluate(self) -> Array:
-        """Return the values at the rows of the first signal."""
-        self._time, self.notes = self._rows.read(TIME), []
-        with np.errstate(all="ignore"):
-            result = self._value(self._tree, 0)
-        values = np.broadcast_to(np.asarray(result, dtype=np.float64), self._time.shape).copy()
-        if not np.isfinite(values).any():
-            self.notes.append(f"{self._name} has no value in any row")
-        return values
-
-    def _value(self, node: ast.AST, depth: int) -> Any:
-        if depth > DEEPEST:
-            self._refuse("it is nested too deeply")
+    def value(node: ast.AST) -> Any:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                return np.float64(number) if abs(number) < LARGEST else np.inf
+                return np.float64(number) if abs(number) < LARGEST else np.float64(np.inf)
             case ast.Name(id="t"):
-                return self._time
-            case ast.Name(id=letter) if letter in self._signals:
-                rows, name = self._signals[letter]
-                values = rows.read(name)
-                is_own = rows is self._rows
-                return values if is_own else np.interp(self._time, rows.read(TIME), values, np.nan, np.nan)
+                return time
+            case ast.Name(id=letter) if letter in signals:
+                rows, signal = signals[letter]
+                values = rows.read(signal)
+                return values if rows is own else np.interp(time, rows.read(TIME), values, np.nan, np.nan)
             case ast.Name(id=letter):
-                names = ", ".join([*self._signals, "t"])
+                names = ", ".join([*signals, "t"])
                 raise InputError.at(Path("formula"), f"{letter} stands for no signal; use {names}")
-            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-                return self._value(operand, depth + 1)
-            case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return -self._value(operand, depth + 1)
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
+                return OPERATORS[type(op)](value(operand))
             case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
-                return OPERATORS[type(op)](self._value(left, depth + 1), self._value(right, depth + 1))
-            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-                return self._call(name, [self._value(each, depth + 1) for each in arguments])
-        return self._refuse("a part of it is not allowed")
+                return OPERATORS[type(op)](value(left), value(right))
+            case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]):
+                return call(function, [value(each) for each in arguments])
+        return refuse("a part of it is not allowed")
 
-    def _call(self, name: str, given: Sequence[Any]) -> Any:
-        if name not in FUNCTIONS:
-            self._refuse(f"{name} is no function")
-        count = 2 if name in BINARY or name == "lowpass" else 1
-        if len(given) != count:
-            self._refuse(f"{name} takes {counted(count, 'argument')}")
-        if name in PLAIN:
-            return PLAIN[name](*given)
-        values = np.broadcast_to(np.asarray(given[0], dtype=np.float64), self._time.shape)
-        good, out = np.isfinite(values), np.full(self._time.size, np.nan)
-        if name == "lowpass" and (np.ndim(given[1]) or not float(given[1]) >= 0.0):
-            self._refuse("the time constant of lowpass is a number of seconds")
-        rows = np.flatnonzero(good)
+    def call(function: str, arguments: Sequence[Any]) -> Any:
+        if function not in FUNCTIONS:
+            refuse(f"{function} is no function")
+        count = 2 if function in BINARY or function == "lowpass" else 1
+        if len(arguments) != count:
+            refuse(f"{function} takes {counted(count, 'argument')}")
+        if function in PLAIN:
+            return PLAIN[function](*arguments)
+        if function == "lowpass" and (np.ndim(arguments[1]) or not float(arguments[1]) >= 0.0):
+            refuse("the time constant of lowpass is a number of seconds")
+        values, out = np.broadcast_to(arguments[0], time.shape), np.full(time.size, np.nan)
+        rows = np.flatnonzero(np.isfinite(values))
         wide = np.flatnonzero(np.diff(rows) > 1)
-        if name == "integral" and wide.size:
-            longest = float(np.max(self._time[rows[wide + 1]] - self._time[rows[wide]]))
+        if function == "integral" and wide.size:
+            longest = float(np.max(time[rows[wide + 1]] - time[rows[wide]]))
             gaps = f"{counted(wide.size, 'gap')} without values, at most {longest:.3g} s"
-            self.notes.append(f"{self._name}: {gaps}, are bridged by straight lines")
-        out[good] = OVER_TIME[name](self._time[good], values[good], *map(float, given[1:]))
+            notes.append(f"{name or text}: {gaps}, are bridged by straight lines")
+        out[rows] = OVER_TIME[function](time[rows], values[rows], *map(float, arguments[1:]))
         return out
 
-    def _refuse(self, reason: str) -> NoReturn:
-        cure = f"use + - * / **, numbers, the letters of signals and {', '.join(FUNCTIONS)}"
-        raise InputError.at(Path("formula"), f"{self._text[:LONGEST]}: {reason}; {cure}")
+    if not signals or len(text) > LONGEST:
+        refuse("it has no signal" if not signals else "it is too long")
+    own = next(iter(signals.values()))[0]
+    time = own.read(TIME)
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        refuse("it is no formula")
+    with np.errstate(all="ignore"):
+        values = np.broadcast_to(value(tree), time.shape).astype(np.float64)
+    if not np.isfinite(values).any():
+        notes.append(f"{name or text} has no value in any row")
+    return values, notes
 
 
 # -- derived signals of all runs ------------------------------------------------------------------------
@@ -192,26 +174,23 @@ class Derivations:
             InputError: The name is that of a signal of the run, the signal depends on itself, or the formula is wrong.
         """
         made = next(iter(definition.of.values()))[0], name
-        run = self._runs[made[0]]
-        if name in run.rows.units or name in run.rows.texts or name == TIME:
+        rows = self._runs[made[0]].rows
+        if name in rows.units or name in rows.texts or name == TIME:
             raise InputError.at(Path("name"), f"{name} is a signal of the run; give another name")
         with self._lock:
-            before = self._definitions.get(made)
-            self._definitions[made] = definition
+            before, self._definitions = self._definitions, {**self._definitions, made: definition}
             try:
                 return self._compute([made, *self._dependents([made])])  # only the first one may be wrong
-            except (InputError, OSError, CycleError) as error:
-                if before is None:
-                    del self._definitions[made]
-                else:
-                    self._definitions[made] = before
-                if not isinstance(error, CycleError):
-                    raise
+            except CycleError as error:
+                self._definitions = before
                 cycle: list[Signal] = error.args[1][:0:-1]  # each is derived from the next, and the last from the first
                 place = cycle.index(made)
                 chain = " ← ".join(signal for _, signal in (*cycle[place:], *cycle[:place], made))
                 reason = f"{name} would be derived from itself: {chain}; give another name"
                 raise InputError.at(Path("name"), reason) from None
+            except (InputError, OSError):
+                self._definitions = before
+                raise
 
     def remove(self, number: int, name: str) -> None:
         """Remove a derived signal of a run.
@@ -256,13 +235,10 @@ class Derivations:
         for number, name in signals:
             definition = self._definitions[number, name]
             of = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
-            formula, unit = Formula(definition.formula, of, name), definition.unit
-            values = formula.evaluate()
-            if not unit and definition.formula.strip() in of:
-                rows, other = of[definition.formula.strip()]
-                unit = rows.unit(other)
+            values, self._notes[number, name] = evaluate(definition.formula, of, name)
+            rows, signal = of.get(definition.formula.strip(), (None, ""))
+            unit = definition.unit or (rows.unit(signal) if rows is not None else "")
             self._runs[number].rows.add(name, values, unit)
-            self._notes[number, name] = formula.notes
         return [self._about(signal) for signal in signals]
 
     def _about(self, signal: Signal) -> dict[str, Any]:

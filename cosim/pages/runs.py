@@ -29,6 +29,7 @@ from cosim.pages.rows import Recording, Store
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
+LOST = "{label} was removed or replaced; what is drawn of it stays, zoom shows the others"
 MAX_RUNS = 20  # shown without names
 MAX_NAMES = 5  # signals in a note
 LOOK = 1.0  # [s] between looks at a file
@@ -116,7 +117,7 @@ class ViewedRun:
                 return True  # the run has ended, and they are being written
             self.place = replace(self.place, file=rows, entry=None)
         if not self.lost and not self._is_fed and not self.place.file.is_file():
-            self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
+            self.lost = LOST.format(label=self.place.label)
         return not self.lost
 
     def follow(self) -> bool:
@@ -137,7 +138,7 @@ class ViewedRun:
         except (InputError, OSError):
             return False  # it is being written
         if [*rows.units] != [*self.rows.units] or rows.rows < self.rows.rows:
-            self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
+            self.lost = LOST.format(label=self.place.label)
             return False
         for name, unit in self.rows.added.items():
             rows.add(name, self.rows.read(name), unit)
@@ -205,18 +206,18 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             with bar(f"converting {place.label}") as progress:
                 runs.append(ViewedRun(place, progress))
             notes += [note for note in runs[-1].notes if note not in notes]
-        except (InputError, OSError) as caught:
-            if is_full(caught):
+        except (InputError, OSError) as error:
+            if is_full(error):
                 raise
-            error = caught
-            if isinstance(error, FileNotFoundError):
+            if isinstance(error, InputError):
+                refused = error
+            elif isinstance(error, FileNotFoundError):
                 gone = "was removed while it was read; repeat the command with the results that are left"
-                error = InputError.at(place.file, gone)
-            elif isinstance(error, OSError):
-                error = InputError.at(place.file, f"cannot be read: {error.strerror}")
-            (named if place.is_named else faults).extend(error.faults)
-            reason = str(error).partition("\n")[0]
-            notes.append(f"{place.label} is left out: {reason}")
+                refused = InputError.at(place.file, gone)
+            else:
+                refused = InputError.at(place.file, f"cannot be read: {error.strerror}")
+            (named if place.is_named else faults).extend(refused.faults)
+            notes.append(f"{place.label} is left out: {str(refused).splitlines()[0]}")
     refuse(named or (faults if not runs else ()))
     return runs, notes
 

@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 from starlette.background import BackgroundTask
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
@@ -29,9 +30,34 @@ from cosim.pages.server import Handler, Json, ServedPage
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
-MAX_WIDTH, MAX_POINTS = 8192, 20_000  # pixel columns of a picture, points of a plane
+MAX_WIDTH = 8192  # pixel columns of a picture, points of a plane
 MAX_CELLS = 50_000_000  # values of an exported table
 LOST = (np.array([-1.0, 0.0]),)  # in the place of points of a run that is lost
+Signal = tuple[int, str]  # number of the run, name
+Curve = tuple[ViewedRun, str]
+
+
+class Wanted(BaseModel):
+    """A request for signals over a range of times [s], or at one time."""
+
+    begin: FiniteFloat = Field(0.0, alias="from")
+    end: FiniteFloat = Field(1.0, alias="to")
+    at: FiniteFloat = 0.0
+    width: int = Field(1, gt=0, le=MAX_WIDTH)
+    curves: list[Signal]
+    across: list[Signal] = []
+
+
+class Derived(BaseModel):
+    """A derived signal to add or change, with the signals of its letters."""
+
+    name: str = Field(pattern=r"\S")
+    formula: str
+    of: dict[str, Signal] = Field(min_length=1)
+    unit: str = ""
+
+
+M = TypeVar("M", bound=BaseModel)
 
 
 class Viewer:
@@ -92,80 +118,76 @@ class Viewer:
 
         A third number says whether the time follows: curves of a run share that of the first one.
         """
-        begin, end, width = _number(content, "from"), _number(content, "to"), int(_number(content, "width"))
-        if not begin < end or not 0 < width <= MAX_WIDTH:
-            raise _refused("a range of times and a width")
+        wanted = _read(Wanted, content)
+        if not wanted.begin < wanted.end:
+            raise _refused("a range of times")
         pictures: dict[int, Picture] = {}
 
         def points(run: ViewedRun, name: str) -> list[Array]:
             if is_first := id(run) not in pictures:
-                pictures[id(run)] = run.rows.picture(begin, end, width)
+                pictures[id(run)] = run.rows.picture(wanted.begin, wanted.end, wanted.width)
             picture = pictures[id(run)]
             low, high = picture.points(name)
             is_row = picture.starts is None
             head = np.array([low.size, float(is_row), float(is_first)])
             return [head, *([picture.time] if is_first else []), low, *([] if is_row else [high])]
 
-        return self._arrays(points, self._curves(content))
+        return self._arrays(points, self._curves(wanted.curves))
 
     def _plane(self, request: Request, content: Any) -> Response:
         """Return for each pair of signals the number of points, the distance of their rows, then time, x and y."""
-        begin, end, most = _number(content, "from"), _number(content, "to"), int(_number(content, "width"))
+        wanted = _read(Wanted, content)
 
         def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
             rows = run.rows
-            first, stop = max(0, rows.locate(begin) - 1), min(rows.rows, rows.locate(end, "right") + 1)
-            step = max(1, -(-(stop - first) // max(2, min(most, MAX_POINTS))))
+            first, stop = max(0, rows.locate(wanted.begin) - 1), min(rows.rows, rows.locate(wanted.end, "right") + 1)
+            step = max(1, -(-(stop - first) // max(2, wanted.width)))
             columns = [rows.read(name, first, stop)[::step] for name in (TIME, x, y)]
             return [np.array([columns[0].size, float(step)]), *columns]
 
-        curves, across = self._curves(content), self._curves(content, "across")
+        curves, across = self._curves(wanted.curves), self._curves(wanted.across)
         if [run for run, _ in curves] != [run for run, _ in across]:
             raise _refused("signals of one run for both axes")
         return self._arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
 
     def _values(self, request: Request, content: Any) -> Response:
         """Return time and value of each curve at its last row up to a time; NaN before the first."""
-        at = _number(content, "at")
+        wanted = _read(Wanted, content)
 
         def value(run: ViewedRun, name: str) -> list[Array]:
-            row = run.rows.locate(at, "right") - 1
+            row = run.rows.locate(wanted.at, "right") - 1
             return [run.rows.read(each, row, row + 1) if row >= 0 else np.array([np.nan]) for each in (TIME, name)]
 
-        return self._arrays(value, self._curves(content), [np.full(2, np.nan)])
+        return self._arrays(value, self._curves(wanted.curves), [np.full(2, np.nan)])
 
     def _texts(self, request: Request, content: Any) -> Response:
         """Return the text of each signal at its last row up to a time; null before the first, and of a lost run."""
-        at = _number(content, "at")
+        wanted = _read(Wanted, content)
 
         def text(run: ViewedRun, name: str) -> list[str | None]:
-            row = run.rows.locate(at, "right") - 1
+            row = run.rows.locate(wanted.at, "right") - 1
             return [run.rows.text(name, row) if row >= 0 else None]
 
-        curves = self._curves(content, texts=True)
+        curves = self._curves(wanted.curves, texts=True)
         return Json([t for curve in curves for t in _unless_lost(curve[0], text, *curve, lost=[None])])
 
     def _derive(self, request: Request, content: Any) -> Response:
         """Add, change or remove a derived signal; return the signals with new values."""
-        content = _object(content)
-        if "remove" in content:
-            removed, signal = self._curve(content["remove"])
-            self._derivations.remove(self.runs.index(removed), signal)
+        if isinstance(content, dict) and "remove" in content:
+            self._derivations.remove(*_read(Wanted, {"curves": [content["remove"]]}).curves[0])
             return Json([])
-        name, text, of, unit = (content.get(key) for key in ("name", "formula", "of", "unit"))
-        if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
-            raise _refused("a name, a formula and its signals")
-        curves = {str(letter): self._curve(curve) for letter, curve in of.items()}
-        signals = {letter: (self.runs.index(run), each) for letter, (run, each) in curves.items()}
+        wanted = _read(Derived, content)
+        curves = self._curves([*wanted.of.values()])
         try:
-            return Json(self._derivations.define(name, Definition(text, signals, str(unit or ""))))
+            return Json(self._derivations.define(wanted.name, Definition(wanted.formula, wanted.of, wanted.unit)))
         except OSError:
-            lost = next((run.lost for run, _ in curves.values() if not run.check()), "its rows cannot be read")
+            lost = next((run.lost for run, _ in curves if not run.check()), "its rows cannot be read")
             raise InputError.at(Path("formula"), f"cannot be read: {lost}") from None
 
     def _save_layout(self, request: Request, content: Any) -> Response:
         """Save a layout, or return the layouts of a file that the page has opened."""
-        content = _object(content)
+        if not isinstance(content, dict):
+            raise _refused("an object")
         if "file" in content:
             return Json(check_layouts(Path(str(content["file"])), content.get("content")))
         if self._layouts is None:
@@ -178,12 +200,13 @@ class Viewer:
             content = parse_json(request.query_params.get("of", ""))
         except (ValueError, RecursionError):
             content = None
-        begin, end, curves = _number(content, "from"), _number(content, "to"), self._curves(content, texts=True)
+        wanted = _read(Wanted, content)
+        curves = self._curves(wanted.curves, texts=True)
         several = len({id(run) for run, _ in curves}) > 1
         heads, columns, places = list[str](), list[Array | list[str]](), list[tuple[Array, Rows]]()
         cells = 0
         for run, name in curves:
-            first, stop = run.rows.locate(begin), run.rows.locate(end, "right")
+            first, stop = run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")
             cells += stop - first
             if cells > MAX_CELLS:
                 limit = f"more than {MAX_CELLS / 1e6:.0f} million; zoom in first"
@@ -225,24 +248,19 @@ class Viewer:
 
     # -- content of requests ----------------------------------------------------------------------------
 
-    def _curves(self, content: Any, key: str = "curves", *, texts: bool = False) -> list[tuple[ViewedRun, str]]:
-        curves = _object(content).get(key)
-        if not isinstance(curves, list):
-            raise _refused("a list of curves")
-        return [self._curve(curve, texts=texts) for curve in curves]
-
-    def _curve(self, curve: Any, *, texts: bool = False) -> tuple[ViewedRun, str]:
-        """Return run and name of a curve, which is [number of the run, name of the signal].
+    def _curves(self, signals: Sequence[Signal], *, texts: bool = False) -> list[Curve]:
+        """Return run and name of signals.
 
         Args:
-            texts: Whether a signal of texts is meant too.
+            texts: Whether signals of texts are meant too.
         """
-        match curve:
-            case [int(number), str(name)] if 0 <= number < len(self.runs):
-                rows = self.runs[number].rows
-                if name == TIME or name in rows.units or name in rows.added or (texts and name in rows.texts):
-                    return self.runs[number], name
-        raise _refused("a run and a signal that it has")
+        for number, name in signals:
+            rows = self.runs[number].rows if 0 <= number < len(self.runs) else None
+            if rows is None or not (
+                name == TIME or name in rows.units or name in rows.added or (texts and name in rows.texts)
+            ):
+                raise _refused("a run and a signal that it has")
+        return [(self.runs[number], name) for number, name in signals]
 
 
 def view_page(
@@ -273,17 +291,12 @@ def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost:
     return lost
 
 
-def _object(content: Any) -> dict[str, Any]:
-    if not isinstance(content, dict):
-        raise _refused("an object")
-    return content
-
-
-def _number(content: Any, key: str) -> float:
-    value = _object(content).get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise _refused(f"a finite number for {key}")
-    return float(value)
+def _read(kind: type[M], content: Any) -> M:
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        raise _refused(f"{'.'.join(map(str, fault['loc'])) or 'an object'} ({fault['msg']})") from None
 
 
 def _refused(wanted: str) -> InputError:

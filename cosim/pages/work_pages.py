@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
@@ -270,66 +271,57 @@ class LiveSweep(WorkPage, RunsObserver):
 
     def __init__(self, title: str, port: int = 0) -> None:
         self._limits: Sequence[CriterionLimit] = ()
-        self._total = self._done = self._failed = self._earlier = 0
-        self._values: list[list[float]] = []
-        self._met: list[int] = []
-        self._failures: dict[str, int] = {}
+        self._runs: list[tuple[str, Sequence[float], Sequence[bool]]] = []  # status, values and outcomes of criteria
+        self._total = self._earlier = 0
         self._since = 0.0
         super().__init__(title, port)
 
     def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
         """Prepare for the runs of a sweep, some of which an earlier call has made."""
         self._limits, self._total, self._since = limits, count, monotonic()
-        self._values, self._met = [[] for _ in limits], [0 for _ in limits]
         self.add([*earlier])
-        self._earlier = self._done
+        self._earlier = len(self._runs)
         self.update(phase="running", title=title)
 
     def add(self, results: Sequence[RunResult]) -> None:
-        """Count finished runs."""
+        """Keep the outcomes of finished runs."""
         with self._lock:
-            for result in results:
-                self._done += 1
-                if result.status != "ok":
-                    self._failed += 1
-                    reason = str(result.status)
-                    self._failures[reason] = self._failures.get(reason, 0) + 1
-                    continue
-                for k, (value, met) in enumerate(zip(result.values, result.met, strict=True)):
-                    self._values[k].append(value)
-                    self._met[k] += met
+            self._runs += [(str(result.status), result.values, result.met) for result in results]
         self.update()
 
     def state(self) -> dict[str, Any]:
         """Return the whole state."""
-        state, criteria = super().state(), list[dict[str, Any]]()
         with self._lock:
-            of = self._done - self._failed
-            for limit, met, given in zip(self._limits, self._met, self._values, strict=True):
-                low, high = share_interval(met, of)  # of the share of runs that meet the criterion
-                values = np.array(given)
-                values = values[np.isfinite(values)]
-                counts, ends = list[int](), (0.0, limit.max)
-                if values.size:
-                    least, most = min(limit.max, float(values.min())), max(limit.max, float(np.quantile(values, 0.98)))
-                    margin = 0.05 * (most - least) or 1.0
-                    ends = least - margin, most + margin
-                    counts = np.histogram(np.clip(values, *ends), BINS, ends)[0].tolist()
-                about = {"name": limit.name, "max": limit.max, "unit": limit.unit, "met": met, "of": of}
-                about |= {"low": low, "high": high, "undefined": of - values.size}
-                criteria.append({**about, "counts": counts, "ends": [*ends]})
-            made, passed = self._done - self._earlier, monotonic() - self._since
-            rate = made / passed if made and not self.has_ended else None
-            return {
-                **state,
-                "done": self._done,
-                "total": self._total,
-                "failed": self._failed,
-                "rate": rate,
-                "remaining": (self._total - self._done) / rate if rate else None,
-                "criteria": criteria,
-                "failures": [{"why": why, "count": n} for why, n in [*self._failures.items()][:MAX_FAILURES]],
-            }
+            runs = [*self._runs]
+        complete = [run for run in runs if run[0] == "ok"]
+        failures = Counter(status for status, *_ in runs if status != "ok")
+        criteria = []
+        for k, limit in enumerate(self._limits):
+            of, met = len(complete), sum(outcomes[k] for *_, outcomes in complete)
+            low, high = share_interval(met, of)  # of the share of runs that meet the criterion
+            values = np.array([run[1][k] for run in complete])
+            values = values[np.isfinite(values)]
+            counts, ends = list[int](), (0.0, limit.max)
+            if values.size:
+                least, most = min(limit.max, float(values.min())), max(limit.max, float(np.quantile(values, 0.98)))
+                margin = 0.05 * (most - least) or 1.0
+                ends = least - margin, most + margin
+                counts = np.histogram(np.clip(values, *ends), BINS, ends)[0].tolist()
+            about = {"name": limit.name, "max": limit.max, "unit": limit.unit, "met": met, "of": of}
+            about |= {"low": low, "high": high, "undefined": of - values.size}
+            criteria.append({**about, "counts": counts, "ends": [*ends]})
+        made, passed = len(runs) - self._earlier, monotonic() - self._since
+        rate = made / passed if made and not self.has_ended else None
+        return {
+            **super().state(),
+            "done": len(runs),
+            "total": self._total,
+            "failed": len(runs) - len(complete),
+            "rate": rate,
+            "remaining": (self._total - len(runs)) / rate if rate else None,
+            "criteria": criteria,
+            "failures": [{"why": why, "count": n} for why, n in [*failures.items()][:MAX_FAILURES]],
+        }
 
 
 class LiveRefine(WorkPage, Watcher):

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -207,7 +206,9 @@ class Fmu:
         block.bind(row, 0, [None] * (len(block.exact_inputs) + len(block.exact_outputs)), 0)
         # loading has its own limit; outputs are read after the initialization
         end = float(course.time[-1]) + course.step
-        block.load_and_begin(float(course.time[0]), end, loaded=partial(announce, GET))
+        block.load()
+        announce(GET)
+        block.begin(float(course.time[0]), end)
         put_row(block, row, course, 0)
         with closing(block):
             yield block, row
@@ -248,7 +249,7 @@ def simulate(
                 x, u = block.current_point()
                 x[[*course.states]] = [*course.states.values()]
                 block.move(float(course.time[0]), x, u)
-                block.calls.solver.reset(float(course.time[0]))
+                block.instance.solver.reset(float(course.time[0]))
             for k, t in enumerate(course.time.tolist()):
                 put_row(block, row, course, k)
                 x, u = block.current_point()
@@ -264,7 +265,7 @@ def simulate(
                     here.progress.made[0] += 1
         except SimulationError as error:
             stop = error
-        counts, made = block.calls.event_counts, len(inputs)
+        counts, made = block.instance.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
     known, u, rates = (
         np.array(each, float).reshape(made, -1 if made else 0) for each in (states, inputs, values[:made])

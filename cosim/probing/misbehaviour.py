@@ -76,7 +76,7 @@ def outputs_again(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array]:
     import fmpy
 
     with fmu.opened(course, way) as (block, row):
-        library, _ = library_of(fmu.place, block.description, block.calls.about.modelIdentifier) or (None, "")
+        library, _ = library_of(fmu.place, block.description, block.instance.about.modelIdentifier) or (None, "")
         kept = ctypes.CDLL(str(library))
         run_along(block, row, course)
     table, _ = outputs_along(fmu, course, way)
@@ -96,7 +96,7 @@ def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array
         run_along(block, row, course)
         with block.instance.check_calls():
             block.instance.fmu.reset()
-        block._begin(float(course.time[0]), float(course.time[-1]) + course.step)
+        block.begin(float(course.time[0]), float(course.time[-1]) + course.step)
         put_row(block, row, course, 0)
         return None, run_along(block, row, course)[0]
 
@@ -105,9 +105,9 @@ def outputs_after_restoring(way: Way, fmu: Fmu, course: Course, at: int) -> tupl
     """Return the outputs from a row on, and the same again after the state of that row is restored."""
     with fmu.opened(course, way) as (block, row):
         _, early = run_along(block, row, course.first(at + 1))
-        state = block.instance.save_state()
+        state = block.save_state()
         table, stop = run_along(block, row, course, at)
-        block.instance.restore_state(state)
+        block.restore_state(state)
         block.instance.time = float(course.time[at])
         repeated, failure = run_along(block, row, course, at)
         if error := early or stop or failure:

@@ -174,6 +174,7 @@ class Residual(BaseModel):
     signals: what the misfit in that equation depends on, most important first
     share: of the mean square missing input, explained by the first of `terms`
     terms: most promising first
+    changing: parameter that changes with time in each log → its change from the first to the last row, in SI
     """
 
     equation: str | None
@@ -181,6 +182,7 @@ class Residual(BaseModel):
     share: Finite | None
     process_noise: dict[str, ProcessNoise]
     terms: list[NamelessTerm]
+    changing: dict[str, Finite] = {}
 
 
 class RungEntry(BaseModel):

@@ -283,7 +283,7 @@ class Drive:
     # -- internals ----------------------------------------------------------------------------
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
-        self.block.begin({**self.given, **start}, float(self.log.time[row]), stop)
+        self.block.restart({**self.given, **start}, float(self.log.time[row]), stop)
         if self._commands:
             self._row[: len(self.inputs)] = self._commands[row]
             self.block.put()

@@ -103,8 +103,8 @@ class StoppedRun:
 
     def solver_steps(self, system: System) -> dict[str, float]:
         """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
-        calls = {s.component.name: s.component.calls for s in system.stages if isinstance(s.component, FmuBlock)}
-        exchanged = {name: each for name, each in calls.items() if isinstance(each, ModelExchange)}
+        fmus = {s.component.name: s.component.instance for s in system.stages if isinstance(s.component, FmuBlock)}
+        exchanged = {name: each for name, each in fmus.items() if isinstance(each, ModelExchange)}
         start = self._first.start_time
         stop = start + self._first.step * self._first.steps  # as the master computes it
         return {n: (stop - start) / LONGEST for n, each in exchanged.items() if each.longest is None}

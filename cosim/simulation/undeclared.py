@@ -150,7 +150,7 @@ def _note(
         members = [stage.component for stage in system.stages if stage.component.name in loop.members]
         is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
         can_repeat = is_real and all(
-            isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.instance.rolls_back for m in members
+            isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.rolls_back for m in members
         )
         cure = (
             Note("loops: {} solves it by repeated steps")

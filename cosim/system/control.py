@@ -124,7 +124,7 @@ def rollback_obstacle(components: Components) -> str:
     for name, component in components.items():
         if isinstance(component, EventFmu):
             return f"steps of {name} end at its events"
-        if isinstance(component, FmuBlock) and not component.instance.rolls_back:
+        if isinstance(component, FmuBlock) and not component.rolls_back:
             return f"{name} saves no state, or takes steps of one length only"
         if not isinstance(component, FmuBlock | SourceBlock):
             return f"{name} cannot be taken back"

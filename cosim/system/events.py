@@ -114,7 +114,7 @@ def has_event_mode(description: Any, way: Way) -> bool:
 
 def is_exchange(component: Component) -> bool:
     """Return whether model exchange steps a component."""
-    return isinstance(component, FmuBlock) and isinstance(component.calls, ModelExchange)
+    return isinstance(component, FmuBlock) and isinstance(component.instance, ModelExchange)
 
 
 def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:

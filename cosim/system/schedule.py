@@ -157,7 +157,7 @@ class _Graph:
             if loop.members in solved:
                 continue
             fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
-            names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.instance.rolls_back)]
+            names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.rolls_back)]
             cure = f"loops: {{}} without {key} solves it, if it has a solution"
             if assumptions:
                 cure = "; ".join(assumptions)

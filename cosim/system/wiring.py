@@ -80,13 +80,6 @@ class Transfer:
     of: str = ""
     sign: tuple[float, float] = (1.0, 0.0)
 
-    @property
-    def plain(self) -> bool:
-        """Return whether values are copied within the row, apart from noise."""
-        converted = (self.factor, self.offset, *self.sign) != (1.0, 0.0, 1.0, 0.0)
-        changed = converted or self.faults or self.items is not None
-        return not changed and self.beside == (False, False)
-
     def check_item(self, value: Any, t: float) -> None:
         """Raise SimulationError if a value is no item of the target enumeration."""
         if self.items is not None and value not in self.items.values():

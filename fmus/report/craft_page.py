@@ -1,24 +1,41 @@
-"""Sections about the craft on a run's page."""
+"""Sections about the craft on a run's page: motion, errors, effort, responses to steps, picture."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.core.text import MISSING, plain
+import numpy as np
+
+from cosim.core.text import MISSING, amount, length, percent, plain
 from cosim.report.charts import Drawing, Plot, round_values, sample_rows
+from cosim.report.html_tables import Grid, Row
 from cosim.report.panels import Panel
+from cosim.simulation import criteria
 from cosim.simulation.report.component_page import ComponentPage
-from cosim.simulation.report.recorded import Run
-from fmus.report import account
-from fmus.report.craft import Craft, find_crafts
-from fmus.report.lines import error_panels, shown_columns, state_panels, tilt_panels
+from cosim.simulation.report.recorded import Run, mappings, number
+from fmus.report.craft import (
+    BAND,
+    MAX_SETTLED_DISTANCE,
+    SIDES,
+    Craft,
+    error_rms,
+    find_crafts,
+    finite,
+    inside_band,
+    reference_steps,
+    responses,
+    saturation,
+)
+from fmus.report.lines import SYMBOLS, UNITS, error_panels, shown_columns, state_panels, tilt_panels
 from fmus.report.topview import Body, make_view
 
 POSES = 1000  # of the moving picture
 TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
+MAX_RESPONSES = 16
+SETTLING = "settling_time"  # kind of criterion
 
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
@@ -30,7 +47,7 @@ def subject(run: Run, drawing: Drawing) -> ComponentPage:
     return ComponentPage(
         template=TEMPLATE,
         values={"pages": pages, "view": make_view(bodies, rows) if bodies else None},
-        tiles=account.tiles(run, crafts),
+        tiles=tiles(run, crafts),
         shown=frozenset(shown_columns(crafts)),
         data={
             "few": round_values(run.time[rows], 6),
@@ -46,17 +63,17 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> Mapping[str, Any]
     return {
         "name": craft.name,
         "estimator": craft.estimator or "",
-        "motion": account.motion_sentence(craft, called),
+        "motion": motion_sentence(craft, called),
         "states": states,
         "errors": drawing.plots(error_panels(craft)),
         "tilts": drawing.plots(tilt_panels(craft)),
-        "belief": account.belief_sentence(craft),
-        "integral": account.integral_sentence(craft),
-        "band": account.band_sentence(craft),
-        "tilt": account.tilt_sentence(craft),
+        "belief": belief_sentence(craft),
+        "integral": integral_sentence(craft),
+        "band": band_sentence(craft),
+        "tilt": tilt_sentence(craft),
         "readouts": [readout(panel, plot) for panel, plot in zip(panels, states, strict=True)],
-        "responses": account.response_rows(craft),
-        "grids": account.grids(craft),
+        "responses": response_rows(craft),
+        "grids": grids(craft),
     }
 
 
@@ -69,3 +86,163 @@ def readout(panel: Panel, plot: Plot) -> Mapping[str, Any]:
     shown = [series.get(style, (None, math.nan)) for style in ("true", "estimate", "reference")]
     cells = [(key, plain(value) if math.isfinite(value) else MISSING) for key, value in shown]
     return {"symbol": panel.symbol, "title": panel.title, "unit": panel.unit, "cells": cells}
+
+
+def belief_sentence(craft: Craft) -> str | None:
+    """Warn if only the estimate has settled.
+
+    Distances are medians over the last second or the last tenth of the run, the longer of both, but after the last
+    step.
+    """
+    good, x, x_hat, target = finite(craft.signal("x"), craft.estimate("x_hat"), craft.reference("x"))
+    time = craft.run.time[good] if good.size else x
+    if time.size < 3:
+        return None
+    _, arrived, _ = reference_steps(time, target)[-1]
+    begin = max(float(time[arrived]), float(time[-1]) - max(1.0, 0.1 * float(time[-1] - time[0])))
+    true, estimated, apart = (
+        float(np.median(np.abs(one - other)[time >= begin]))
+        for one, other in ((x, target), (x_hat, target), (x, x_hat))
+    )
+    # By the rule of the settling time, a craft with its last sample inside the band has settled.
+    true = min(true, float(np.abs(x - target)[-1]))
+    if not true > max(MAX_SETTLED_DISTANCE, 2 * estimated):
+        return None
+    sentences = [
+        "The estimator believes it has settled; the craft has not.",
+        f"At the end of the run x̂ lay {length(estimated)} from its target and the craft {length(true)}.",
+    ]
+    if craft.estimate("x") is None:
+        sentences.append(
+            "Heading, yaw rate and acceleration carry no information about the position: x is unobservable, and its"
+            " error is not corrected."
+        )
+    sigma = craft.estimate("x_sigma")
+    if sigma is not None and (double := 2 * float(sigma[good][-1])) > 0:
+        verdict = "outside" if apart > double else "within"
+        sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(double)} by then.")
+    return " ".join(sentences)
+
+
+def integral_sentence(craft: Craft) -> str | None:
+    """Return the effect of integral control on the position."""
+    good, x, target = finite(craft.signal("x"), craft.reference("x"))
+    if craft.estimate("x_integral") is None or not good.any():
+        return None
+    last = craft.run.time[good] >= craft.run.time[-1] - 1.0
+    off = length(abs(float(np.mean((x - target)[last]))))
+    error = f"Over the last second the craft was on average {off} off its target."
+    if craft.run.source(f"{craft.estimator}.fix") is not None:
+        return f"The controller integrates the error of the measured position, so that none remains. {error}"
+    return (
+        "The controller integrates the error of x, but nothing measures x: it integrates the error of its own estimate."
+        " An accelerometer does not feel gravity on a tilted table, so the error of such a push remains."
+        f" {error} Fixes on x_meas and fix cure that."
+    )
+
+
+def band_sentence(craft: Craft) -> str | None:
+    """Return the shares of rows within the estimator's ±2σ band."""
+    parts = []
+    for variable in ("x", "psi"):
+        share = inside_band(craft, variable)
+        if math.isfinite(share):
+            parts.append(f"{SYMBOLS[variable]} lay within ±2σ of its estimate for {percent(share)} of the rows")
+    return f"{', '.join(parts)}; of a consistent filter about 95 % are." if parts else None
+
+
+def motion_sentence(craft: Craft, called: str) -> str:
+    """Return the distance travelled, the displacement and the turn."""
+    lines = [craft.run.results[f"{craft.name}.{name}"] for name in ("x_world", "y_world", "psi")]
+    good = np.all(np.isfinite(lines), axis=0)
+    if good.sum() < 2:
+        return "Too few finite rows to tell a motion."
+    x, y, psi = (line[good] for line in lines)
+    way, gap = float(np.hypot(np.diff(x), np.diff(y)).sum()), math.hypot(x[-1] - x[0], y[-1] - y[0])
+    turn = float(psi[-1] - psi[0])
+    side = "left" if turn > 0 else "right"
+    seconds = float(craft.run.time[good][-1] - craft.run.time[good][0])
+    return (
+        f"In {amount(seconds, 's')} {called} travelled {length(way)} and ended "
+        f"{length(gap)} from where it began, turned {amount(abs(turn), 'rad', 2)} to the {side}."
+    )
+
+
+def tilt_sentence(craft: Craft) -> str | None:
+    """Return the saturation of the tilts."""
+    limit, shares = craft.tilt_limit, [saturation(craft, side) for side in SIDES]
+    if limit is None or not all(map(math.isfinite, shares)):
+        return None
+    at = f"±{amount(limit, 'rad')}"
+    if max(shares) == 0:
+        return f"No tilt command reached its limit of {at}."
+    return (
+        f"Tilt commands stood at their limit of {at} for {percent(shares[0])} of the time on the right, "
+        f"{percent(shares[1])} on the left."
+    )
+
+
+def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
+    """Return the key figures of the first craft."""
+    rows: list[Row] = []
+    for variable in ("x", "psi"):
+        answers = responses(crafts[0], variable) if crafts and not run.has_failed else []
+        if not answers:
+            continue
+        unit, column = UNITS[variable], f"{crafts[0].name}.{variable}"
+        time, band = _settling(answers[-1].settling, unit), f"last step, ±{BAND:g} {unit}"
+        for criterion in mappings(run.manifest.get("criteria")):
+            if (criterion.get("kind"), criterion.get("of")) == (SETTLING, column):
+                value, within = criterion.get("value"), amount(number(criterion.get("band")), unit, None)
+                time = amount(number(value), "s") if value is not None else f"not within ±{within}"
+                band = f"last criterion, ±{within}"
+        rows.append(Row(f"Settling of {SYMBOLS[variable]}", time, band))
+    if rows and (answers := responses(crafts[0], "x")):
+        error = length(answers[-1].final).replace("less than", "<")
+        rows.append(Row("Final error of x", error, "craft against reference"))
+    shares = [saturation(craft, side) for craft in crafts[:1] for side in SIDES]
+    if shares and all(map(math.isfinite, shares)):
+        rows.append(Row("Tilt at its limit", percent(max(shares)), "of the time, busier side"))
+    return rows
+
+
+def _settling(value: float, unit: str) -> str:
+    """Return a settling time as text."""
+    if math.isnan(value):
+        return MISSING
+    return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
+
+
+def response_rows(craft: Craft) -> list[dict[str, str]]:
+    """Return the last responses of x and ψ as text."""
+    answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
+    rows = []
+    for answer in answers[-MAX_RESPONSES:]:
+        unit = UNITS[answer.variable]
+        ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
+        step = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}{ramp}"
+        row = {"symbol": SYMBOLS[answer.variable], "time": amount(answer.time, "s"), "step": step}
+        row |= {name: _settling(getattr(answer, name), unit) for name in ("settling", "believed")}
+        rows.append(row | {name: amount(getattr(answer, name), unit, 2) for name in ("overshoot", "rms", "final")})
+    return rows
+
+
+def grids(craft: Craft) -> list[Grid]:
+    """Return the RMS errors of control and estimation, and effort and saturation of the tilts, as far as recorded."""
+    errors, efforts = [], []
+    for name, symbol in SYMBOLS.items():
+        true, unit = craft.signal(name), UNITS[name]
+        tracking = error_rms(true, craft.reference(name))
+        estimation = error_rms(craft.estimate(f"{name}_hat"), true)
+        if math.isfinite(tracking) or math.isfinite(estimation):
+            errors.append((symbol, amount(tracking, unit), amount(estimation, unit)))
+    for side in SIDES:
+        good, command = finite(craft.command(f"tilt_{side}"))
+        if command.size:
+            used = amount(criteria.effort(craft.run.time[good], command), "rad.s")
+            efforts.append((side, used, amount(float(np.abs(command).max()), "rad"), percent(saturation(craft, side))))
+    found = (
+        Grid("RMS errors", ("craft − reference", "estimate − craft"), tuple(errors)),
+        Grid("Tilt commands", ("effort ∫|α| dt", "largest", "at its limit"), tuple(efforts)),
+    )
+    return [grid for grid in found if grid.rows]

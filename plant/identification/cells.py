@@ -78,6 +78,16 @@ class Cell:
             errors.append(float(others.force(self.volts[k])) - self.loads[k])
         return np.array(errors)
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the calibration for identify.json."""
+        return {
+            "loads": self.loads.tolist(),
+            "volts": self.volts.tolist(),
+            "error": self.error,
+            "left_one_out": self.cross_validation_errors.tolist(),
+            "at_the_rail": list(self.saturated_loads),
+        }
+
 
 Cells = Mapping[str, Cell]
 

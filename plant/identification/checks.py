@@ -12,7 +12,6 @@ from cosim.core.errors import Fault
 from plant.bench import REST_DUTY, Bench
 from plant.identification.cells import Cells, at_rail
 from plant.identification.estimates import LAGS, Measurement, Result, held_lag
-from plant.identification.lags import frequency_of
 from plant.identification.protocol import (
     BENCH,
     CHANNELS,
@@ -26,7 +25,7 @@ from plant.identification.protocol import (
 )
 from plant.identification.recordings import COLUMNS, Recording, commands
 from plant.identification.thrust import MIN_LINE_RANGE, MIN_LINE_ROWS, height_of, rows_with_thrust
-from plant.powertrain import servo_angle
+from plant.identification.tilt import frequency_of
 
 MIN_DUTY_CHANGE, MIN_TILT_CHANGE = 0.1, np.radians(5)  # [%, rad] least variation of a command
 MIN_DUTY_STEP, MIN_AMPLITUDE = 0.02, np.radians(1)  # [%, rad] of the duty, and of a sine of the tilt
@@ -88,7 +87,7 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> It
             yield key, 0, f"{text} with rows {r.step:.3g} s apart; {cure}"
     if short:
         return
-    duty, angle = r.duty, servo_angle(r.servo_duty, bench.servo_neutral, bench.servo_slope)
+    duty, angle = r.duty, r.commanded_tilt(bench)
     rest, window = r.rows(test.rest), r.rows(test.analysed)
     idle = -bench.thrust_offset / bench.thrust_slope if own else REST_DUTY
     at_rest, needs_thrust = float(duty[rest].max()), name != "moment"
@@ -140,8 +139,7 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> It
             return
         w = frequency_of(r, test)
         period = 2.0 * np.pi / w
-        skipped = dict(zip(test.frequencies, test.thesis_skip, strict=False)).get(w, 0.0) * period
-        needed = test.lead + max(test.skip, skipped) + period
+        needed = test.lead + max(test.skip, test.skipped_by_thesis(w)) + period
         if r.time[-1] < needed - 1.5 * r.step:
             text = f"the run of {w:g} rad/s ends before a whole period after what is skipped"
             yield "periods", r.time.size - 1, f"{text}; it has to last until {needed:.4g} s"
@@ -200,7 +198,7 @@ def _range_faults(bench: Bench, r: Recording) -> Iterator[tuple[int, str]]:
         if (outside := (values < low) | (values > high)).any():
             text = f"{q.name} is {values[outside][0]:.4g} {q.unit} here, beyond {low:.3g} to {high:.4g} {q.unit}"
             yield _first(outside), f"{text}; {cures.get(q.unit, f'say its unit, such as {q.name} [mm]')}"
-    angle = servo_angle(r.servo_duty, bench.servo_neutral, bench.servo_slope)
+    angle = r.commanded_tilt(bench)
     if (outside := (np.abs(angle) > MAX_TILT) & (r.servo_duty <= RANGES["servo_duty"][1])).any():
         text = f"servo_duty is a tilt of {np.degrees(angle[outside][0]):.0f}° here, beyond ±120°; {cures['%']}"
         yield _first(outside), f"{text}, or give `servo_neutral` and `servo_slope` under `parameters`"
@@ -230,8 +228,7 @@ def _cell_faults(m: Measurement, name: str, r: Recording) -> Iterator[tuple[int,
             return
     elif name != "moment":
         rows = r.rows((test.window[1] - 0.3, test.window[1])) if name == "step" else window
-        tilt = servo_angle(r.servo_duty, bench.servo_neutral, bench.servo_slope)
-        angle = held_lag(tilt, r.step, bench.lag)[rows]
+        angle = held_lag(r.commanded_tilt(bench), r.step, bench.lag)[rows]
         x, z = (
             float(m.force(r, c)[rows] @ f(angle) / (f(angle) @ f(angle))) for c, f in (("x", np.sin), ("z", np.cos))
         )

@@ -114,11 +114,6 @@ class Measurement:
         """Return the force of a cell without its tare [gf]."""
         return 1000.0 / self.bench.gravity * self.force(r, channel, using)
 
-    def commanded_tilt(self, r: Recording) -> Array:
-        """Return the commanded tilt [rad]."""
-        angle: Array = servo_angle(r.servo_duty, self.bench.servo_neutral, self.bench.servo_slope)
-        return angle
-
     def inside(self, r: Recording) -> Flags:
         """Return the rows in the window of the test."""
         return r.rows(self.test.window)
@@ -127,7 +122,7 @@ class Measurement:
         """Return the factor of all readings, as in the thesis, on a function of the commanded tilt."""
         top = bottom = 0.0
         for r in self.recordings:
-            basis = function(self.commanded_tilt(r)[self.inside(r)])
+            basis = function(r.commanded_tilt(self.bench)[self.inside(r)])
             top += float(self.printed_force(r, channel)[self.inside(r)] @ basis)
             bottom += float(basis @ basis)
         return top / bottom

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -208,6 +209,11 @@ class SineTest(Test):
     def analysed(self) -> tuple[float, float]:
         """Return the times [s] of the analysed rows."""
         return self.lead + self.skip, float("inf")
+
+    def skipped_by_thesis(self, frequency: float) -> float:
+        """Return the first part [s] of a sine that the thesis ignores."""
+        periods = dict(zip(self.frequencies, self.thesis_skip, strict=False)).get(frequency, 0.0)
+        return periods * 2.0 * math.pi / frequency
 
     @field_validator("periods")
     @classmethod

@@ -17,6 +17,7 @@ from cosim.fmi.description import read_description
 from cosim.logs.log import read_log
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest
+from plant.powertrain import servo_angle
 
 LOAD_TIME = 1.0  # [s] duration of a calibration load
 MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
@@ -52,6 +53,10 @@ class Recording:
     def step(self) -> float:
         """Return the median step [s]."""
         return float(np.median(np.diff(self.time)))
+
+    def commanded_tilt(self, bench: Bench) -> Array:
+        """Return the commanded tilt [rad]."""
+        return np.asarray(servo_angle(self.servo_duty, bench.servo_neutral, bench.servo_slope))
 
     def rows(self, window: tuple[float, float]) -> Flags:
         """Return the rows within a time window."""
@@ -165,7 +170,7 @@ def play_on_fmu(
         recordings, rows = [], 0
         for run in runs:
             time, step, values = run.time, run.step, {"thrust_factor": run.thrust, "filter_time": run.low_pass}
-            block.begin({**parameters, **values}, float(time[0]), float(time[-1]))
+            block.restart({**parameters, **values}, float(time[0]), float(time[-1]))
             # row k holds the inputs, with reading noise, of the step that ends at t_k
             before, loads = np.maximum(np.arange(time.size) - 1, 0), (np.full(time.size, load) for load in run.loads)
             commanded = (run.duty[before], run.servo_duty[before], run.height, *loads, *run.noise)

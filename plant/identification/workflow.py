@@ -29,12 +29,11 @@ from plant.identification.cells import Cells, calibrate
 from plant.identification.checks import planned_faults, recording_faults, result_faults
 from plant.identification.craft import read_craft
 from plant.identification.estimates import Estimate, Measurement, Result
-from plant.identification.lags import after_sines, after_step
 from plant.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
 from plant.identification.recordings import Recording, load_runs, play_on_fmu, read_recording, runs_of
 from plant.identification.report import page
 from plant.identification.thrust import ground_effect_exponent, thrust_line
-from plant.identification.tilt import moment, projection
+from plant.identification.tilt import after_sines, after_step, moment, projection
 from plant.powertrain import ground_effect
 
 RECORD, REPORT = "identify.json", "report.html"
@@ -113,42 +112,29 @@ def identify(
     """
     path = Path(path)
     with new_run(out, "", "cosim identify", force=force) as place:
-        craft = read_craft(path)
+        craft, calibrated, record = read_craft(path), list[Any](), dict[str, Any]()
         if craft is not None:
-            read, model_file = [path, *(log.path for log in (*craft.rest, *craft.runs))], "model.yaml"
+            read = [path, *(log.path for log in (*craft.rest, *craft.runs))]
+            name, model_file = craft.file.name, "model.yaml"
         else:
             protocol, model, measured = prepare(path)
             read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
-            model_file = "powertrain.yaml"
+            name, model_file = protocol.file.name, "powertrain.yaml"
         check_writable(place, (model_file, RECORD, REPORT), read)
-        record: dict[str, Any] = {}
-        calibrated = []
         if craft is not None:
-            outcome = Outcome(craft.results(), model_file)
+            outcome, record = Outcome(craft.results(), model_file), {"name": name}
+            recorded = counted(len(read) - 1, "log")
             identified = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
             values = {**craft.loaded.parameters, **{n: e.value for n, e in identified.items()}}
             text = _model_text(craft.loaded.source, values, craft.loaded.sensors, identified, "runs")
-            name, recorded = craft.file.name, counted(len(read) - 1, "log")
-            record["name"] = name
         else:
-            file = protocol.file
-            recordings, cells = _recorded(protocol, measured, file.seed if seed is None else seed, progress)
+            recordings, cells = _recorded(protocol, measured, protocol.file.seed if seed is None else seed, progress)
             outcome = Outcome(analyse(protocol, cells, recordings), model_file)
             refuse(result_faults(protocol, outcome.results))
             text = _powertrain(protocol, outcome, model)
-            name, recorded = file.name, counted(sum(map(len, recordings.values())), "recording")
-            record["protocol"] = name
-            record["calibration"] = {
-                c: {
-                    "loads": cell.loads.tolist(),
-                    "volts": cell.volts.tolist(),
-                    "error": cell.error,
-                    "left_one_out": cell.cross_validation_errors.tolist(),
-                    "at_the_rail": list(cell.saturated_loads),
-                }
-                for c, cell in cells.items()
-            }
-            calibrated = [(c, cells[c], protocol.load_in_si(c), file.cells[c].unit) for c in CHANNELS]
+            recorded = counted(sum(map(len, recordings.values())), "recording")
+            record = {"protocol": name, "calibration": {c: cell.as_json() for c, cell in cells.items()}}
+            calibrated = [(c, cells[c], protocol.load_in_si(c), protocol.file.cells[c].unit) for c in CHANNELS]
         shown = page(name, path, outcome.results, recorded, calibrated) if report else ""
         whole = {
             "schema_version": 1,

@@ -91,17 +91,16 @@ def compilers() -> list[list[str]]:
 
     `CC` in the environment names a compiler; by default cc, gcc or clang is used. The extra `refine` installs another.
     """
-    choice, found = os.environ.get("CC"), []
+    choice, machine = os.environ.get("CC"), this_platform()
+    every = [cross_command(machine)] if machine and can_cross() else []
     for name in ("cc", "gcc", "clang") if choice is None else (choice,):
         try:
             words = shlex.split(name)
         except ValueError:  # an open quote
             continue
         if words and shutil.which(words[0]):
-            found = [words]
-            break
-    machine = this_platform()
-    return [*found, *([cross_command(machine)] if machine and can_cross() else [])]
+            return [words, *every]
+    return every
 
 
 def can_cross() -> bool:
@@ -114,7 +113,7 @@ def cross_command(target: Platform) -> list[str]:
     return [sys.executable, "-m", ZIG, "cc", "-target", target.target, "-s"]
 
 
-def commands(names: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
+def commands(names: Sequence[str] = ()) -> dict[Platform, list[str]]:
     """Return platform → compiler command, by default for this machine.
 
     The cross compiler, which also targets old versions of glibc, is taken for a platform named by the user, or without
@@ -124,20 +123,19 @@ def commands(names: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
         KeyError: A platform is unknown.
         NoCompiler: A compiler is missing.
     """
-    machine = this_platform()
+    machine, found = this_platform(), {}
     if machine is None and not names:
-        platforms = ", ".join(PLATFORMS)
-        fault = f"this machine, {platform.machine()} {sys.platform}, is none of {platforms}; name one of these"
-        raise NoCompiler(fault)
-    found = {}
+        fault = f"this machine, {platform.machine()} {sys.platform}, is none of {', '.join(PLATFORMS)}"
+        raise NoCompiler(f"{fault}; name one of these")
     for target in [PLATFORMS[name] for name in names] or [p for p in PLATFORMS.values() if p == machine]:
-        local = compiler() if target == machine else None
-        if can_cross() and (names or local is None):
-            local = cross_command(target)
-        if local is None and target != machine:
+        if can_cross() and (names or compiler() is None):
+            command = cross_command(target)
+        elif target == machine:
+            command = _required()
+        else:
             install = f"{install_command('native')}, which brings a compiler that crosses"
             raise NoCompiler(f"no compiler for {target.name} is found; {install}")
-        found[target] = [*(local or _required()), *OPTIONS, "-fvisibility=hidden"]
+        found[target] = [*command, *OPTIONS, "-fvisibility=hidden"]
         found[target] += [] if target.suffix == ".dll" else ["-fPIC"]
     return found
 
@@ -237,8 +235,8 @@ def _compile(command: Sequence[str], folder: Path, limit: float) -> bytes:
     if run.returncode == 0 and library.is_file():
         return library.read_bytes()
     output, name = (run.stderr or run.stdout).strip(), shlex.join(command[:1])
-    lines = output.splitlines()
-    line = next((line for line in lines if "error" in line.lower()), lines[-1] if lines else "")
+    lines = output.splitlines() or [""]
+    line = next((line for line in lines if "error" in line.lower()), lines[-1])
     if run.returncode:
         raise CompilerFailed(f"{name} failed: {line or 'it says nothing'}", output)
     said = line and f"; it said {line}"
@@ -262,7 +260,7 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
         CompilerFailed: All compilers fail.
     """
     files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
-    reason: Exception | None = None
+    reasons: list[Exception] = []
     for command in compilers():
         full = [*command, *OPTIONS, *POSITION]
         try:
@@ -273,7 +271,7 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
                 library.unlink(missing_ok=True)
                 return ctypes.CDLL(str(library_of(files, "model.c", full)))
         except (CompilerFailed, OSError) as error:
-            reason = reason or error
-    if reason is None:
+            reasons.append(error)
+    if not reasons:
         raise NoCompiler("no C compiler is found in CC or on PATH")
-    raise CompilerFailed(str(reason)) from reason
+    raise CompilerFailed(str(reasons[0])) from reasons[0]

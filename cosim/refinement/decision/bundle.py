@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -34,7 +35,7 @@ from cosim.refinement.decision.posterior import (
     log_prior,
     posterior,
 )
-from cosim.refinement.decision.scatter import blocks_of_time, steadiness
+from cosim.refinement.decision.scatter import blocks_of_time, gain_per_chance, steadiness
 from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.unnamed import Leftover
 from cosim.residuals.residual_statistics import remaining_excess
@@ -182,6 +183,36 @@ def chance_of(problem: Problem, leftover: Leftover, alone: Fit) -> float:
     return min(1.0, max(of_gain, float(norm.sf(steadiness(problem, leftover.fit, alone)))))
 
 
+def drifts(problem: Problem, f: Fit) -> dict[str, tuple[float, float]]:
+    """Return parameter → change from the first to the last row of each log, and the probability of its gain by chance.
+
+    A parameter changes as P(t) = h₁·t + h₂·(3t² − 1)/2, t from −1 to 1 over each log (Nyblom 1989, J. Am. Stat. Assoc.
+    84:223, tests for changes of any kind). To first order, that moves the innovations by P·∂e, with the other
+    parameters and the noise at their optimum beside it. The probability is as in `chance_of`.
+    """
+    at = slopes(problem, f)
+    scored, gradients, covariance = at.scored, at.gradients, inverse(at.information)
+    rows = scored.of_each_log(scored.rows)
+    block, _ = blocks_of_time(rows)
+    t = np.concatenate([2.0 * (r - r[0]) / max(1, np.ptp(r)) - 1.0 for r in rows if r.size])
+    shapes, weights, found = np.stack([t, 1.5 * t**2 - 0.5]), 1.0 / scored.variances, {}
+    for p, error, log_variance, gradient in zip(f.free, at.errors, at.log_variances, gradients, strict=False):
+        de, dv = shapes * error, shapes * log_variance
+        across = at.errors @ (weights * de).T + 0.5 * at.log_variances @ dv.T
+        others = -covariance @ across
+        information = (weights * de) @ de.T + 0.5 * dv @ dv.T + across.T @ others
+        sizes = -inverse(information) @ (shapes @ gradient)
+        errors = scored.errors + sizes @ (de + others.T @ at.errors)
+        variances = scored.variances * np.exp(sizes @ (dv + others.T @ at.log_variances))
+        changing = replace(scored, errors=errors, variances=variances)
+        of_priors = float(sizes @ others.T @ gradients.sum(axis=1))  # their gradient at an optimum is minus that of −ℓ
+        gain = scored.nll - changing.nll + of_priors
+        of_gain = len(f.free) * float(chi2.sf(2.0 * gain, len(shapes)))
+        steady = float(norm.sf(gain_per_chance(block, scored, changing, of_priors)))
+        found[p.name] = 2.0 * float(sizes[0]), min(1.0, max(of_gain, steady))
+    return found
+
+
 def misfit_of(
     by_chance: float,
     moves: Mapping[str, float],
@@ -192,7 +223,7 @@ def misfit_of(
     """Return the lack of fit of a hypothesis.
 
     Args:
-        by_chance: Probability of the gain of unnamed terms.
+        by_chance: Probability of the gain of unnamed terms, or of a parameter that changes.
         moves: Forced state → size of its unknown input relative to its derivative.
         errors: `before` and `after`: channel → error of replays with the given model, and with the hypothesis.
         floor: Channel → noise floor of the hypothesis.

@@ -236,6 +236,8 @@ def _unexplained_text(c: Claims, something: str) -> str:
     where, over = c.residual["equation"], c.decision.misfit.over_floor
     if c.residual["signals"]:
         return f"{something} {f'acts on {where}; it ' if where else ''}{_dependence_text(c)}."
+    if c.residual["changing"]:
+        return f"{something} acts as if {join_names(list(c.residual['changing']))} changed during each log."
     if "unknown inputs" in c.decision.reasons:
         name = max(c.moves, key=lambda n: c.moves[n])
         text = f"{something} acts on {name}: an unknown input of {percent(c.moves[name])} of its derivative remains"
@@ -275,6 +277,8 @@ def _remaining_texts(c: Claims, remaining: Mapping[str, float], file: str) -> It
     if c.claimed is not None and c.residual["signals"] and misfit.probability < MISFIT:
         where = f" in the equation of {c.residual['equation']}" if c.residual["equation"] else ""
         yield f"Something remains{where}; it {_dependence_text(c)}."
+    elif c.claimed is not None and c.residual["changing"]:
+        yield f"Something remains; it acts as if {join_names(list(c.residual['changing']))} changed during each log."
     if c.grade == "part" and c.name != "ambiguous" and misfit.remains > LITTLE:
         channel = max(misfit.remaining, key=lambda n: misfit.remaining[n])
         rest = percent(misfit.remaining[channel])

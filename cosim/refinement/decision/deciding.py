@@ -16,7 +16,7 @@ from cosim.estimation.posing import build_problem, coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, chance_of, misfit_of, prior_of
+from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, chance_of, drifts, misfit_of, prior_of
 from cosim.refinement.decision.claims import Claims, equivalent_groups, experiment_for
 from cosim.refinement.decision.posterior import CERTAIN, MISFIT, Bundle, Decision, decide, log_evidence, log_prior
 from cosim.refinement.decision.scatter import (
@@ -40,6 +40,7 @@ from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study
 
 SHOWN = 3  # classes on the ladder of predictions
+TESTS = 2  # of the fit: for terms without a name, and for parameters that change
 
 
 def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
@@ -59,9 +60,12 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     coarse = coarsen(posed, best.fit.values)
     nameless = replace(coarse, sensing=best.fit.noise, trusted=search.problem.trusted, scatter=search.problem.scatter)
     leftover = find_unnamed_terms(nameless, best.fit, search.price, units)
-    by_chance = chance_of(nameless, leftover, best.fit)
+    by_chance = TESTS * chance_of(nameless, leftover, best.fit)
     leftover = leftover if by_chance < MISFIT else Leftover()
+    changing = {name: (change, TESTS * p) for name, (change, p) in drifts(search.problem, best.fit).items()}
+    by_chance = min(1.0, by_chance, *(p for _, p in changing.values()))
     residual = _residual(search.problem, base.fit, best.fit, leftover)
+    residual["changing"] = {name: change for name, (change, p) in changing.items() if p < MISFIT}
     inflated = [name for name, entry in residual["process_noise"].items() if entry["inflated"]]
     moves = {n: share for n, share in unknown_inputs(search.problem, best.fit, units).items() if n in inflated}
     progress("replaying with the claim and without", 0.0)
