@@ -18,6 +18,8 @@ from plant.powertrain import ground_effect, servo_angle, thrust_out_of_ground
 from tests.bench_runs import play_plain
 
 REST = (5.0, 7.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+GRAM = 9.81e-3  # [N]
+CONVERTER_STEP = 3.3 / 4095  # [V]
 
 
 def after(bench: Bench, seconds: float, **inputs: float) -> dict[str, float]:
@@ -75,3 +77,30 @@ def test_forces_are_thrust_times_ground_effect_projected() -> None:
     assert out["force_x"] == pytest.approx(thrust * math.sin(out["tilt_actual"]), rel=1e-9)  # 4.8
     assert out["force_z"] == pytest.approx(thrust * math.cos(out["tilt_actual"]), rel=1e-9)  # 4.7
     assert out["moment"] == pytest.approx(0.145 * 9.81 * -1.170e-4 * math.sin(out["tilt_actual"]), rel=1e-9)  # 4.10
+
+
+def test_the_servo_is_never_faster_than_60_degrees_in_140_ms() -> None:
+    bench = Bench()
+    target = bench.servo_neutral + math.radians(80) / bench.servo_slope  # 1.4 rad over 0.0884 s would be 16 rad/s
+    tilt = after(bench, 0.04, servo_duty=target)["tilt_actual"]
+    assert tilt == pytest.approx(0.04 * math.radians(60) / 0.14, rel=1e-9)
+
+
+def test_the_vertical_cell_of_app_c_ends_at_285_gf_and_so_test_1_saturates() -> None:
+    bench = Bench()
+    assert after(bench, 0.1, load_z=280 * GRAM)["volts_z"] > 5 * CONVERTER_STEP
+    assert after(bench, 0.1, load_z=286 * GRAM)["volts_z"] == 0.0
+    assert after(bench, 3.0, duty=6.53)["volts_z"] > 0.0  # 274 gf
+    assert after(bench, 3.0, duty=7.0)["volts_z"] == 0.0  # 443 gf
+
+
+def test_a_reading_is_a_whole_number_of_steps_of_12_bit() -> None:
+    steps = after(Bench(), 1.0, load_x=0.7)["volts_x"] / CONVERTER_STEP
+    assert steps == pytest.approx(round(steps), abs=1e-9)
+
+
+def test_the_low_pass_lets_63_percent_through_after_its_time() -> None:
+    bench = Bench(filter_time=0.5)
+    rest, end = after(bench, 1.0)["volts_x"], after(bench, 10.0, load_x=1.0)["volts_x"]
+    now = after(bench, 0.5, load_x=1.0)["volts_x"]
+    assert (now - rest) / (end - rest) == pytest.approx(1.0 - math.exp(-1.0), abs=0.002)  # steps of the converter

@@ -58,6 +58,28 @@ def test_figure_6_2(limit: float, settled_x: float, settled_psi: float, tilt: fl
     assert np.degrees(np.max(run["command"])) == pytest.approx(tilt, abs=0.05)  # half a unit of the last digit
 
 
+@pytest.mark.parametrize(
+    ("craft", "phi", "digits", "y"),
+    [
+        # eq 5.14 alone: the craft tumbles, which the five states do not show; y printed as 35 m
+        (Hovercraft(table_roll_stiffness=0.0, table_roll_damping=0.0, roll_ground_effect=False), 7.5, 0.05, 35.0),
+        # each propeller's own ground effect holds it, undamped
+        (Hovercraft(table_roll_stiffness=0.0, table_roll_damping=0.0), 0.124, 5e-4, None),
+        # and the air cushion of §4.2 makes it a detail
+        (Hovercraft(), 0.007, 5e-4, None),
+    ],
+    ids=["eq 5.14", "own ground effect", "air cushion"],
+)
+def test_roll_that_figure_6_2_does_not_show(craft: Hovercraft, phi: float, digits: float, y: float | None) -> None:
+    run = figure_6_2(math.inf, craft)
+    assert np.max(np.abs(run["phi"])) == pytest.approx(phi, abs=digits)  # half a unit of the last digit
+    if y is not None:
+        assert np.max(np.abs(run["y"])) == pytest.approx(y, abs=0.5)
+    # the 5-state figures are the same whatever roll does, to a tenth of a second or two
+    assert settling(run["x"], 0.02) == pytest.approx(2.98, abs=0.03)
+    assert settling(run["psi"], 0.02) == pytest.approx(1.38, abs=0.15)
+
+
 # Under the measured noise of eq 5.46.
 
 

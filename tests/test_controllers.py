@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
 from controller.laws import LawInput
 from controller.loop import Loop
-from controller.predictive import NAMES, PREDICTED, PredictiveLaw
+from controller.predictive import NAMES, PREDICTED, PredictiveLaw, TimeVariantLaw
 from controller.settings import (
     INTEGRAL_SETTINGS,
     PLACED_SETTINGS,
@@ -34,11 +34,12 @@ from controller.synthesis import (
     roll_numbers_of,
 )
 from cosim.fmi.fmu_build import build
+from cosim.model import Stepper
 from cosim.model.symbolic.linearize import linearize
 from cosim.simulation.workflow import run
 from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
 from plant.hovercraft import Hovercraft
-from tests.controllers import LAWS, WITHIN, figure_6_2, fly, manoeuvre
+from tests.controllers import LAWS, WITHIN, figure_6_2, fly, manoeuvre, time_variant
 from tests.hosts_fmpy import Instance
 
 STEP = 0.02
@@ -199,6 +200,51 @@ def test_a_prediction_without_solution_is_refused(given: dict[str, float]) -> No
         PredictiveSettings(**given)
 
 
+# -- prediction with A(t), B(t) -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def planned() -> TimeVariantLaw:
+    """The law after some programs for the same craft at rest, of which each linearises the plan before it."""
+    law, seen = time_variant(LTV), LawInput(1.5, -1.0, 0.3)
+    law.estimator(LTV, [0.0] * 5, 0.0)
+    for _ in range(4):
+        law.command([], seen)
+        law.path[1:], law.plan[1:] = law.path[:-1].copy(), law.plan[:-1].copy()  # no time passes
+    law.command([], seen)
+    return law
+
+
+def test_a_t_and_b_t_are_those_of_the_linearised_plant_all_along_the_plan(planned: TimeVariantLaw) -> None:
+    states = np.zeros((len(planned.plan), len(PLANT_STATES)))
+    states[:, PREDICTED] = planned.path[:-1]
+    A, B = (planned.slopes.along(of, states, planned.plan, (14, n)) for of, n in (("state", 14), ("command", 4)))
+    for k in (0, 7, 30, 99):
+        linear = linearize(planned.craft, states[k].tolist(), planned.plan[k].tolist())
+        np.testing.assert_allclose(A[k], linear.A, rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(B[k], linear.B, rtol=1e-11, atol=1e-11)
+    turning = A[:, PLANT_STATES.index("psi_dot"), PLANT_STATES.index("tilt_right")]
+    assert np.ptp(turning) > 0.3 * turning[0]  # the thrust of 6 to 7 % of duty: it is time-variant
+
+
+def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it(planned: TimeVariantLaw) -> None:
+    """A turn of 1 rad while it moves 1.5 m: the motors share the work, and thrust times tilt is no linear thing."""
+    A, B = full_model(MPC)
+    F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], MPC.prediction_step)
+    stepper, linear = Stepper(Hovercraft()), [np.zeros(len(NAMES))]
+    moment = stepper.start()
+    flown = [np.array(moment.state)[PREDICTED]]
+    for u in planned.plan:
+        moment = stepper.step(moment, tuple(u.tolist()), LTV.prediction_step)
+        flown.append(np.array(moment.state)[PREDICTED])
+        linear.append(F @ linear[-1] + G @ (u - planned.rest))
+    x, psi = NAMES.index("x"), NAMES.index("psi")
+    missed = np.abs(np.array(flown) - planned.path).max(axis=0)
+    once = np.abs(np.array(flown) - planned.hover - np.array(linear)).max(axis=0)
+    assert missed[psi] < 0.03 < 2.0 < once[psi]
+    assert missed[x] < 0.005 < 0.3 < once[x]
+
+
 # -- all of them --------------------------------------------------------------------------------
 
 
@@ -270,3 +316,15 @@ def test_on_a_tilted_table_integrals_hold_x_and_prediction_holds_y(flown: Path) 
     predictive = run("hold.yaml", flown / "mpc", [swap, "duration=20"], report=False, in_process=True)
     assert [c["of"] for c in predictive.missed] == ["plant.x"]  # off by what the tilt pushes: it has no integral
     assert abs(predictive.results["plant.y"][-1]) < 0.1
+
+
+def test_a_scheduler_cuts_the_inputs_off(project: Path) -> None:
+    """App. G: after a stated time every input of the craft is disconnected, whatever the controller commands."""
+    inputs = ("duty_right", "duty_left", "tilt_right", "tilt_left")
+    cut = ", ".join(f"{{on: plant.{name}, kind: stuck, value: 0, from: 0.5}}" for name in inputs)
+    settings = ["duration=2", "criteria={}", f"faults=[{cut}]"]
+    scenario = project / "scenarios" / "regulate.yaml"
+    results = run(scenario, project / "cut", settings, report=False, in_process=True).results
+    assert results["plant.thrust_right"][25] > 2.0  # [N], t = 0.5 s
+    assert results["plant.thrust_right"][-1] < 1e-6  # 17 lags later
+    assert np.abs(results["controller.tilt_right"][-50:]).max() > 0.01  # it still commands

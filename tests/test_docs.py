@@ -218,3 +218,20 @@ def test_links_between_documents_lead_somewhere() -> None:
     for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", document.read_text()):
             assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_tests_that_documents_name_exist() -> None:
+    names = {
+        path.stem: re.findall(r"^def (test_\w+)", path.read_text(), re.MULTILINE)
+        for path in (ROOT / "tests").glob("test_*.py")
+    }
+    for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+        text = document.read_text()
+        wanted = [(file, name) for file, name in re.findall(r"\b(test_\w+)(?:\.py)?::(test_\w+)", text)]
+        for file, quoted, word in re.findall(r"pytest(?: tests/(test_\w+)\.py)?(?: -k (?:\"(.+?)\"|(\w+)))?", text):
+            wanted += [(file, part) for part in re.split(r" (?:or|and) ", quoted or word)]
+        modules = re.findall(r"python -m (tests\.\w+)", text)
+        assert [m for m in modules if importlib.util.find_spec(m) is None] == [], document.name
+        for file, part in wanted:
+            known = [f"{stem} {name}" for stem in names if file in {"", stem} for name in names[stem]]
+            assert any(part in entry for entry in known), f"{document.name}: {file} {part}"

@@ -19,10 +19,17 @@ from cosim.fmi.building.build import build
 from cosim.fmi.building.file import read_model
 from cosim.model.namespaces import arrays
 from cosim.verbs.checks import check as check_files
-from plant.identification.recordings import COLUMNS, runs_of
+from plant.bench import Bench
+from plant.identification.cells import Cell, calibrate
+from plant.identification.estimates import Measurement, tilt_response
+from plant.identification.protocol import HeightTest, StepTest
+from plant.identification.recordings import COLUMNS, Recording, load_runs, runs_of
+from plant.identification.thrust import ground_effect_exponent
+from plant.identification.tilt import after_step
 from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
 from tests.bench_runs import play_plain, read_protocol
+from tests.interval_coverage import coverage
 
 ROOT = Path(__file__).resolve().parent.parent
 PROTOCOL = ROOT / "examples" / "bench" / "protocol.yaml"
@@ -147,6 +154,87 @@ def test_the_nominal_duty_follows_the_new_thrust_line(found: tuple[Path, Any]) -
     gain = ground_effect(arrays(), model.height, model.propeller_radius, model.ground_effect_exponent)
     thrust = (model.thrust_offset + model.thrust_slope * model.duty_nominal) * gain * 9.81e-3
     assert thrust == pytest.approx(2.4973, abs=2e-4)  # T_N, eq 5.36
+
+
+def test_the_report_has_the_counterpart_of_every_figure(found: tuple[Path, Any]) -> None:
+    text = (found[0] / "report.html").read_text(encoding="utf-8")
+    for figure in ("3.18", "4.6", *(f"4.{k}" for k in range(10, 21))):
+        assert f"Compare thesis, Fig {figure}." in text, figure
+
+
+def test_test_1_says_that_its_cell_leaves_its_range(found: tuple[Path, Any]) -> None:
+    (result,) = (r for r in found[1].results if r.test == "thrust_line")
+    assert any("vertical cell leaves its range" in note for note in result.notes)
+    details = json.loads((found[0] / "identify.json").read_text())["tests"]["thrust_line"]
+    assert details["highest_duty"] < 6.56
+    assert details["r2"] == pytest.approx(0.9869, abs=0.01)  # 4.22; the scatter is ours to choose
+
+
+def test_the_mean_of_nine_rows_costs_1_2_db_at_10_rad_per_s(found: tuple[Path, Any]) -> None:
+    (result,) = (r for r in found[1].results if r.test == "frequency")
+    assert "1.19 dB at 10 rad/s" in result.notes[0]
+
+
+def test_test_5_moves_the_cell_by_few_steps(found: tuple[Path, Any]) -> None:
+    (result,) = (r for r in found[1].results if r.test == "moment")
+    assert result.details["steps_of_converter"] < 20  # 4 over 25°, 9 over 80°, beside noise
+
+
+def test_a_calibration_leaves_one_point_out_in_turn(tmp_path: Path) -> None:
+    volts = np.linspace(0.5, 3.0, 7)
+    cell = Cell(4.0 - volts + 0.1 * volts**3 / 27, volts, 0.01)
+    assert np.abs(cell.cross_validation_errors).max() < 1e-9  # a cubic is exact
+    content = short(step={})
+    content["cells"]["z"] |= {"points": [[0, 0.5], [100, 1], [300, 1.5], [200, 2], [400, 2.5]]}
+    del content["cells"]["z"]["loads"]
+    protocol = read_protocol(written(tmp_path, content))
+    hung = {c: play_plain(protocol.bench)(runs) for c, runs in load_runs(protocol, 1).items()}
+    with pytest.raises(InputError, match=r"between 1\.5 V and 2 V"):
+        calibrate(protocol, hung)
+
+
+def constant_force(height: float, force: float) -> Recording:
+    """A run whose cell z shows nothing in the first second, and a constant force in the next."""
+    time = 0.02 * np.arange(101)
+    same = np.ones(time.size)
+    return Recording("", time, 6.3 * same, 7.5 * same, height * same, {"z": np.where(time > 1.0, force, 0.0)})
+
+
+def test_the_exponent_is_found_on_gains_that_have_no_logarithm() -> None:
+    loads = np.linspace(0.0, 3.0, 4)
+    heights = np.round(0.127 * np.array([0.68, 1.25, 2.0, 2.75]), 4)  # heights are read to 0.1 mm
+    gains = ground_effect(arrays(), heights, 0.127, 1.902)
+    test = HeightTest(files=list("abc"), rest=(0.0, 1.0), window=(1.02, 2.0), free_height=20.0)
+
+    def exponent(gains: Table) -> tuple[float, int]:
+        """Return k, and the number of gains without a logarithm."""
+        runs = [constant_force(h, f) for h, f in [*zip(heights, gains, strict=True), (20.0, 1.0)] for _ in range(3)]
+        result = ground_effect_exponent(Measurement(runs, {"z": Cell(loads, loads, 0.0)}, Bench(), test))
+        return result.estimates[0].value, result.details["dropped"]
+
+    assert exponent(gains) == (pytest.approx(1.902, abs=1e-4), 0)
+    found, dropped = exponent(gains - np.array([0, 0, 0, 0.02]))  # the last one below 1
+    assert 1.5 < found < 2.5
+    assert dropped == 3
+
+
+def test_63_percent_of_the_sine_after_25_degrees_comes_at_0_961_of_the_lag() -> None:
+    bench, loads = Bench(servo_dead_band=0.0, servo_speed=100.0), np.linspace(-1.0, 1.0, 5)
+    time = 0.001 * np.arange(3000)
+    servo = np.where(time >= 1.0, 7.5 + np.radians(25) / bench.servo_slope, 7.5)
+    force = np.sin(tilt_response(bench, time, servo, np.array([bench.lag]))[:, 0])
+    run = Recording("", time, 6.4 + 0.0 * time, servo, 0.095 + 0.0 * time, {"x": force})
+    test = StepTest(files=list("abc"), rest=(0, 0.9), window=(1, 2.9), at=1.0)
+    (estimate,) = after_step(Measurement([run] * 3, {"x": Cell(loads, loads, 0.0)}, bench, test)).estimates
+    assert estimate.thesis == pytest.approx(0.961 * bench.lag, rel=0.005)
+    assert estimate.value == pytest.approx(bench.lag, rel=1e-3)
+
+
+@pytest.mark.thorough
+def test_plain_functions_and_seeds_hold_the_truth(tmp_path: Path) -> None:
+    rows = coverage(written(tmp_path, short(thrust_line={}, step={})), range(1, 9))
+    assert {r.name for r in rows} == {"step.lag", "thrust_line.thrust_offset", "thrust_line.thrust_slope"}
+    assert all(r.share >= 0.75 for r in rows)  # of 8; one in a hundred thousand fails where each holds 95 %
 
 
 @pytest.mark.thorough

@@ -84,6 +84,16 @@ def test_noise_and_friction_come_back_from_logs(tmp_path: Path) -> None:
     assert check_files([path]) == []
 
 
+def test_the_interval_of_a_variance_holds_it_in_95_of_100(tmp_path: Path) -> None:
+    rng, time, names = np.random.default_rng(2), 0.02 * np.arange(1001), [q.name for q in Hovercraft.outputs]
+    path, estimates = protocol(tmp_path, model="base", rest={"files": ["rest.csv"]}), []
+    while len(estimates) < 400:
+        write_log(tmp_path / "rest.csv", {"time": time, **{n: 0.2 * rng.standard_normal(time.size) for n in names}})
+        estimates += identify(path, tmp_path / f"out{len(estimates)}", report=False).estimates.values()
+    share = np.mean([e.low <= 0.04 <= e.high for e in estimates])
+    assert 0.92 <= share <= 0.98  # 95 % ± three standard errors of 1.1 %
+
+
 def test_a_tank_s_area_is_found_from_how_far_it_fell(tmp_path: Path) -> None:
     (tmp_path / "tank.py").write_text(MODEL, encoding="utf-8")
     time, fallen = 0.5 * np.arange(81), []

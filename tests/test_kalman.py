@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import control
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.design_model import discrete_model, measurement_matrix
+from controller.design_model import design_model, discrete_model, fix_matrix, measurement_matrix
 from controller.loop import Loop
 from controller.settings import ESTIMATORS, Settings
 from cosim.model import Stepper
@@ -99,6 +100,18 @@ def test_loop_predicts_updates_and_feeds_back_in_this_order(estimator: str) -> N
     assert loop.sigma == pytest.approx((math.sqrt(hand.P[0, 0]), math.sqrt(hand.P[2, 2])), rel=1e-9)
 
 
+def test_position_uncertainty_grows_without_bound() -> None:
+    # x is unobservable: from P = 0, σ(x̂) of the Appendix F filter. Half a unit of the last digit.
+    loop, sigma = Loop(Settings(), (0.0,) * 5, 0.0, 0.0), {}
+    for k in range(1, 3001):
+        loop.step((0.0, 0.0, 0.0), 0.0, 0.0)
+        sigma[k] = loop.sigma[0]
+    for updates, printed in {50: 0.0791, 500: 0.5348, 1000: 0.8530, 3000: 1.5870}.items():
+        assert sigma[updates] == pytest.approx(printed, abs=5e-5), updates
+    # a random walk in the end: σ² grows by the same amount each step
+    assert (sigma[3000] ** 2 - sigma[2500] ** 2) / (sigma[2500] ** 2 - sigma[2000] ** 2) == pytest.approx(1.0, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("estimator", "position", "speed"),
     [
@@ -150,3 +163,14 @@ def test_a_fix_is_a_second_update_of_the_same_filter(estimator: str) -> None:
         # two forms of the covariance update, as above
         assert loop.estimate == pytest.approx(hand.x, rel=1e-9, abs=1e-11)
     assert loop.sigma[0] == pytest.approx(math.sqrt(hand.P[0, 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "without", "with_fixes"), [(e, 4 if e == "consistent" else 3, 5) for e in ESTIMATORS]
+)
+def test_a_fix_makes_the_system_observable(estimator: str, without: int, with_fixes: int) -> None:
+    settings = Settings(estimator="lagged")  # appendix F's own F has no inverse
+    A, _ = design_model(settings)
+    H = measurement_matrix(settings, estimator)
+    for seen, rank in ((H, without), (np.vstack([H, fix_matrix(settings)]), with_fixes)):
+        assert np.linalg.matrix_rank(control.obsv(A, seen), tol=1e-9) == rank  # entries lie between 1e-1 and 1e4

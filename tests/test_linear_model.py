@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -132,6 +134,31 @@ def test_design_model_is_eqs_5_33_and_5_34() -> None:
     assert np.array_equal(A, by_hand)
     # half a unit of the last printed digit
     assert np.round(B, 2).tolist() == [[0, 0], [0, 0], [0, 0], [41.85, -41.85], [40.07, 40.07]]
+
+
+def test_design_model_is_the_linearized_plant_with_the_differential_lag_residualised() -> None:
+    model = linearize(Hovercraft())
+    names = ("x", "vx", "psi", "psi_dot", "tilt_right", "tilt_left")
+    rows = [model.states.index(name) for name in names]
+    assert not np.delete(model.A[rows], rows, axis=1).any()  # at hover these six feel nothing else
+    A, B = model.A[np.ix_(rows, rows)], model.B[rows][:, [model.inputs.index(name) for name in names[4:]]]
+    T = np.eye(6)
+    T[4, 4:], T[5, 4:] = A[1, 4], (1.0, -1.0)  # a = push·(α_R + α_L), d = α_R − α_L
+    six = control.ss(T @ A @ np.linalg.inv(T), T @ B, np.eye(6), np.zeros((6, 2)), remove_useless_states=False)
+    five = control.model_reduction(six, elim_states=[5], method="matchdc", warn_unstable=False)  # 0 = ḋ
+    A_design, B_design = design_model(THESIS)
+    assert pytest.approx(A_design, abs=1e-12) == five.A
+    assert pytest.approx(B_design, rel=3e-6, abs=1e-12) == five.B  # δ_N is rounded: T_N is 4e-6 N low
+
+
+def test_eq_e4_is_the_older_thrust_and_lag() -> None:
+    # E.4 prints 34.27 and 24.17 and eq 5.50 −8.333, which T_N = 2.0448 N with τ = 0.12 s reproduce and no mixture does
+    older = Settings(thrust_nominal=2.0448, lag=0.12)
+    A, B = design_model(older)
+    assert (round(B[3, 0], 2), round(B[4, 0], 2), round(A[4, 4], 3)) == (34.27, 24.17, -8.333)
+    for mixture in (replace(older, lag=0.0884), replace(older, thrust_nominal=2.4973), THESIS):
+        _, B = design_model(mixture)
+        assert (round(B[3, 0], 2), round(B[4, 0], 2)) != (34.27, 24.17)
 
 
 # Structure: what can be steered and what can be seen (§5.5).

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 import scipy.io
 
+from controller.design_model import design_model, measurement_matrix
+from controller.settings import Settings
 from cosim.core.errors import InputError
-from cosim.linearization.linear_model import Linear, structure
+from cosim.linearization.linear_model import Linear, Point, structure
 from cosim.linearization.workflow import linearize
 from tests.conftest import ROOT
 from tests.tank import MODEL
@@ -85,6 +87,20 @@ def test_the_eight_states_are_three_chains_of_integrators() -> None:
     assert (pole.value, pole.count, found.controllable) == (0.0, 8, 8)
     ranks = [np.linalg.matrix_rank(np.linalg.matrix_power(linear.A, k)) for k in range(1, 5)]
     assert ranks == [5, 2, 1, 0]  # of Jordan blocks of sizes 4, 2 and 2
+
+
+def test_the_time_invariant_model_is_controllable_and_its_jordan_form_has_a_double_integrator() -> None:
+    A, B = design_model(Settings())
+    H, names = measurement_matrix(Settings(), "appendix_f"), (("x", "vx", "psi", "psi_dot", "a"), FOUR[2:])
+    point = Point(0.0, np.zeros(5), np.zeros(2))
+    outputs = ("psi", "psi_dot", "ax")
+    found = structure(Linear(A, B, H, np.zeros((3, 2)), *names, outputs, point, np.zeros(5), np.zeros(3), {}, "5.33"))
+    assert (found.controllable, found.observable) == (5, 3)
+    assert found.condition == pytest.approx(224_256, abs=0.5)  # §5.5 prints 22425
+    values = {round(p.value.real, 4): (p.count, p.observable) for p in found.poles}
+    assert values == {0.0: (3, False), -0.3546: (1, False), -11.3122: (1, True)}
+    ranks = [np.linalg.matrix_rank(np.linalg.matrix_power(A, k)) for k in (1, 2)]
+    assert ranks == [3, 2]  # of Jordan blocks of sizes 2 and 1 at 0
 
 
 # Other systems: every one by the same verb.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,11 @@ from numpy.typing import NDArray
 
 import cosim
 from controller.design_model import design_model, measurement_matrix
+from controller.loop import Loop
 from controller.observers import ExtendedFilter
-from controller.settings import ExtendedSettings, Settings
+from controller.settings import PLANT_STATES, ExtendedSettings, Settings
 from cosim.fmi.fmu_build import build
+from cosim.model import Stepper
 from cosim.model.symbolic.linearize import load_names
 from cosim.simulation.run_signals import Run
 from fmus.recipes import extended_recipe, filter_recipe, jacobians
@@ -82,6 +85,22 @@ def test_the_filter_of_the_thesis_meets_10_percent_and_10_degrees_and_double_int
     assert abs(off(moved, "integration")[-1]) > distance
 
 
+@pytest.mark.thorough
+def test_of_the_three_variants_the_one_that_observes_speed_is_the_worst_with_the_v_of_the_thesis(
+    flown: Mapping[str, Run],
+) -> None:
+    # V says that the model of ẋ is off by 1 cm/s a sample, so `consistent` believes −(c/m)·ẋ of a noisy accelerometer
+    worst = {e: abs(off(flown["localisation"], e)[-1]) for e in ("appendix_f", "lagged", "consistent")}
+    assert worst["consistent"] > 10 * max(worst["appendix_f"], worst["lagged"])
+
+
+@pytest.mark.thorough
+def test_noise_from_20_s_at_rest_is_that_of_eqs_5_44_to_5_46(flown: Mapping[str, Run]) -> None:
+    for name, printed in (("psi", 2.613e-5), ("psi_dot", 4.564e-4), ("ax", 0.04479)):
+        found = np.var(flown["localisation_rest"][f"filter.{name}"], ddof=1)  # 5.44, 5.45
+        assert found == pytest.approx(printed, rel=4 * math.sqrt(2 / 1000))  # four standard errors of 1001 readings
+
+
 # -- §7.1: fixes --------------------------------------------------------------------------------
 
 
@@ -109,6 +128,50 @@ def test_fixes_of_any_kind_find_a_start_that_nobody_told(
 
 
 @pytest.mark.thorough
+def test_without_fixes_the_start_is_never_found_and_p_diverges(flown: Mapping[str, Run]) -> None:
+    found = flown["localisation_fixes"]
+    assert (np.diff(found["without.x_sigma"]) > 0).all()
+    assert np.abs(off(found, "without")[found.time > 5]).min() > 0.1
+    assert np.abs(off(found, "by_camera")[found.time > 5]).max() < 0.1
+
+
+def turning_path(settings: ExtendedSettings, wrong: float) -> tuple[dict[str, float], list[float]]:
+    """Return the error of each estimated state at the end, and σ of x̂ at each sample.
+
+    The craft turns right by 90°, then flies 1.5 m; a camera sees it in world axes.
+    """
+    craft = Hovercraft()
+    extended = ExtendedFilter(craft, settings, load_names(jacobians()), {})
+    stepper, names = Stepper(craft), [q.name for q in craft.outputs]
+    moment = stepper.start(0.0, {"x": wrong, "x_world": wrong})
+    loop = Loop(Settings(), (wrong, 0.0, 0.0, 0.0, 0.0), wrong, 0.0)
+    rng, sigma = np.random.default_rng(7), []
+    for k in range(1, 501):
+        command = (craft.duty_nominal, craft.duty_nominal, *loop.command)
+        moment = stepper.step(moment, command, STEP)
+        y = dict(zip(names, stepper.output(moment.t, moment.state, command), strict=True))
+        psi_ref = -0.5 * math.pi if k > 25 else 0.0
+        loop.step((y["psi"], y["psi_dot"], y["ax"]), wrong + (1.5 if k > 150 else 0.0), psi_ref)
+        noise = rng.normal(0.0, 1.0, 5) * np.sqrt([2.613e-5, 4.564e-4, 0.04479, 1e-4, 1e-4])
+        z = np.array([y[n] for n in ("psi", "psi_dot", "ax", "x_world", "y_world")]) + noise
+        extended.step(z[:3].tolist(), command, float(k // 5), z[3:].tolist())
+        sigma.append(extended.sigma[0])
+    return dict(zip(PLANT_STATES, extended.filter.x - np.array(moment.state), strict=True)), sigma
+
+
+def test_a_camera_in_world_axes_corrects_the_distance_along_a_path_that_turns() -> None:
+    settings = ExtendedSettings(axes="world")
+    error, sigma = turning_path(settings, wrong=0.3)
+    assert math.hypot(error["x_world"], error["y_world"]) < 0.06  # three of σ = 2 cm
+    assert abs(error["x"]) < 0.06  # what is found out before the turn is along the old axis, and is kept
+    assert max(sigma[250:]) < 0.03
+    alone = replace(settings, measurement_variance_x=1e6, measurement_variance_y=1e6)
+    error, sigma = turning_path(alone, wrong=0.3)
+    assert abs(error["x_world"]) > 0.25
+    assert max(sigma[250:]) > 0.3
+
+
+@pytest.mark.thorough
 def test_scenarios_of_this_chapter_meet_their_criteria(flown: Mapping[str, Run]) -> None:
     assert {n: made.missed for n, made in flown.items()} == {n: [] for n in flown}
     assert [w for made in flown.values() for w in made.warnings if "not connected" in w] == []
@@ -125,6 +188,28 @@ def test_the_observability_matrix_is_that_of_eq_5_49() -> None:
     expected[[2, 5, 8, 11, 14], 4] = 1.0, -11.31, 128.0, -1448.0, 16375.0
     np.testing.assert_allclose(observability, expected, rtol=5e-4)  # four digits printed
     assert np.linalg.matrix_rank(observability) == 3
+
+
+def test_the_jordan_form_is_that_of_eqs_5_50_to_5_53_with_the_older_lag() -> None:
+    A, _ = design_model(Settings(lag=0.12))  # τ of the print, which App G has too
+    V = np.array(
+        [
+            [0.01504, -0.3534, 0.3384, 0, 0],
+            [-0.1253, 0.1253, 0, 0, 0],
+            [0, 0, 0, 1, 0],
+            [0, 0, 0, 0, 1],
+            [1, 0, 0, 0, 0],
+        ]
+    )  # 5.51
+    expected = np.zeros((5, 5))
+    expected[0, 0], expected[1, 1], expected[3, 4] = -8.333, -0.3546, 1.0
+    np.testing.assert_allclose(np.linalg.solve(V, A @ V), expected, atol=4e-3)  # 5.50, by four digits of V
+    inverse = np.linalg.inv(V)
+    assert inverse[0] == pytest.approx([0, 0, 0, 0, 1], abs=1e-12)  # 5.52: x̂₁ is the acceleration
+    assert inverse[1, [1, 4]] == pytest.approx([8.333 - 0.3546, 1.0], rel=1e-3)  # 7.978
+    assert inverse[2, [0, 1, 4]] == pytest.approx([2.955, 8.333, 1.0], rel=1e-3)
+    seen = measurement_matrix(Settings(), "appendix_f") @ V
+    assert np.flatnonzero(seen.any(axis=0)).tolist() == [0, 3, 4]  # 5.53: x̂₂ and x̂₃ cannot be observed
 
 
 # -- the FMUs -----------------------------------------------------------------------------------

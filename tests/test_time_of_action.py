@@ -79,7 +79,8 @@ def looped(fmus: Path) -> dict[str, Any]:
 
 
 LOOPS: dict[str, tuple[str, Callable[[Path], dict[str, Any]]]] = {
-    "compiled": ("C", lambda fmus: {}),
+    "compiled": ("C", lambda fmus: {"kinds": [kind for kind in KINDS if kind.startswith("cs")]}),
+    "exchange": ("Python: me_", lambda fmus: {}),
     "python": (
         "Python: sensor",
         lambda fmus: {

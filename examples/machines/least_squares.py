@@ -38,7 +38,7 @@ def tanks(p: Array, x: Array, u: float) -> Sequence[Array]:
 
 
 def tanks_full(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """A full upper tank runs over, a share of it into the lower one, which runs over at 10 V."""
+    """Two tanks that run over: the upper one, a share of it into the lower one, and that at 10 V."""
     full, share = p[4:]
     upper, lower = tanks(p, x, u)
     over = np.where(x[0] >= full, np.maximum(upper, 0.0), 0.0)
@@ -52,14 +52,11 @@ def exchanger(p: Array, x: Array, u: float) -> Sequence[Array]:
     return [(WATER * u * (25.0 - x[0]) + conductance * (110.0 - x[0])) / capacity]
 
 
-def exchanger_wall(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """A wall with a capacity; its conductance to the water by a power of the flow."""
-    capacity, inner, power, outer, wall, steam = p
-    passed = 1e3 * inner * (u / 0.3) ** power * (x[1] - x[0])
-    return [
-        (WATER * u * (25.0 - x[0]) + passed) / (1e3 * capacity),
-        (1e3 * outer * (steam - x[1]) - passed) / (1e3 * wall),
-    ]
+def exchanger_lag(p: Array, x: Array, u: float) -> Sequence[Array]:
+    """Well mixed water with a conductance by a power of the flow, and a sensor with a lag."""
+    capacity, conductance, power, steam, lag = p
+    passed = 1e3 * conductance * (u / 0.3) ** power * (steam - x[0])
+    return [(WATER * u * (25.0 - x[0]) + passed) / (1e3 * capacity), (x[0] - x[1]) / lag]
 
 
 Model = tuple[str, Callable[[Array, Array, float], Sequence[Array]], list[float], list[float], int]
@@ -74,7 +71,7 @@ MODELS: dict[str, list[Model]] = {  # name, equations, parameters, state, place 
     ],
     "exchanger": [
         ("base", exchanger, [20.0, 8.0], [98.0], 0),
-        ("wall, power of the flow", exchanger_wall, [20.0, 16.0, 0.5, 16.0, 20.0, 110.0], [98.0, 100.0], 0),
+        ("power of the flow, lag", exchanger_lag, [80.0, 8.5, 0.5, 110.0, 5.0], [98.0, 98.0], 1),
     ],
 }
 
