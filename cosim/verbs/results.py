@@ -18,7 +18,6 @@ from cosim.core.text import counted, some
 from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable
 from cosim.files.folders import RESULTS, newest_run, warnings_on
-from cosim.files.kinds import check_given
 from cosim.verbs.cli import progress_bar, say, say_json, show, show_page, table, warn
 
 if TYPE_CHECKING:
@@ -198,6 +197,7 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
     Example: cosim report results/one --open
     """
     from cosim.files.results import rows_in
+    from cosim.files.kinds import check_given
     from cosim.simulation.report import write_pages
     from cosim.simulation.run_signals import read_ran
 
