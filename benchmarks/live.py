@@ -26,7 +26,7 @@ H, ROWS, ROUNDS = 0.02, 100_000, 3
 def processor_time(scenario: Path, folder: Path, observers: Sequence[Any]) -> float:
     """Return the processor time [s] of a run, in this process and its worker."""
     before = os.times()
-    run(scenario, folder, report=False, format_="parquet", observers=observers)
+    run(scenario, folder, report=False, format="parquet", observers=observers)
     after = os.times()
     return sum(after[:4]) - sum(before[:4])
 

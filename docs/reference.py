@@ -17,8 +17,8 @@ from cosim.core.registry import resolve
 from cosim.refinement.refinement import Refined
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals
+from cosim.sweeps.reading import Swept
 from cosim.sweeps.store import Runs
-from cosim.sweeps.sweep_result import Swept
 from cosim.verbs import verbs
 from cosim.verbs.cli import command_line
 

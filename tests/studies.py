@@ -19,7 +19,7 @@ from cosim.refinement.proof.measure import ReplayedLogs, Variant, replay_logs
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Hypothesis, SearchResult
 from cosim.refinement.workflow import refine
-from cosim.verbs.schema_verb import schema_of
+from cosim.verbs.checks import schema_of
 from tests.blind.truth import write
 from tests.blind.truth_study import Study
 from tests.verdicts import contradictions

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cosim.core.errors import InputError
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from cosim.verbs.cli import entry
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu

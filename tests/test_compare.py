@@ -16,7 +16,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.artefact import kind_by_keys
 from cosim.files.results import Results
-from cosim.simulation.run_files import RecordedRun
+from cosim.simulation.run_signals import RecordedRun
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 

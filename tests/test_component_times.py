@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from cosim.simulation.report import write_pages
 from cosim.simulation.workflow import run
 from tests.walker import walker_scenario
 
@@ -14,7 +13,7 @@ def test_a_run_tells_its_slow_component_in_manifest_and_report(tmp_path: Path) -
     # 1 ms of each step, and 25 ms from t = 0.5 s on
     scenario = walker_scenario(tmp_path, pause=1000.0)
     slow = ["events=[{at: 0.5, set: {saving.pause: 25000}}]"]
-    outcome = run(scenario, tmp_path / "out", slow, report=write_pages)
+    outcome = run(scenario, tmp_path / "out", slow, report=True)
     timings = json.loads((tmp_path / "out" / "manifest.json").read_text())["timings"]
     assert next(iter(timings["components"])) == "saving"
     assert timings["components"]["saving"]["step"] > 1.0
@@ -23,4 +22,4 @@ def test_a_run_tells_its_slow_component_in_manifest_and_report(tmp_path: Path) -
     assert "saving takes" in page
     quiet = run(scenario, tmp_path / "quiet", [*slow, "components.saving.start.pause=0"], report=False, in_process=True)
     assert "components" not in quiet.manifest["timings"]
-    assert outcome.file.read_bytes() == quiet.file.read_bytes()
+    assert (outcome.folder / "results.csv").read_bytes() == (quiet.folder / "results.csv").read_bytes()

@@ -11,13 +11,13 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.authoring.matching import Port, match_ports, text
+from cosim.authoring.single import simulate
 from cosim.blocks.component import Signal
 from cosim.core.errors import CosimError
 from cosim.files.results import read_results
-from cosim.verbs.check_verb import check as check_files
+from cosim.simulation.workflow import run
+from cosim.verbs.checks import check as check_files
 from cosim.verbs.cli import command_line
-from cosim.verbs.run_verb import run
-from cosim.verbs.simulate_verb import simulate
 from tests.typed import typed_fmu
 
 EXPERIMENT = '<DefaultExperiment tolerance="0.003"/>'

@@ -17,7 +17,7 @@ import cosim
 from cosim.calibration import fitted_fmu
 from cosim.core.errors import InputError, SimulationError, TimedOut
 from cosim.files.kinds import kind_of
-from cosim.verbs.schema_verb import schema_of
+from cosim.verbs.checks import schema_of
 from tests.cases import some
 from tests.fit_head_to_head import CASES, Bench, by_cosim, by_scipy
 from tests.logs import write_log

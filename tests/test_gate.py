@@ -16,7 +16,7 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
 from cosim.model import Equations, Model, Namespace, Quantity
 from cosim.model.traits import Traits
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
 from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
 

@@ -11,7 +11,7 @@ import pytest
 
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
-from cosim.verbs.graph_verb import graph_of
+from cosim.verbs.checks import graph_of
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 

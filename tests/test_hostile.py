@@ -13,7 +13,7 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.files.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
 from cosim.files.yaml_file import Document
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}">

@@ -18,7 +18,7 @@ from cosim.files.csv_source import write_table
 from cosim.fmi.building.build import build
 from cosim.fmi.building.file import read_model
 from cosim.model.namespaces import arrays
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from plant.bench import Bench
 from plant.identification.cells import Cell, calibrate
 from plant.identification.estimates import Measurement, tilt_response

@@ -12,7 +12,7 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.fmi.building.file import read_model
 from cosim.model import Stepper
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.identification.workflow import identify
 from tests.logs import write_log

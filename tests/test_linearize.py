@@ -15,8 +15,7 @@ import scipy.io
 from controller.design_model import design_model, measurement_matrix
 from controller.settings import Settings
 from cosim.core.errors import InputError
-from cosim.linearization.linear_model import Linear, Point
-from cosim.linearization.system_structure import structure
+from cosim.linearization.linear_model import Linear, Point, structure
 from cosim.linearization.workflow import linearize
 from tests.conftest import ROOT
 from tests.tank import MODEL
@@ -121,66 +120,6 @@ def test_a_tank_has_the_pole_of_its_outlet(tank: Path) -> None:
     assert found.rates[0] == pytest.approx((0.02 - 0.02 * 2.0) / 0.5)
 
 
-SERVO = """
-from dataclasses import dataclass
-
-from cosim.model import Equations, Model, Quantity, parameter
-
-
-@dataclass(frozen=True, kw_only=True)
-class Servo(Model):
-    base_states = (Quantity("angle", "rad", "angle"), Quantity("speed", "rad/s", "speed"))
-    inputs = (Quantity("command", "rad", "command"), Quantity("trim", "rad", "where the stop is"))
-    outputs = (Quantity("flow", "1", "the larger input"), Quantity("shown", "rad", "angle"))
-    catalogue = ()
-    sensors = ()
-    sensor_variance = {"flow": 1e-4, "shown": 1e-4}
-    start_variance = {"angle": 0.01, "speed": 0.01}
-    forced = ("speed",)
-    calibrated = ("band",)
-
-    band: float = parameter(0.1, unit="rad", bounds=(0, 1), doc="half width of the dead band")
-
-    def equations(self, m):
-        def derivative(t, state, command):
-            angle, speed = state
-            off = command[0] - angle
-            beyond = m.where(off > self.band, off - self.band, m.where(off < -self.band, off + self.band, 0.0))
-            stop = m.where(angle > command[1], 50.0, 0.0)
-            return speed, 20.0 * beyond - 2.0 * speed - stop
-
-        def output(t, state, command):
-            return m.where(command[0] > command[1], command[0], command[1]), state[0]
-
-        return Equations(derivative, output)
-"""
-
-
-@pytest.fixture
-def servo(tmp_path: Path) -> str:
-    (tmp_path / "servo.py").write_text(SERVO, encoding="utf-8")
-    return f"{tmp_path / 'servo.py'}:Servo"
-
-
-@pytest.mark.parametrize(
-    ("at", "refused_of"),
-    [
-        ("command=0.1,trim=1", {"command", "angle"}),  # the edge of the dead band
-        ("command=0.05,trim=0.05", {"command", "trim"}),  # flow = max(command, trim)
-        ("command=1,angle=0.2,trim=0.2", {"angle", "trim"}),  # a jump: the stop
-        ("command=1,trim=2", set()),
-    ],
-)
-def test_a_point_without_a_derivative_is_refused(servo: str, tmp_path: Path, at: str, refused_of: set[str]) -> None:
-    if not refused_of:
-        assert linearize(servo, at=[at]).first.A[1].tolist() == [-20.0, -2.0]
-        return
-    with pytest.raises(InputError) as told:
-        linearize(servo, tmp_path / "out", at=[at])
-    assert {fault.message.split()[0] for fault in told.value.faults} == refused_of
-    assert not (tmp_path / "out" / "linear.json").exists()
-
-
 def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
     outcome = linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"])
     content = json.loads((tmp_path / "out" / "linear.json").read_text(encoding="utf-8"))
@@ -251,7 +190,6 @@ def test_what_does_not_fit_is_refused(tank: Path, project: Path, plant_fmu: Path
         ("", [], {"step": 1e-5}, 1),
         ("", ["none.yaml@1"], {}, 1),
         ("", ["none.yaml@soon"], {}, 1),
-        ("", ["level=1e-6"], {}, 1),  # a kink
         ("", [f"{scenario}@1"], {}, 1),
         ("base", [f"{scenario}@11"], {}, 1),
         ("base", [f"{scenario}@1"], {"component": "plont"}, 1),

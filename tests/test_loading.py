@@ -11,7 +11,7 @@ import pytest
 
 from cosim.core.errors import InputError
 from cosim.fmi.native.compiler import compiler
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from tests.decay import DESCRIPTION, library
 
 

@@ -16,7 +16,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import undeclared
 from cosim.simulation.workflow import run
 from cosim.system.system import build_system
-from cosim.verbs.check_verb import check
+from cosim.verbs.checks import check
 from tests.cases import some
 from tests.coupled import LINEAR, LOOP_A, LOOP_B, SQUARE, coupled_fmu, without_dependencies
 from tests.deeds import deeds_scenario
@@ -42,7 +42,7 @@ def ran(
     file = folder / "loop.yaml"
     head = f"name: loop\nduration: {0.1 * steps:g}\nstep: 0.1\nrecord: ['*.steps']\n"
     file.write_text(f"{head}components:\n{components}{connections}{more}")
-    outcome = run(file, folder / "out", report=False, in_process=True)
+    outcome = run(file, folder / "out", report=False, force=True, in_process=True)
     return outcome.results, outcome.manifest
 
 
@@ -149,7 +149,7 @@ def test_a_loop_that_no_fmu_declares_is_measured_and_solved(tmp_path: Path, more
         return
     components = manifest["scenario"]["components"]
     assert [components[name]["feedthrough"] for name in "ab"] == [["u0"], ["u0"]]
-    repeated = run(tmp_path / "out" / "manifest.json", tmp_path / "again", report=False, in_process=True)
+    repeated = run(tmp_path / "out" / "manifest.json", tmp_path / "again", report=False, force=True, in_process=True)
     assert repeated.results.values.tobytes() == after.values.tobytes()
     assert repeated.manifest["warnings"] == manifest["warnings"]
 
@@ -192,9 +192,11 @@ def test_a_loop_of_whole_numbers_is_measured_and_the_stated_cure_works(tmp_path:
     file = tmp_path / "whole.yaml"
     components = f"components: {{a: {{fmu: {fmu.name}}}, b: {{fmu: {fmu.name}}}}}\n"
     file.write_text(f"name: whole\nduration: 1\nstep: 0.1\n{components}{wires}")
-    warnings = run(file, tmp_path / "out", report=False, in_process=True).manifest["warnings"]
+    warnings = run(file, tmp_path / "out", report=False, force=True, in_process=True).manifest["warnings"]
     assert type(warnings[-1]) is CheckWarning
-    ordered = run(file, tmp_path / "ordered", ["order=[a, b]"], report=False, in_process=True).manifest["warnings"]
+    ordered = run(file, tmp_path / "ordered", ["order=[a, b]"], report=False, force=True, in_process=True).manifest[
+        "warnings"
+    ]
     assert ordered == warnings[:-1]
 
 
@@ -206,7 +208,7 @@ def test_a_hang_in_the_measurement_is_limited_told_and_no_end_of_the_run(
     for name in ("good.fmu", "bad.fmu"):
         without_dependencies(tmp_path / name)
     told: list[str] = []
-    manifest = run(file, tmp_path / "out", report=False, tell=told.append).manifest
+    manifest = run(file, tmp_path / "out", report=False, force=True, tell=told.append).manifest
     assert [*map(type, told)] == [Note]
     (warning,) = (w for w in manifest["warnings"] if type(w) is CheckWarning)
     assert "0.5 s" in warning
@@ -296,7 +298,7 @@ def test_an_undeclared_fmu_that_answers_no_input_is_named_and_stated_feedthrough
     _, manifest = late(tmp_path, 5.0, "loops: {}\n", late=2.0, declares=False)
     assert "not_solved" in manifest["loops"][0]
     stated = ["components.a.feedthrough=[u0]"]
-    outcome = run(tmp_path / "loop.yaml", tmp_path / "stated", stated, report=False, in_process=True)
+    outcome = run(tmp_path / "loop.yaml", tmp_path / "stated", stated, report=False, force=True, in_process=True)
     assert outcome.results["a.y0"][-1] == pytest.approx(-0.25)
     assert outcome.manifest["warnings"] == []
 
@@ -323,7 +325,7 @@ def test_a_member_with_a_step_of_its_own_is_a_fault(tmp_path: Path) -> None:
     components = "components: {a: {fmu: a.fmu, step: 0.2}, b: {fmu: a.fmu}}\n"
     file.write_text(f"name: own\nduration: 1\nstep: 0.1\n{components}{TWO}")
     with pytest.raises(InputError, match=r"own\.yaml:4:.*a has a step of its own"):
-        run(file, tmp_path / "out", report=False, in_process=True)
+        run(file, tmp_path / "out", report=False, force=True, in_process=True)
 
 
 # -- numerics ---------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from cosim.files.table import read_columns
 from cosim.isolation.worker import PROGRESS
 from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from tests.cases import some
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario

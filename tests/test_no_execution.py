@@ -16,8 +16,8 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.fmi.building.file import load_model, without_execution
 from cosim.sweeps.workflow import sweep as run_sweep
-from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.graph_verb import graph_of
+from cosim.verbs.checks import check as check_files
+from cosim.verbs.checks import graph_of
 from tests.conftest import ROOT
 from tests.logs import write_log
 

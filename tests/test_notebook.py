@@ -18,8 +18,7 @@ from cosim.core.errors import InputError
 from cosim.files.results import Results
 from cosim.refinement.refinement import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
-from cosim.simulation.run_files import RecordedRun
-from cosim.simulation.run_signals import Signals
+from cosim.simulation.run_signals import RecordedRun, Signals
 from tests.test_python import turning
 
 PEAK = 123_457  # row of a single high value

@@ -11,7 +11,7 @@ from cosim.experiment.rigs import inputs_to_limit
 from cosim.fmi.building.file import read_model
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from plant.hovercraft import Hovercraft
 from tests.table import RUBS, TABLE, table_log
 

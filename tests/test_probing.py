@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.authoring.single import simulate
 from cosim.fmi.description import Way
 from cosim.fmi.native.compiler import compiler
 from cosim.logs.log import Log
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.places import probe_structure
 from cosim.residuals.drive import log_of_fmu
-from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.simulate_verb import simulate
+from cosim.verbs.checks import check as check_files
 from tests.blind.fmu_build import PLANTS, WAYS, build
 from tests.deeds import deeds_fmu
 from tests.slider import slider_fmu, slider_log

@@ -17,7 +17,7 @@ from cosim.core.errors import InputError
 from cosim.files.yaml_file import YamlFile
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals
-from cosim.verbs.schema_verb import schema_of
+from cosim.verbs.checks import schema_of
 from tests.conftest import ROOT
 from tests.test_first_steps import told
 from tests.typed import typed_fmu

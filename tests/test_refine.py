@@ -32,8 +32,8 @@ from cosim.refinement.decision.posterior import Verdict
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
-from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.schema_verb import schema_of
+from cosim.verbs.checks import check as check_files
+from cosim.verbs.checks import schema_of
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER

@@ -21,7 +21,7 @@ from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.workflow import refine
 from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
-from cosim.verbs.schema_verb import schema_of
+from cosim.verbs.checks import schema_of
 from plant.hovercraft import Hovercraft
 from tests.logs import IMU, fly, log_of, measured, times, write_log
 from tests.seen import faults

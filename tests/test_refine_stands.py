@@ -84,7 +84,7 @@ def test_a_run_does_not_write_over_what_it_plays(project: Path) -> None:
     )
     before = (project / "results.csv").read_bytes()
     with pytest.raises(InputError, match=OVER):
-        run(project / "played.yaml", project, report=False)
+        run(project / "played.yaml", project, report=False, force=True)
     assert (project / "results.csv").read_bytes() == before
 
 

@@ -59,7 +59,9 @@ def log(flight: Flight, tmp_path_factory: pytest.TempPathFactory) -> Log:
 
 def test_the_rows_of_a_run_are_the_rows_of_a_log(project: Path) -> None:
     """Row k of a result holds what is measured at t_k and the command that acts from there: so does a log."""
-    outcome = run(project / "scenarios" / "regulate.yaml", project, ["noise=off", "duration=4"], report=False)
+    outcome = run(
+        project / "scenarios" / "regulate.yaml", project, ["noise=off", "duration=4"], report=False, force=True
+    )
     ran, scenario = outcome.results, outcome.manifest["scenario"]
     names = [q.name for q in INPUTS] + ["psi", "psi_dot", "ax", "x", "vx"]
     path = write_log(project / "run.csv", {"time": ran.time} | {n: ran[f"plant.{n}"] for n in names})

@@ -311,7 +311,8 @@ def test_an_fmu_that_does_not_repeat_itself_is_found(in_c: Walk, tmp_path: Path)
 
 def test_a_new_run_in_the_folder_removes_the_checkpoint_of_another(in_c: Walk, tmp_path: Path) -> None:
     part = shutil.copytree(in_c[2], tmp_path / "part")
-    run(in_c[0], part, ["duration=0.1", "components.saving.start.pause=0", "events=[]", "faults=[]"], report=False)
+    changes = ["duration=0.1", "components.saving.start.pause=0", "events=[]", "faults=[]"]
+    run(in_c[0], part, changes, report=False, force=True)
     assert not (part / "checkpoint").exists()
     with pytest.raises(CosimError, match="finished"):
         run(part, resume=True)
@@ -340,7 +341,11 @@ def test_changes_by_an_observer_are_in_the_checkpoint(walk: Walk, tmp_path: Path
     gone_on = run(tmp_path / "part", resume=True, report=False)
     assert len(gone_on.manifest["changes"]) == 1
     again = run(tmp_path / "part" / "manifest.json", tmp_path / "again", report=False)
-    assert (again.file).read_bytes() == gone_on.file.read_bytes() != (walk[1] / "results.csv").read_bytes()
+    assert (
+        (again.folder / "results.csv").read_bytes()
+        == (gone_on.folder / "results.csv").read_bytes()
+        != (walk[1] / "results.csv").read_bytes()
+    )
 
 
 def test_a_run_with_event_mode_is_made_again_and_compared(tmp_path: Path) -> None:
@@ -355,7 +360,7 @@ def test_a_run_with_event_mode_is_made_again_and_compared(tmp_path: Path) -> Non
     part = stopped(scenario, tmp_path / "part", ["checkpoint=20 ms"], after=0.1)
     assert len((part / "results.csv").read_text().splitlines()) < 4002
     run(part, resume=True, report=False)
-    assert (part / "results.csv").read_bytes() == whole.file.read_bytes()
+    assert (part / "results.csv").read_bytes() == (whole.folder / "results.csv").read_bytes()
     longer = run(scenario, tmp_path / "longer", ["duration=5"], report=False)
     run(part, until=5.0, report=False)
-    assert (part / "results.csv").read_bytes() == longer.file.read_bytes()
+    assert (part / "results.csv").read_bytes() == (longer.folder / "results.csv").read_bytes()

@@ -10,7 +10,6 @@ import pytest
 
 from cosim.core.errors import InputError
 from cosim.files.table import read_columns
-from cosim.simulation.report import write_pages
 from cosim.simulation.workflow import run
 from tests.warm import cosim
 
@@ -158,7 +157,7 @@ def test_a_duty_outside_the_fitted_thrust_line_is_warned_of_once(project: Path) 
 
 def test_a_run_without_a_report_leaves_none_of_other_results(project: Path) -> None:
     scenario, folder = project / "scenarios" / "regulate.yaml", project / "once"
-    run(scenario, folder, ["duration=0.2"], report=write_pages)
+    run(scenario, folder, ["duration=0.2"], report=True)
     assert (folder / "report.html").exists()
-    run(scenario, folder, ["duration=0.2"], report=False)
+    run(scenario, folder, ["duration=0.2"], report=False, force=True)
     assert not (folder / "report.html").exists()

@@ -18,7 +18,7 @@ from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import model_signals
 from cosim.residuals.workflow import write_replay
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from tests.logs import write_log
 from tests.motor import motor_file, motor_log
 

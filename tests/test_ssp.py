@@ -29,7 +29,7 @@ STEP = "step=0.0625"  # s; a power of two, so that sums of it are exact in hosts
 
 
 def ran(source: Path, folder: Path, *overrides: str) -> Results:
-    return run(source, folder / "ran", [STEP, *overrides], report=False, in_process=True).results
+    return run(source, folder / "ran", [STEP, *overrides], report=False, force=True, in_process=True).results
 
 
 def scenario(folder: Path, **content: Any) -> Path:
@@ -97,11 +97,13 @@ def test_the_step_is_that_of_an_annotation_and_what_is_not_said_is_warned_of(tmp
     said = """<ssd:DefaultExperiment stopTime="1"><ssd:Annotations><ssc:Annotation type="com.opensimulationplatform">
 <osp:Algorithm xmlns:osp="o"><osp:FixedStepAlgorithm baseStepSize="0.25"/></osp:Algorithm></ssc:Annotation>
 </ssd:Annotations></ssd:DefaultExperiment>"""
-    outcome = run(ssp(tmp_path / "x.ssp", system, {"resources/lag.fmu": fmu}, said), tmp_path / "r", report=False)
+    outcome = run(
+        ssp(tmp_path / "x.ssp", system, {"resources/lag.fmu": fmu}, said), tmp_path / "r", report=False, force=True
+    )
     assert outcome.results.time.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
     assert not [w for w in outcome.manifest["warnings"] if "names no" in w]
     silent = ssp(tmp_path / "y.ssp", system, {"resources/lag.fmu": fmu}, "<ssd:DefaultExperiment/>")
-    outcome = run(silent, tmp_path / "r", report=False, in_process=True)
+    outcome = run(silent, tmp_path / "r", report=False, force=True, in_process=True)
     assert len([w for w in outcome.manifest["warnings"] if "names no" in w]) == 2
 
 
@@ -306,7 +308,9 @@ def test_values_of_every_type_that_importers_take_are_written(tmp_path: Path) ->
     typed_fmu(tmp_path, 2, "typed2")
     start = {"r_in": 2.5, "i_in": -3, "b_in": True, "s_in": "<&>", "e_in": "second"}
     source = lags(tmp_path, components={"x": {"fmu": "typed2.fmu", "start": start}}, connections=[])
-    again = run(export_ssp(source, tmp_path / "x.ssp").path, tmp_path / "r", report=False, in_process=True).results
+    again = run(
+        export_ssp(source, tmp_path / "x.ssp").path, tmp_path / "r", report=False, force=True, in_process=True
+    ).results
     assert [again[f"x.{n}"][0].item() for n in ("r_out", "i_out", "b_out", "e_out")] == [2.5, -3, 1, 2]
     assert again.exact["x.s_out"][0] == "<&>"
 
@@ -335,11 +339,13 @@ def agrees(host: str, path: Path, folder: Path, step: float, steps: int) -> Resu
     """An SSP moves in a host as it does here; FMPy exchanges nothing before its first step, inputs are zero in it."""
     overrides = [f"step={step}", f"duration={step * steps}"]
     out = folder / f"here-{host}"
-    ours = run(path, out, overrides, report=False, in_process=True).results
+    ours = run(path, out, overrides, report=False, force=True, in_process=True).results
     fed = [c["to"] for c in json.loads((out / "system" / "scenario.json").read_text())["connections"]]
     if host == "fmpy_ssp":
         none = [{"on": signal, "kind": "stuck", "value": 0, "from": 0, "to": 0} for signal in fed]
-        ours = run(path, out, [*overrides, f"faults={json.dumps(none)}"], report=False, in_process=True).results
+        ours = run(
+            path, out, [*overrides, f"faults={json.dumps(none)}"], report=False, force=True, in_process=True
+        ).results
     columns = [c for c in ours.columns if c not in fed]
     job = {"ssp": str(path), "columns": columns, "step": step, "steps": steps, "parameters": "start"}
     got, want = run_in(host, job), np.column_stack([ours[c] for c in columns])

@@ -35,7 +35,7 @@ def ran(folder: Path, step: str, more: str = "", seconds: float = SECONDS) -> An
     ends = "connections: [{from: chassis.y0, to: wheel.u0}, {from: wheel.y0, to: chassis.u0}]\n"
     file = folder / "truck.yaml"
     file.write_text(f"name: truck\nduration: {seconds:g}\n{step}components:\n{components}{ends}{more}")
-    outcome = run(file, folder / "out", report=False, in_process=True)
+    outcome = run(file, folder / "out", report=False, force=True, in_process=True)
     return outcome.results, outcome.manifest
 
 
@@ -128,11 +128,11 @@ def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> Non
         "components:\n  chassis: {fmu: chassis.fmu, start: {p0: 400}}\n  count: {fmu: count.fmu, step: 40 ms}\n"
     )
     file.write_text(f"name: own\nduration: 0.4\nrecord: [count.steps]\n{HALVING}{components}")
-    results = run(file, tmp_path / "out", report=False, in_process=True).results
+    results = run(file, tmp_path / "out", report=False, force=True, in_process=True).results
     assert results["count.steps"].tolist() == [k // 2 for k in range(21)]
     file.write_text(f"name: own\nduration: 0.4\n{HALVING}{components.replace(', step: 40 ms', '')}")
     with pytest.raises(InputError, match=r"count takes steps of one length only"):
-        run(file, tmp_path / "out", report=False, in_process=True)
+        run(file, tmp_path / "out", report=False, force=True, in_process=True)
 
 
 @pytest.mark.parametrize(
@@ -196,7 +196,7 @@ def test_a_loop_is_solved_between_rows_too(tmp_path: Path) -> None:
     components = "".join(f"  {n}: {{fmu: {n}.fmu, start: {s}}}\n" for n, s in starts.items())
     ends = "connections: [{from: a.y0, to: b.u0}, {from: b.y0, to: a.u0}]\n"
     file.write_text(f"name: loop\nduration: 2\nstep: {{max: 100 ms, min: 1 ms}}\ncomponents:\n{components}{ends}")
-    outcome = run(file, tmp_path / "out", report=False, in_process=True)
+    outcome = run(file, tmp_path / "out", report=False, force=True, in_process=True)
     y = outcome.results["a.y0"]
     x = 0.5 * (np.exp(-2.0 * outcome.results.time) - 1.0)  # x' = −2·y − x with 2·y = 1 + x
     assert y == pytest.approx(0.5 * (1.0 + x), abs=2e-3)

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cosim.core.errors import InputError
 from cosim.refinement.study import read_study
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from cosim.verbs.cli import command_line
 from tests.cases import some
 from tests.tank import MODEL, tank_log

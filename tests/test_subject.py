@@ -26,7 +26,7 @@ from cosim.model import Quantity, parameter
 from cosim.model.quantities import Parameter
 from cosim.refinement.study import study_of
 from cosim.residuals.windows import Replay
-from cosim.verbs.schema_verb import schema_of
+from cosim.verbs.checks import schema_of
 from tests.logs import write_log
 
 STEP, MASS, VISCOUS, FORCE, SOFT, NOISE = 0.05, 2.0, 0.8, 0.9, 0.05, 1e-3

@@ -23,11 +23,9 @@ from cosim.core.errors import InputError, SweepFailed, SweepStopped
 from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
 from cosim.simulation.workflow import run
-from cosim.sweeps.reading import read_sweep
-from cosim.sweeps.run_statistics import sensitivity
-from cosim.sweeps.sampling import Factor, columns_of, distribution
+from cosim.sweeps.reading import read_sweep, repeat_command
+from cosim.sweeps.sampling import Factor, columns_of, distribution, sensitivity
 from cosim.sweeps.store import read_table, signal_of
-from cosim.sweeps.sweep_result import repeat_command
 from cosim.sweeps.workflow import sweep
 from cosim.verbs.cli import command_line
 from tests.full_disk import full_disk

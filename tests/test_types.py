@@ -18,7 +18,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
 from cosim.system.system import System, build_system
-from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.checks import check as check_files
 from tests.lag import lag_fmu
 from tests.typed import numbers_fmu, typed_fmu
 
@@ -51,7 +51,7 @@ def test_integers_booleans_text_and_enumerations_go_from_fmu_to_fmu(tmp_path: Pa
     start = {"r_in": 0.5, "i_in": -2147483648, "b_in": True, "s_in": 'a "b", c', "e_in": "second"}
     wires = tuple((f"a.{k}_out", f"b.{k}_in") for k in "ribse")
     path = scenario(tmp_path, {"a": {"fmu": fmu, "start": start}, "b": {"fmu": fmu}}, wires)
-    run(path, tmp_path / "out", report=False)
+    run(path, tmp_path / "out", report=False, force=True)
     with (tmp_path / "out" / "results.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 11
@@ -62,7 +62,7 @@ def test_integers_booleans_text_and_enumerations_go_from_fmu_to_fmu(tmp_path: Pa
 def test_binary_data_that_comes_as_no_pointer_has_no_bytes(tmp_path: Path) -> None:
     fmu = str(typed_fmu(tmp_path, 3))
     path = scenario(tmp_path, {"a": {"fmu": fmu}, "b": {"fmu": fmu}}, (("a.raw_out", "b.raw"),))
-    run(path, tmp_path / "out", report=False)
+    run(path, tmp_path / "out", report=False, force=True)
     with (tmp_path / "out" / "results.csv").open(newline="") as stream:
         assert [row["b.raw_out"] for row in csv.DictReader(stream)] == [""] * 11
 
@@ -156,17 +156,17 @@ def test_the_tolerance_is_the_components_else_the_scenarios_else_that_of_the_fmu
 
 def test_a_warning_is_logged_once_and_debugging_only_where_asked_for(tmp_path: Path) -> None:
     a: dict[str, Any] = {"fmu": str(typed_fmu(tmp_path)), "start": {"warn_at": 0.3}}
-    outcome = run(scenario(tmp_path, {"a": a}), tmp_path / "out", report=False)
+    outcome = run(scenario(tmp_path, {"a": a}), tmp_path / "out", report=False, force=True)
     told = [w for w in outcome.manifest["warnings"] if w.startswith("a: ")]
     assert told == ["a: it runs hot", "a: fmi2DoStep returned Warning"]
     assert len(outcome.results.time) == 11
-    outcome = run(scenario(tmp_path, {"a": a | {"logging": True}}), tmp_path / "out", report=False)
+    outcome = run(scenario(tmp_path, {"a": a | {"logging": True}}), tmp_path / "out", report=False, force=True)
     assert "a: debugging" in outcome.manifest["warnings"]
 
 
 def test_an_fmu_that_ends_the_simulation_leaves_a_row_for_that_time(tmp_path: Path) -> None:
     a = {"fmu": str(typed_fmu(tmp_path)), "start": {"end_at": 0.55}}
-    outcome = run(scenario(tmp_path, {"a": a}), tmp_path / "out", report=False)
+    outcome = run(scenario(tmp_path, {"a": a}), tmp_path / "out", report=False, force=True)
     assert outcome.results.time[-2:] == pytest.approx([0.5, 0.55])
     assert outcome.manifest["status"] == "ok"
     assert any("a ended the simulation at t = 0.55 s" in w for w in outcome.manifest["warnings"])
@@ -175,7 +175,7 @@ def test_an_fmu_that_ends_the_simulation_leaves_a_row_for_that_time(tmp_path: Pa
 def test_a_criterion_on_a_time_that_was_not_reached_is_missed(tmp_path: Path) -> None:
     a = {"fmu": str(typed_fmu(tmp_path)), "start": {"end_at": 0.5}}
     criteria = {"peak": {"of": "a.r_out", "after": 0.7, "max": 1}}
-    outcome = run(scenario(tmp_path, {"a": a}, criteria=criteria), tmp_path / "out", report=False)
+    outcome = run(scenario(tmp_path, {"a": a}, criteria=criteria), tmp_path / "out", report=False, force=True)
     assert [c["value"] for c in outcome.missed] == [None]
 
 
@@ -324,7 +324,9 @@ def test_a_step_that_is_taken_back_and_made_in_halves_tells_its_own_error(tmp_pa
     assert error.without == ""
     assert error.steps["a.y"] == pytest.approx(most, rel=1e-9)
     assert "of a single step, taken back and made again in halves: a.y" in error.sentence
-    assert run(path, tmp_path / "out", report=False).results["a.y"][-1] == pytest.approx(state[0], rel=1e-12)
+    assert run(path, tmp_path / "out", report=False, force=True).results["a.y"][-1] == pytest.approx(
+        state[0], rel=1e-12
+    )
 
 
 def test_a_value_that_is_no_item_stops_the_run_when_it_comes_and_is_told_with_both_names(tmp_path: Path) -> None:
@@ -370,7 +372,7 @@ def test_every_type_goes_through_an_fmu_in_a_process_of_its_own(tmp_path: Path, 
     for process in ({}, {"process": "own"}):
         components = {"a": {"fmu": fmu, "start": start, **process}, "b": {"fmu": fmu, **process}}
         out = tmp_path / f"out{len(csv_of)}"
-        run(scenario(tmp_path, components, wires, events=events, record=["a.*"]), out, report=False)
+        run(scenario(tmp_path, components, wires, events=events, record=["a.*"]), out, report=False, force=True)
         csv_of.append((out / "results.csv").read_text())
     assert csv_of[0] == csv_of[1]
     assert ("later" if version == 2 else str(largest + 2)) in csv_of[0]

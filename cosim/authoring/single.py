@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from cosim.authoring.draft_text import scenario_text, write_sound
+from cosim.authoring.draft import scenario_text, write_sound
 from cosim.authoring.matching import Match, Matches, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, parts_of, times_of
+from cosim.blocks.compiling import compiling
 from cosim.blocks.component import Signal
 from cosim.blocks.coupling import DEFAULT
 from cosim.blocks.sources import read_recording
@@ -21,61 +23,74 @@ from cosim.core.arrays import Array
 from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
+from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
 from cosim.core.text import split_assignment
 from cosim.core.times import difference
 from cosim.core.units import computed_in
 from cosim.files.artefact import LOG
 from cosim.files.files import FilePath, check_writable
-from cosim.files.folders import new_run
+from cosim.files.folders import new_run, results_in
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import Document, NotYaml, short
-from cosim.simulation.workflow import Outcome, WriteReport, run
+from cosim.simulation.run_signals import Run
+from cosim.simulation.workflow import run
 
 MAX_STEPS = 1_000_000  # requested by the FMU's own times
 
 
 def simulate(
     fmu: FilePath,
-    folder: FilePath | None = None,
+    out: FilePath | None = None,
+    set: Given | None = None,
     *,
-    start: Mapping[str, Any] | Sequence[str] = (),
-    recorded: FilePath | None = None,
-    stop: float | None = None,
-    step: float | None = None,
-    record: Sequence[str] = (),
+    input: FilePath | None = None,
     interpolation: str = "held",
-    report: WriteReport | Literal[False] = False,
-    force: bool = True,
+    stop: Seconds | None = None,
+    step: PositiveSeconds | None = None,
+    record: Names = (),
+    report: bool = True,
+    force: bool = False,
     in_process: bool = False,
-    format_: str = "csv",
+    compile: bool = False,
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Outcome, tuple[str, ...]]:
-    """Run an FMU over its default experiment.
-
-    Writes scenario.yaml, results.csv, manifest.json and the report. After a failure the rows so far are written before
-    the error is raised.
+) -> Run:
+    """Simulate one FMU over its default experiment.
 
     Args:
-        start: Start values of parameters and inputs, as a mapping or NAME=VALUE texts.
-        recorded: CSV whose columns drive the inputs of the same names.
-        stop: Stop time [s], like `step` in place of the default experiment's.
-        record: Locals and parameters to record besides inputs and outputs.
-        interpolation: Values of `recorded` between two rows: held or linear.
+        fmu: The FMU.
+        out: Folder for scenario.yaml, results.csv, manifest.json and report.html; None writes nothing.
+        set: Parameter or input → value, or texts "name=value".
+        input: CSV file with time and columns named as inputs.
+        interpolation: Values of `input` between two rows: "held" from a row until the next, or "linear".
+        stop: End of the simulation, in seconds or with a unit ("4 min"); by default that of the FMU or of `input`.
+        step: Communication step, in seconds or with a unit; by default that of the FMU.
+        record: Names or patterns of local variables and parameters to record too.
+        report: Write report.html.
+        force: Write even if the folder is not empty; results in it are replaced.
+        in_process: Load the FMU into this process, for a debugger.
+        compile: Compile and execute the sources of an FMU that has no library for this machine.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
+        progress (in Python): Function of (completed steps, all steps).
 
     Returns:
-        The outcome and notes.
+        The signals, the manifest and the warnings.
 
     Raises:
-        InputError: The input is faulty.
-        FmuError: The FMU does not load.
-        SimulationError: The simulation stopped early.
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
     path = Path(fmu)
     (description,) = read_fmus([path])
-    values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
+    settings = normalize_settings(set)
+    values = settings if isinstance(settings, Mapping) else start_pairs(path, settings, description)
     (part,) = parts_of([path], values)
-    with new_run(folder, part.name, "cosim simulate", force=force) as place:
-        scenario, csv = place / "scenario.yaml", None if recorded is None else Path(recorded)
+    with ExitStack() as stack:
+        stack.enter_context(compiling(compile))
+        folder = stack.enter_context(results_in(out, "cosim simulate", force=force))
+        place = stack.enter_context(new_run(folder, part.name, "cosim simulate", force=force))
+        scenario, csv = place / "scenario.yaml", None if input is None else Path(input)
         first, matches, notes = experiment_of(description).get("start"), Matches((), ()), list[str]()
         source, end, more = path, stop, dict[str, Any]()
         if csv is not None:
@@ -111,9 +126,10 @@ def simulate(
         names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
         with draft_of(scenario) as draft:
             write_sound(draft, text_ + (f"record: {json.dumps(names)}\n" if names else ""), path)
-        settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
-        outcome = run(scenario, place, report=report, command="cosim simulate", **settings)
-    return outcome, (*notes, *times.notes)
+        is_reported = report and out is not None
+        made = run(scenario, place, report=is_reported, in_process=in_process, format=format, progress=progress)
+    manifest = {**made.manifest, "warnings": [*notes, *times.notes, *made.warnings]}
+    return replace(made, manifest=manifest, folder=None if out is None else made.folder)
 
 
 def _read_recording(path: Path, part: DraftPart) -> tuple[Matches, list[str], Array]:

@@ -1,4 +1,4 @@
-"""Differences between the signals of two runs."""
+"""Differences between the signals of two runs: numbers, texts, and rows at other times."""
 
 from __future__ import annotations
 
@@ -8,25 +8,229 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.blocks.component import Signal
-from cosim.comparison import signals
-from cosim.comparison.intermediate_rows import surroundings
-from cosim.comparison.signals import Difference, format_share, format_size
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, Rows
 from cosim.core.errors import InputError
-from cosim.core.text import amount, counted, some
+from cosim.core.extras import pandas_for_frames
+from cosim.core.text import amount, counted, plain, some
 from cosim.core.times import rounding
 from cosim.core.units import Conversion, conversion, definition_of
 from cosim.files.results import is_rounded
-from cosim.simulation.run_files import RecordedRun
+from cosim.files.table import as_text
+from cosim.simulation.run_signals import RecordedRun
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
+SAME_TIME = 1e-9  # fraction of a step
+ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
+BETWEEN = "between rows of a"
 MAX_LISTED = 12  # signals in a short text
 MAX_DRAWN = 4  # signals in a figure by default
+
+
+@dataclass(frozen=True)
+class RowsBetween:
+    """Rows of run b, and the rows of a from `first` to `last` whose range is allowed for each.
+
+    Attributes:
+        is_jump: Whether a or b has several rows at the time of a row.
+    """
+
+    rows: Rows
+    time: Array
+    first: Rows
+    last: Rows
+    is_jump: NDArray[np.bool_]
+
+    def outside(self, a: Array, b: Array) -> tuple[float, float]:
+        """Return the largest distance of b from the range spanned by the surrounding rows of a, and its time [s].
+
+        The distance is infinite if a number is missing in a single run, and 0 if b has no rows between rows of a.
+        """
+        if not self.rows.size:
+            return 0.0, 0.0
+        low, high = self._range(a)
+        ends = np.column_stack((self.first, self.last + 1)).ravel()
+        gaps = np.add.reduceat(np.isnan(np.append(a, 0.0)), ends)[::2] > 0
+        values = b[self.rows]
+        with np.errstate(invalid="ignore"):
+            out = np.fmax(np.fmax(low - values, values - high), 0.0)
+        out = np.where((values == low) | (values == high), 0.0, out)  # equal infinities
+        out = np.where(np.isnan(values), np.where(gaps, 0.0, np.inf), np.where(np.isnan(low), np.inf, out))
+        row = int(np.argmax(out))
+        return float(out[row]), float(self.time[row])
+
+    def other_text(self, a: Sequence[str], b: Sequence[str]) -> float | None:
+        """Return the first time [s] at which the text of b differs from the surrounding texts of a; None if never."""
+        for row, time, first, last in zip(self.rows, self.time, self.first, self.last, strict=True):
+            if b[int(row)] not in a[int(first) : int(last) + 1]:
+                return float(time)
+        return None
+
+    def nearest(self, a: Array, b: Array) -> Array:
+        """Return b with the nearest value in the range of a in place of each of the rows."""
+        values = b.copy()
+        if self.rows.size:
+            values[self.rows] = np.clip(b[self.rows], *self._range(a))
+        return values
+
+    def _range(self, a: Array) -> tuple[Array, Array]:
+        """Return the least and the largest values of a around each row."""
+        padded = np.append(a, np.nan)  # A range may end with the last row.
+        ends = np.column_stack((self.first, self.last + 1)).ravel()
+        return np.fmin.reduceat(padded, ends)[::2], np.fmax.reduceat(padded, ends)[::2]
+
+    def only(self, *, jumps: bool = False) -> RowsBetween:
+        """Return the rows between rows of a, or at a time at which a or b has several rows; or at such times only."""
+        chosen = (self.first < self.last) & (self.is_jump | (not jumps))
+        first, last = self.first[chosen], self.last[chosen]
+        return RowsBetween(self.rows[chosen], self.time[chosen], first, last, self.is_jump[chosen])
+
+
+def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
+    """Return the rows of b in the time of a with the surrounding rows of a, which is one row if both have one then.
+
+    Args:
+        tolerance: Largest difference of equal times [s].
+    """
+    after, upto = np.searchsorted(a, b - tolerance, side="left"), np.searchsorted(a, b + tolerance, side="right")
+    is_apart = np.diff(b) > tolerance
+    alone = np.append(True, is_apart) & np.append(is_apart, True)
+    matched = alone & (upto - after == 1)
+    first, last = np.where(matched, after, after - 1), np.where(matched, after, upto)
+    rows = np.flatnonzero((b >= a[0] - tolerance) & (b <= a[-1] + tolerance))
+    is_jump = ((upto - after > 1) | ~alone)[rows]
+    return RowsBetween(rows, b[rows], np.maximum(first[rows], 0), np.minimum(last[rows], a.size - 1), is_jump)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Difference of a signal between two runs.
+
+    Attributes:
+        unit: Unit of a; b is converted to it.
+        largest: Largest |b − a| in the unit, at time `at` [s]; infinite if a number is missing in a single run or
+            dimensions differ.
+        rms: Root mean square of b − a.
+        scale: Range of a, for a constant its magnitude, or 1.
+        share: largest / scale.
+        beyond: Whether the tolerance is exceeded.
+        note: Note on units or text.
+        alike: Whether the dimensions agree.
+    """
+
+    name: str
+    unit: str
+    largest: float
+    at: float
+    rms: float
+    scale: float
+    share: float
+    beyond: bool
+    note: str = ""
+    alike: bool = True
+
+    def as_json(self, *, named: bool = True) -> dict[str, Any]:
+        """Return the difference as plain data; non-finite becomes None."""
+        values = [(k, v) for k, v in asdict(self).items() if named or k != "name"]
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values}
+
+
+def common_rows(a: RecordedRun, b: RecordedRun) -> tuple[slice, bool]:
+    """Return the rows of a within the time of b, and whether both runs have the same times in these rows."""
+    first, second = a.results.time, b.results.time
+    count = min(first.size, second.size)
+    if not count:
+        return slice(0, 0), False
+    close = time_tolerance(first)
+    if np.all(np.abs(first[:count] - second[:count]) <= close):
+        return slice(0, count), True
+    low, high = np.searchsorted(first, [second[0] - close, second[-1] + close])
+    return slice(int(low), int(high)), False
+
+
+def time_tolerance(time: Array) -> float:
+    """Return the largest difference [s] of two times that count as equal: less than a step, more than rounding."""
+    steps = np.diff(time)
+    step = float(np.min(steps[steps > 0.0], initial=1.0))
+    return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
+
+
+def compare_numbers(name: str, unit: str, time: Array, values: tuple[Array, Array], by: Conversion) -> Difference:
+    """Return the difference of a numeric signal with convertible units.
+
+    Args:
+        values: Values of a, and of b converted to the unit of a.
+        by: Conversion of b; differences within its rounding count as 0.
+    """
+    first, second = values
+    same = (first == second) | (np.isnan(first) & np.isnan(second))
+    finite = np.isfinite(first) & np.isfinite(second)
+    gap = np.where(same, 0.0, np.inf)
+    gap[finite] = np.abs(second[finite] - first[finite])
+    if by != Conversion():
+        gap[finite & (gap <= ROUNDING * np.maximum(np.abs(first), abs(by.offset)))] = 0.0
+    row = int(np.argmax(gap))
+    good = first[np.isfinite(first)]
+    span = float(np.ptp(good)) if good.size else 0.0
+    scale = (span if math.isfinite(span) else 0.0) or (float(np.max(np.abs(good))) if good.size else 0.0) or 1.0
+    largest = float(gap[row])
+    rms = float(np.sqrt(np.mean(gap**2))) if math.isfinite(largest) else math.inf
+    return Difference(name, unit, largest, float(time[row]), rms, scale, largest / scale, beyond=False)
+
+
+def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:
+    """Return a note on the units of both runs."""
+    if unit and unit == other:
+        return f"{unit} of another definition in b, converted" if by != Conversion() else ""
+    if unit and other:
+        return f"{other} in b, converted"
+    return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
+
+
+def compare_text(
+    a: RecordedRun,
+    b: RecordedRun,
+    name: str,
+    rows: slice,
+    held: tuple[RowsBetween, RowsBetween] | None,
+    *,
+    has_tolerance: bool,
+) -> Difference:
+    """Return the difference of text: 1 if any row differs, else 0.
+
+    A text between two rows of the other run must be that of one of them.
+
+    Args:
+        held: Rows of b with the surrounding rows of a, and the reverse; None for equal times.
+    """
+    first, second = ([*map(as_text, r.results.exact.get(name) or r.results[name])] for r in (a, b))
+    time = a.results.time[rows]
+    if held is None:
+        pairs = zip(first[rows], second[: time.size], strict=True)
+        differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
+    else:
+        times = held[1].other_text(second, first), held[0].other_text(first, second)
+        differs = min((t for t in times if t is not None), default=None)
+    if differs is None:
+        return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
+    return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, has_tolerance, "text differs")
+
+
+def format_size(d: Difference, value: float) -> str:
+    """Return a difference as text in the signal's unit; a dash if the signal is not comparable."""
+    return amount(value if d.alike else math.nan, d.unit)
+
+
+def format_share(d: Difference) -> str:
+    """Return a difference relative to the signal's range."""
+    if not d.alike:
+        return "not comparable"
+    return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"
 
 
 class Comparison:
@@ -131,11 +335,9 @@ class Compared(Comparison):
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per common signal, the largest difference first; raise ImportError without pandas."""
-        try:
-            import pandas
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        return pandas.DataFrame([asdict(d) for d in self.ranking]).set_index("name")
+        library = pandas_for_frames()
+        frame: pandas.DataFrame = library.DataFrame([asdict(d) for d in self.ranking])
+        return frame.set_index("name")
 
     @property
     def drawable(self) -> list[str]:
@@ -196,7 +398,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     if not common:
         names = [", ".join([*each][:5]) or "none" for each in (in_a, in_b)]
         raise InputError.at(b.path, f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}")
-    rows, aligned = signals.common_rows(a, b)
+    rows, aligned = common_rows(a, b)
     time = a.results.time[rows]
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
@@ -206,13 +408,13 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     values: dict[str, tuple[Array, Array]] = {}
     between = jumps = held = None
     if not aligned:
-        close = min(map(signals.time_tolerance, (of_a.time, of_b.time)))
+        close = min(map(time_tolerance, (of_a.time, of_b.time)))
         held = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
         between, jumps = held[0].only(), held[1].only(jumps=True)
 
     def difference(name: str) -> Difference:
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):
-            return signals.compare_text(a, b, name, rows, held, has_tolerance=has_tolerance)
+            return compare_text(a, b, name, rows, held, has_tolerance=has_tolerance)
         unit, other = of_a.units.get(name, ""), of_b.units.get(name, "")
         by = unit_conversion(b, a, name)
         if by is None:
@@ -230,12 +432,12 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
             at_times = np.interp(time, of_b.time, second)
             at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], at_times)
         values[name] = first[rows], at_times
-        found = signals.compare_numbers(name, unit or other, time, values[name], by)
-        found = replace(found, note=signals.unit_note(unit, other, found, by))
+        found = compare_numbers(name, unit or other, time, values[name], by)
+        found = replace(found, note=unit_note(unit, other, found, by))
         if around is not None:
             outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
-            if outside > max(found.largest, signals.ROUNDING * found.scale):
-                note = "; ".join(filter(None, [found.note, signals.BETWEEN]))
+            if outside > max(found.largest, ROUNDING * found.scale):
+                note = "; ".join(filter(None, [found.note, BETWEEN]))
                 found = replace(found, largest=outside, at=at, share=outside / found.scale, note=note)
         is_beyond = tolerance is not None and not found.largest <= absolute + tolerance * found.scale  # also of NaN
         return replace(found, beyond=is_beyond)

@@ -1,32 +1,47 @@
-"""Differences of several runs from a baseline run, with the inputs that differ between them."""
+"""Comparison of several runs with a baseline run, with the inputs that differ, and its files."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.comparison.differences import Compared, Comparison, compare_runs, criteria_of, describe_largest
-from cosim.comparison.signals import Difference, format_share, format_size
-from cosim.core.arrays import Array
+from cosim.comparison.differences import (
+    Compared,
+    Comparison,
+    Difference,
+    compare_runs,
+    criteria_of,
+    describe_largest,
+    format_share,
+    format_size,
+    is_one_run,
+)
+from cosim.core.arrays import Array, far_beyond
 from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.extras import pandas_for_frames
 from cosim.core.text import counted
-from cosim.files.folders import replay_record
-from cosim.files.results import Results, is_rounded
+from cosim.files.files import FilePath, check_writable, write_json, write_text
+from cosim.files.folders import new_run, remove_earlier, replay_record
+from cosim.files.results import Results, is_rounded, rows_in
+from cosim.files.run_entries import Selected, select_groups
 from cosim.files.run_inputs import DifferingInput, differing_inputs, labels_of
-from cosim.simulation.run_files import RecordedRun
+from cosim.simulation.run_signals import RecordedRun, Run, Signals, read_ran
 
 if TYPE_CHECKING:
     import pandas
 
+
 MAX_RUNS, MAX_SIGNALS = 12, 12  # drawn
 MOST_IN_MEMORY = 4  # runs; beyond, drawn runs are read twice
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
+FILES = ("comparison.json", "report.html")
+LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
 
 
 @dataclass(frozen=True)
@@ -86,6 +101,11 @@ class ComparedRuns(Comparison):
         return [k for k in range(len(self.runs)) if k != self.baseline]
 
     @property
+    def by_run(self) -> dict[int, Compared]:
+        """Return the comparison of each run but the baseline, by its index."""
+        return dict(zip(self.others, self.comparisons, strict=True))
+
+    @property
     def judged(self) -> bool:
         """Return whether a tolerance was given, so that the comparison has a verdict."""
         return self.comparisons[0].judged
@@ -112,10 +132,8 @@ class ComparedRuns(Comparison):
     @property
     def table(self) -> dict[str, list[Difference | None]]:
         """Return signal → difference of each run, None for the baseline and for runs without the signal."""
-        by_run: list[dict[str, Difference]] = [{} for _ in self.runs]
-        for k, comparison in zip(self.others, self.comparisons, strict=True):
-            by_run[k] = {d.name: d for d in comparison.differences}
-        return {name: [differences.get(name) for differences in by_run] for name in self.ranking}
+        by_run = {k: {d.name: d for d in c.differences} for k, c in self.by_run.items()}
+        return {name: [by_run.get(k, {}).get(name) for k in range(len(self.runs))] for name in self.ranking}
 
     @property
     def differing(self) -> dict[str, list[Difference | None]]:
@@ -166,18 +184,17 @@ class ComparedRuns(Comparison):
 
         Differences are in the unit of the baseline.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        library = pandas_for_frames()
         others = self.others
         sizes = {n: [d.largest if (d := cells[k]) else math.nan for k in others] for n, cells in self.table.items()}
-        return pandas.DataFrame.from_dict(sizes, orient="index", columns=[self.labels[k] for k in others])
+        labels = [self.labels[k] for k in others]
+        frame: pandas.DataFrame = library.DataFrame.from_dict(sizes, orient="index", columns=labels)
+        return frame
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data; non-finite becomes None."""
         first = self.comparisons[0]
-        by_run = dict(zip(self.others, self.comparisons, strict=True))
+        by_run = self.by_run
         return {
             "a": str(self.runs[self.baseline].path),
             "b": [str(self.runs[k].path) for k in self.others],
@@ -189,9 +206,9 @@ class ComparedRuns(Comparison):
                 {
                     "label": run.name,
                     "path": str(run.path),
-                    **(dict.fromkeys(("within", "reasons", "shorter")) if k == self.baseline else by_run[k].verdict()),
-                    "only_a": [] if k == self.baseline else list(by_run[k].only_a),
-                    "only_b": [] if k == self.baseline else list(by_run[k].only_b),
+                    **(c.verdict() if (c := by_run.get(k)) else dict.fromkeys(("within", "reasons", "shorter"))),
+                    "only_a": list(c.only_a if c else ()),
+                    "only_b": list(c.only_b if c else ()),
                 }
                 for k, run in enumerate(self.runs)
             ],
@@ -267,3 +284,121 @@ def label_runs(
     """Return a label for each run, with the inputs that differ between the runs: `run 3 (mass = 440)`."""
     inputs = differing_inputs([run.manifest or replay_record(run.path) for run in runs])
     return labels_of(shorts, inputs, unique=[str(run.path) for run in runs], longer=longer, baseline=baseline), inputs
+
+
+def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple[list[RunSource], int]:
+    """Return the runs to compare, and the index of the baseline.
+
+    Args:
+        sides: Paths, numbers, names and patterns of runs, and results of functions. Results that a pattern matches
+            although they have no rows, as a sweep, are left out.
+        results: Folder of results, by default `results`.
+
+    Raises:
+        InputError: Fewer than two runs, or a baseline that is not one run.
+    """
+
+    def read(selected: Selected) -> RecordedRun:
+        """Return a recorded run; raise InputError if it was removed or replaced since it was listed."""
+        run = read_ran(selected.path)
+        if selected.entry is not None:
+            selected.entry.check_current()
+        return run
+
+    def runs_of(sides: Sequence[Any]) -> list[RunSource]:
+        groups = iter(select_groups([str(side) for side in sides if not isinstance(side, Signals)], results))
+        found = []
+        for side in sides:
+            if isinstance(side, Signals):
+                path, manifest = side.folder or Path(side.title), side.manifest if isinstance(side, Run) else {}
+                run = RecordedRun(path, side.title, side.results, manifest)
+                found.append(RunSource(side.title, path, partial(lambda run: run, run)))
+                continue
+            for s in next(groups):
+                if not s.by_pattern or rows_in(s.path) is not None:
+                    found.append(RunSource(s.short, s.path, partial(read, s), s.by_pattern, s.longer))
+        return found
+
+    if not sides:
+        raise InputError.at(Path("runs"), "no run is given; name at least two runs to compare")
+    sources, place = runs_of(sides), 0
+    if baseline is not None:
+        base = runs_of([baseline])
+        if len(base) != 1:
+            raise InputError.at(Path(str(baseline)), f"{len(base)} runs match; name one as the baseline")
+        paths, path = [source.path.resolve() for source in sources], base[0].path.resolve()
+        if path not in paths:
+            sources.insert(0, base[0])
+        else:
+            place = paths.index(path)
+            sources[place] = base[0]
+    if len(sources) < 2:
+        path = sources[0].path if sources else Path(str(sides[0]))
+        raise InputError.at(path, "is one run; name at least two runs to compare")
+    return sources, place
+
+
+@far_beyond
+def compare(
+    sides: Sequence[Any],
+    folder: FilePath | None = None,
+    *,
+    baseline: Any = None,
+    results: Path | None = None,
+    as_pair: bool | None = None,
+    tolerance: float | None = None,
+    absolute: float = 0.0,
+    report: bool = True,
+    write: bool = True,
+    force: bool = False,
+) -> tuple[Compared | ComparedRuns, Path]:
+    """Compare runs with a baseline; write comparison.json and report.html.
+
+    Args:
+        sides: Paths, numbers, names and patterns of runs, and results of functions.
+        baseline: One of them, or another run; by default the first run.
+        results: Folder of results, by default `results`.
+        as_pair: Whether to return a comparison of two runs as `Compared`; by default if there are two.
+        tolerance: Share of each signal's range in the baseline.
+        absolute: Size in the signal's unit, added to the share.
+        report: Whether to write report.html.
+        write: Whether to write files.
+        force: Whether `folder` may have files.
+
+    Returns:
+        The comparison and its folder, the current one without files.
+
+    Raises:
+        InputError: Runs cannot be read, or have no common signal or time.
+    """
+    sources, place = _sources(sides, baseline, results)
+    if as_pair and len(sources) > 2:
+        raise InputError.at(Path(str(sides[0])), f"{len(sources)} runs match; give a list to compare them all")
+    ordered = [sources[place], *(source for k, source in enumerate(sources) if k != place)]
+    shorts, paths = [source.short for source in ordered], [source.path for source in ordered]
+    comparison: Compared | ComparedRuns
+    if len(sources) == 2 and as_pair is not False:
+        runs = [source.read() for source in ordered]
+        if is_one_run(*runs):
+            runs = [replace(runs[0], name=shorts[0]), replace(runs[1], name="the same run")]
+        elif shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
+            labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in ordered])
+            runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
+        comparison = compare_runs(runs[0], runs[1], tolerance, absolute)
+    else:
+        comparison = compare_several(sources, place, tolerance, absolute)
+    if not write:
+        return comparison, Path()
+    numbers = [short.removeprefix(NUMBERED) for short in shorts]
+    name = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(shorts)
+    if len(name) > LONGEST_NAME:
+        name = f"{shorts[0]} and {len(shorts) - 1} others"
+    with new_run(folder, name, "cosim compare", force=force) as out:
+        check_writable(out, FILES, paths)
+        remove_earlier(out, read=paths)
+        write_json(out / "comparison.json", comparison.as_json())
+        if report:
+            from cosim.comparison.page import comparison_page
+
+            write_text(out / "report.html", comparison_page(comparison))
+    return comparison, out

@@ -40,6 +40,14 @@ def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
         raise InputError([fault]) from None
 
 
+def pandas_for_frames() -> Any:
+    """Return pandas; raise ImportError with its installation command without it."""
+    try:
+        return import_module("pandas")
+    except ImportError:
+        raise ImportError("to_pandas needs pandas: pip install pandas") from None
+
+
 def install_command(extra: str) -> str:
     """Return the installation command of an extra."""
     return f"pip install '{DISTRIBUTION}[{extra}]'"

@@ -118,8 +118,6 @@ Seed = Whole
 Port = Annotated[int, Ge(0), Le(65535)]
 Count = Annotated[int, Ge(1)]
 LATER = {  # types of rooms above, which modules of verbs import for type checkers only
-    "NamedFunctions": "cosim.master.observer:NamedFunctions",
-    "Observers": "cosim.master.observer:Observers",
     "Signals": "cosim.simulation.run_signals:Signals",
     "Subject": "cosim.estimation.subject.interface:Subject",
 }
@@ -151,7 +149,7 @@ def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         bound = signature.bind(*args, **kwargs)
         for name in bound.arguments.keys() - adapters.keys():
-            adapters[name] = adapter(signature.parameters[name].annotation, inspect.unwrap(function))
+            adapters[name] = adapter(signature.parameters[name].annotation, function)
         bound.arguments.update(check_values(adapters, bound.arguments))
         return function(*bound.args, **bound.kwargs)
 
@@ -166,7 +164,7 @@ def adapter(annotation: Any, function: Callable[..., Any], *, strict: bool = Tru
     """
     from pydantic import ConfigDict, TypeAdapter
 
-    names = dict(function.__globals__)
+    names = dict(inspect.unwrap(function).__globals__)
     while isinstance(annotation, str):
         try:
             annotation = eval(annotation, names)

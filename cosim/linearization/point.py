@@ -217,7 +217,7 @@ def _check_times(scenario: Path, times: Array, first: float, last: float) -> Non
 
 def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Results, Mapping[str, Any]]:
     try:
-        outcome = run(scenario, folder, overrides, report=False)
+        outcome = run(scenario, folder, overrides, report=False, force=True)
     except SimulationError as error:
         error.left = None  # the temporary folder is deleted
         raise

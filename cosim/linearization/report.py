@@ -11,10 +11,8 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.text import counted, plain, split_sentence, written
 from cosim.core.version import __version__
-from cosim.linearization.descriptions import headline, number, pole_rows
-from cosim.linearization.linear_model import Linear
-from cosim.linearization.system_structure import Pole, poles
-from cosim.linearization.write import Outcome
+from cosim.linearization.linear_model import Linear, Pole, poles
+from cosim.linearization.write import Outcome, headline, number, pole_rows
 from cosim.report.charts import Abscissa, Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -37,9 +36,6 @@ EXACT = "the equations, differentiated exactly"
 DIRECTIONAL = "directional derivatives of the FMU"
 DIFFERENCE_STEP = 1e-5  # of central differences, relative to each state and input, or to 1
 MAX_SLOPE_DEVIATION = 1e-3  # of an FMU's derivatives from differences, relative to the largest in a row
-KINK_STEP = 1e-6  # of one-sided slopes, relative to each state and input, or to 1
-KINK_REFINEMENT = 10.0  # division of the step for the second test
-MAX_SLOPE_CHANGE = 1e-3  # across a smooth point, relative to the largest slope in a row
 MAX_RATE_AT_STEADY_STATE = 1e-12  # of fast states, relative to slope and size of the states
 MAX_NEWTON_STEPS = 50
 
@@ -87,24 +83,17 @@ class EquationSource:
         Raises:
             SimulationError: The model has no finite derivatives.
         """
-        shaping, names = overrides(self.model.awake, "shape", Effect), (self.states, self.inputs, self.outputs)
-        shaped = [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
+        shaping = overrides(self.model.awake, "shape", Effect)
+        notes = [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
         models = []
         for point in points:
-            time, notes, n = point.time, list(shaped), len(self.states)
-            values = self.evaluate(time, point.states, point.inputs)
-            slopes = self.computed(time, self._linearizer, tuple(point.states), tuple(point.inputs), time)
-            matrices = slopes.A, slopes.B, slopes.C, slopes.D
-            if not all(np.isfinite(m).all() for m in (*matrices, values)):
+            values = self.evaluate(point.time, point.states, point.inputs)
+            exact = self.computed(point.time, self._linearizer, tuple(point.states), tuple(point.inputs), point.time)
+            slopes = np.block([[exact.A, exact.B], [exact.C, exact.D]])
+            if not (np.isfinite(slopes).all() and np.isfinite(values).all()):
                 text = "the derivatives, the outputs or their slopes are not finite at this point"
-                raise SimulationError(self.name, time, f"{text}; choose another operating point")
-            try:
-                kinks = kinks_at(partial(self.evaluate, time), point, *names)
-            except SimulationError:
-                kinks = {}
-                notes.append("the equations end at this point: to one side of it they have no value")
-            results = values[:n], values[n:]
-            models.append(Linear(*matrices, *names, point, *results, self.units, EXACT, tuple(notes), kinks))
+                raise SimulationError(self.name, point.time, f"{text}; choose another operating point")
+            models.append(linear_model(self, point, slopes, values, EXACT, notes))
         return models
 
 
@@ -153,8 +142,8 @@ class ExchangeSource:
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point; raise SimulationError without finite derivatives."""
-        models: list[Linear] = self._call(differentiate, list(points), self._step or DIFFERENCE_STEP, self._directional)
-        return models
+        results = self._call(differentiate, list(points), self._step or DIFFERENCE_STEP, self._directional)
+        return [linear_model(self, *result) for result in results]
 
     def _call(self, function: Any, *more: Any) -> Any:
         watch = Watch([NAME], [fmi_calls(self._description)])
@@ -163,6 +152,20 @@ class ExchangeSource:
 
 
 Source = EquationSource | ExchangeSource
+
+
+def linear_model(
+    source: Source, point: Point, slopes: Array, values: Array, method: str, notes: Sequence[str]
+) -> Linear:
+    """Return the linear model of a source.
+
+    Args:
+        slopes: Derivatives of rates and outputs (rows) by states and inputs (columns).
+        values: Rates and outputs at the point.
+    """
+    n, names = len(source.states), (source.states, source.inputs, source.outputs)
+    matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
+    return Linear(*matrices, *names, point, values[:n], values[n:], source.units, method, tuple(notes))
 
 
 # -- in the worker of an FMU --------------------------------------------------------------------
@@ -174,6 +177,9 @@ def read(path: Path, description: Any, start: Mapping[str, Any], method: str) ->
         return getattr(block, method)()
 
 
+Differentiated = tuple[Point, Array, Array, str, list[str]]  # point, slopes, rates and outputs, method, notes
+
+
 def differentiate(
     path: Path,
     description: Any,
@@ -181,8 +187,8 @@ def differentiate(
     points: Sequence[Point],
     step: float,
     directional: bool,
-) -> list[Linear]:
-    """Return the linear model at each point.
+) -> list[Differentiated]:
+    """Return the arguments of the linear model at each point.
 
     If directional derivatives fail, the FMU is reopened for differences.
     """
@@ -195,22 +201,17 @@ def differentiate(
         reason = error.reason.partition(":")[0]
     note = f"finite differences of step {step:g} replace the FMU's own derivatives: {reason}"
     repeated = differentiate(path, description, start, points, step, False)
-    return [replace(each, notes=(note, *each.notes)) for each in repeated]
+    return [(*result[:-1], [note, *result[-1]]) for result in repeated]
 
 
-def _differentiate(block: DifferentiableFmu, point: Point, step: float, directional: bool) -> Linear:
-    described = block.description
-    signals = states_of(described), reals(described, "input"), reals(described, "output")
-    states, inputs, outputs = map(scalars, signals)
+def _differentiate(block: DifferentiableFmu, point: Point, step: float, directional: bool) -> Differentiated:
+    states, outputs = scalars(states_of(block.description)), scalars(reals(block.description, "output"))
     slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, directional=directional)
-    n, notes = len(after), list[str]()
+    notes = list[str]()
     moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
     if moved.any():
         text = ", ".join(f"{name} = {v:.6g}" for name, v, m in zip(states, after, moved, strict=True) if m)
         notes.append(f"an event of the FMU at this point has moved its states: {text}")
-    point = replace(point, states=after)
-    kinks = kinks_at(block.rates, point, states, inputs, outputs)
-    block.rates(after, point.inputs)
     method = f"central differences of the FMU, step {step:g} of each value or of 1"
     if directional:
         method = DIRECTIONAL
@@ -221,10 +222,7 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
             rows = ", ".join(compress([*(f"the rate of {name}" for name in states), *outputs], deviates))
             notes.append(f"differences of step {step:g} are taken for {rows}: the FMU's own slopes of these differ")
             slopes = np.where(deviates[:, None], differences, slopes)
-    matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
-    units = {name: unit for group in signals for name, unit in units_of(group).items()}
-    names, results = (states, inputs, outputs), (rates[:n], rates[n:])
-    return Linear(*matrices, *names, point, *results, units, method, tuple(notes), kinks)
+    return replace(point, states=after), slopes, rates, method, notes
 
 
 def _open(path: Path, description: Any, start: Mapping[str, Any]) -> DifferentiableFmu:
@@ -237,45 +235,7 @@ def _open(path: Path, description: Any, start: Mapping[str, Any]) -> Differentia
     return block
 
 
-# -- both ---------------------------------------------------------------------------------------
-
-
-def kinks_at(
-    values: Callable[[Array, Array], Array],
-    point: Point,
-    states: Sequence[str],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-) -> dict[str, list[str]]:
-    """Return the states and inputs at a kink or a jump, as at the edge of a dead band, each with the rows concerned.
-
-    Args:
-        values: Rates and outputs as a function of states and inputs.
-    """
-    z, n = np.concatenate([point.states, point.inputs]), len(states)
-    rows, kinks = [*(f"the rate of {name}" for name in states), *outputs], dict[str, list[str]]()
-    center = values(point.states, point.inputs)
-
-    def slopes(k: int, h: float) -> Array:
-        """Return the slopes to both sides."""
-        sides = []
-        for step in (h, -h):
-            moved = z.copy()
-            moved[k] += step
-            sides.append((values(moved[:n], moved[n:]) - center) / step)
-        return np.array(sides)
-
-    for k, name in enumerate((*states, *inputs)):
-        h = KINK_STEP * max(1.0, abs(float(z[k])))
-        ahead, behind = slopes(k, h)
-        size = np.maximum(np.maximum(np.abs(ahead), np.abs(behind)), 1e-6)
-        bent = np.abs(ahead - behind) > MAX_SLOPE_CHANGE * size + 1e-8 * np.abs(center) / h + 1e-9 / h
-        if bent.any():  # Closer to the point, a curve becomes straight and a kink does not.
-            near_ahead, near_behind = slopes(k, h / KINK_REFINEMENT)
-            bent &= np.abs(near_ahead - near_behind) > 0.5 * np.abs(ahead - behind)
-        if bent.any():
-            kinks[name] = [*compress(rows, bent)]
-    return kinks
+# -- in the calling process ---------------------------------------------------------------------
 
 
 def settle(source: Source, point: Point, fast: Sequence[str]) -> Point:

@@ -20,9 +20,9 @@ from cosim.files.folders import new_run, remove_earlier
 from cosim.files.kinds import check_given, kind_of
 from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import names_refine, refined_file
-from cosim.linearization.linear_model import missing_states, select
+from cosim.linearization.linear_model import missing_states, select, structure
 from cosim.linearization.linear_model import residualize as residualize_states
-from cosim.linearization.point import AT, move, points_along, read_at
+from cosim.linearization.point import move, points_along, read_at
 from cosim.linearization.sources import (
     MODULES,
     EquationSource,
@@ -31,7 +31,6 @@ from cosim.linearization.sources import (
     settle,
     with_parameters,
 )
-from cosim.linearization.system_structure import structure
 from cosim.linearization.write import FILES, Outcome, write
 from cosim.residuals.drive import start_values
 
@@ -111,17 +110,7 @@ def linearize(
             source, points, notes = points_along(source, scenario, times, component, values)
         try:
             points = [settle(source, move(source, point, at_values), residualize) for point in points]
-            whole = source.linear(points)
-            rows = {*(f"the rate of {name}" for name in (*states, *residualize)), *outputs}
-            bent: dict[str, str] = {}
-            for each in whole:
-                for name, concerned in each.kinks.items():
-                    affected = [row for row in concerned if row in rows]
-                    if name in {*states, *residualize, *inputs} and affected:
-                        bent.setdefault(name, ", ".join(affected))
-            cure = "no derivative; give a point next to it"
-            refuse(Fault(AT, 0, 0, f"{name} is at a kink or jump of {of}: {cure}") for name, of in bent.items())
-            reduced = [residualize_states(each, residualize) for each in whole]
+            reduced = [residualize_states(each, residualize) for each in source.linear(points)]
         except ValueError as error:
             raise InputError.at(Path("--residualize"), str(error)) from None
         if others := dict.fromkeys(n for each in reduced for n in missing_states(each, states)):

@@ -30,9 +30,9 @@ from cosim.pages.view_page import Viewer, view_html
 from cosim.refinement.stages import ORDER, Watcher, stage_number
 from cosim.report.template import render
 from cosim.simulation.criteria import sentence
-from cosim.simulation.workflow import Outcome
-from cosim.sweeps.run_statistics import share_interval
+from cosim.simulation.run_signals import Run
 from cosim.sweeps.runs import RunResult
+from cosim.sweeps.sampling import share_interval
 from cosim.sweeps.workflow import CriterionLimit, RunsObserver
 
 TEMPLATE = Path(__file__).with_name("templates") / "work.html.j2"
@@ -170,11 +170,10 @@ class LiveRun(WorkPage, Observer):
         """Show that the files of the run are being written."""
         self.update(phase="writing")
 
-    def show_outcome(self, outcome: Outcome) -> None:
+    def show_outcome(self, made: Run) -> None:
         """Show the criteria and the report of a complete run."""
-        self.report = outcome.folder / "report.html"
-        title = str(outcome.manifest["scenario"]["name"])
-        self.update(title=title, message="; ".join(sentence(c) for c in outcome.manifest["criteria"]))
+        self.report = made.report
+        self.update(title=made.title, message="; ".join(map(sentence, made.criteria)))
 
     # -- state -----------------------------------------------------------------------------------
 

@@ -32,16 +32,16 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
 
 
-def _scalar(value: Any) -> Any:
-    """Return a start value if valid: a finite number, true or false, or text.
+def scalar(value: Any) -> Any:
+    """Return a value if valid: a finite number, true or false, or text.
 
     Text is a number with a unit, a string value or an enumeration item. An array has a list of values.
     """
     if isinstance(value, list):
-        return [_scalar(each) for each in value]
+        return [scalar(each) for each in value]
     if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST_NUMBER):
         return value
-    raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
+    raise ValueError("a value is a finite number, true or false, or text such as 12 deg")
 
 
 def _kind_of(component: Any) -> str | None:
@@ -123,7 +123,7 @@ class Event(Part):
     """
 
     at: Seconds
-    set: dict[Variable, Annotated[Any, AfterValidator(_scalar)]] = Field(min_length=1)
+    set: dict[Variable, Annotated[Any, AfterValidator(scalar)]] = Field(min_length=1)
 
 
 class ClockTiming(Part):
@@ -162,7 +162,7 @@ class FmuComponent(Part):
 
     fmu: str
     process: Literal["own"] | None = None
-    start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
+    start: dict[str, Annotated[Any, AfterValidator(scalar)]] = Field(default_factory=dict)
     interface: Literal["co-simulation", "model-exchange", "scheduled-execution"] | None = None
     event_mode: bool | None = None
     clocks: dict[str, ClockTiming] = Field(default_factory=dict)

@@ -6,7 +6,7 @@ import copy
 import hashlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import islice
 from operator import getitem
@@ -154,12 +154,17 @@ class ScenarioFile:
         except (OSError, ValueError):  # a loop of links, or a zero byte
             return path
 
+    def component_files(self) -> Iterator[tuple[str, str, Path]]:
+        """Yield component, key and path of each FMU and recording."""
+        for name, component in self.scenario.components.items():
+            key = key_of(component)
+            if file := getattr(component, key, None):
+                yield name, key, self.resolve(file)
+
     @property
     def files(self) -> list[Path]:
         """Return the FMUs and recordings of the components."""
-        every = self.scenario.components.values()
-        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in every)
-        return [self.resolve(name) for name in names if name]
+        return [path for _, _, path in self.component_files()]
 
     def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
         """Return a fault at a place of the scenario."""

@@ -41,7 +41,7 @@ ARTEFACTS = (
         "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
         endings=(".fmu",),
         member="modelDescription.xml",
-        check="cosim.simulation.trial:check_loaded_fmu",
+        check="cosim.simulation.trial:check_fmu",
     ),
     Artefact(
         SSP,

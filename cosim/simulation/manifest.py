@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,9 +17,10 @@ from cosim.core.times import first_point
 from cosim.core.units import is_as_known
 from cosim.core.version import __version__
 from cosim.files.folders import COMMAND, SCHEMA_VERSION
+from cosim.fmi.description import ways
 from cosim.master.inbox import Change
-from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
-from cosim.scenario.scenario_file import ScenarioFile, key_of, sha256
+from cosim.scenario.scenario import Scenario, resolve_defaults
+from cosim.scenario.scenario_file import ScenarioFile, sha256
 from cosim.system.system import System
 
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
@@ -32,21 +33,17 @@ def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
     without `pace`.
     """
     components = dict[str, Any](file.scenario.components)
-    for name, component in file.scenario.components.items():
-        if isinstance(component, FmuComponent) or component.block == "playback":
-            key = key_of(component)
-            path = system.fmus[name][0] if key == "fmu" else file.resolve(getattr(component, key))
-            components[name] = component.model_copy(update={key: str(path), "sha256": sha256(path)})
+    for name, key, named in file.component_files():
+        path = system.fmus[name][0] if key == "fmu" else named
+        components[name] = components[name].model_copy(update={key: str(path), "sha256": sha256(path)})
     return file.scenario.model_copy(update={"components": components, "pace": None})
 
 
 def check_pinned(file: ScenarioFile) -> None:
     """Raise InputError if files differ from the manifest's."""
     faults = []
-    for name, component in file.scenario.components.items():
-        key = key_of(component)
-        pinned: str | None = getattr(component, "sha256", None)
-        path = file.resolve(getattr(component, key, ""))
+    for name, key, path in file.component_files():
+        pinned: str | None = getattr(file.scenario.components[name], "sha256", None)
         if pinned is not None and path.is_file() and sha256(path) != pinned:
             message = (
                 f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
@@ -63,6 +60,7 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
         command: Command that made the scenario, if it is not `cosim run`.
     """
     scenario, recorded = resolve_scenario(file, system), system.recorded
+    components: Mapping[str, Any] = scenario.components
     return {
         "schema_version": SCHEMA_VERSION,
         "cosim_version": __version__,
@@ -88,7 +86,9 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
             name: {
                 "path": str(path),
                 "guid": description.guid,
-                "sha256": scenario.components[name].sha256,  # type: ignore[union-attr]
+                "sha256": components[name].sha256,
+                "fmi_version": description.fmiVersion,
+                "interface": components[name].interface or ways(description)[0],
                 "model_name": description.modelName,
                 "version": description.version,
                 "generation_tool": description.generationTool,

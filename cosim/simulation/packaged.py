@@ -21,7 +21,7 @@ from cosim.files.kinds import kind_by_form
 from cosim.files.yaml_file import Location
 from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
 from cosim.ssp.package import Element, open_package
-from cosim.ssp.read import SspSystem, read
+from cosim.ssp.read import SspSystem
 from cosim.system.system import build_system
 
 FOLDER, SCENARIO = SYSTEM, "scenario.json"  # inside the results folder
@@ -43,9 +43,9 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         The scenario file and warnings.
     """
     with open_package(path) as package, temporary_folder("ssp") as scratch:
-        system = read(package)
+        system = SspSystem(package)
         files: dict[str, Path] = {}  # by unique names
-        for fmu in dict.fromkeys(part.fmu for part in system.parts):
+        for fmu in dict.fromkeys(part.fmu for part in system.parts.values()):
             name, number = fmu.name, 2
             while name in files:
                 name, number = f"{fmu.stem}_{number}{fmu.suffix}", number + 1
@@ -98,7 +98,7 @@ def _scenario(
     places: dict[Location, Element] = {}
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}
-    for part in system.parts:
+    for part in system.parts.values():
         entry: dict[str, Any] = {"fmu": name_of[part.fmu]}
         if part.interface is not None:
             entry["interface"] = part.interface
@@ -136,7 +136,7 @@ def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple
     """
 
     def read_positive(name: str) -> list[float]:
-        texts = (getattr(part.description.defaultExperiment, name, None) for part in system.parts)
+        texts = (getattr(part.description.defaultExperiment, name, None) for part in system.parts.values())
         return [value for text in texts if text is not None and (value := float(text)) > 0.0]
 
     start, stop, step = system.start or 0.0, system.stop, system.step

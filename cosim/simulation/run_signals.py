@@ -1,4 +1,4 @@
-"""Results of `run` and `simulate` in Python: signals by name, data frames, figures and a short text."""
+"""Results of `run` and `simulate`, read from files or in memory: signals by name, data frames, figures and text."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.core.arrays import Array
+from cosim.core.errors import InputError
+from cosim.core.extras import pandas_for_frames
 from cosim.core.messages import printable
 from cosim.core.text import MISSING, counted, plain
-from cosim.files.results import Results
-from cosim.files.table import as_text
+from cosim.files.artefact import LOG, folder_kind
+from cosim.files.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
+from cosim.files.kinds import check_given, refuse_folder
+from cosim.files.results import Results, read_results, rows_in
+from cosim.files.table import as_text, suffixes
 
 if TYPE_CHECKING:
     import pandas
@@ -21,6 +26,7 @@ if TYPE_CHECKING:
 
 MAX_LINES = 8  # signals in the short text; further signals are counted
 LONGEST_TEXT = 40  # characters of a value in a table
+WANTED = "the folder of a run or a table of its rows"
 
 
 @dataclass(frozen=True)
@@ -77,12 +83,11 @@ class Signals:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a data frame of all signals with the time [s] as index; raise ImportError without pandas."""
-        try:
-            import pandas
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
-        index = pandas.Index(self.time, name="time")
-        frame = pandas.DataFrame(self.results.values, index=index, columns=list(self.results.columns))
+        library = pandas_for_frames()
+        index = library.Index(self.time, name="time")
+        frame: pandas.DataFrame = library.DataFrame(
+            self.results.values, index=index, columns=list(self.results.columns)
+        )
         for name, column in self.results.exact.items():
             frame[name] = list(column)
         frame.attrs["units"] = dict(self.results.units)
@@ -105,7 +110,7 @@ class Signals:
         Raises:
             KeyError: There is no such signal.
         """
-        from cosim.simulation.report.signal_chart import results_cell
+        from cosim.simulation.report.run_page import results_cell
 
         shown = self.results.with_integers()
         for name in names:
@@ -195,9 +200,50 @@ def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -
 
 def read_run(path: Path) -> Run | Signals:
     """Return the run in a folder or the signals of a table; raise InputError if none."""
-    from cosim.simulation.run_files import read_ran
-
     ran = read_ran(path)
     for text in ran.warnings:
         warnings.warn(printable(text), stacklevel=2)
     return run_of(ran.results, ran.manifest, ran.path) if path.is_dir() else Signals(ran.name, ran.results)
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """Results read from files, with their path, their name, the manifest if there is one, and warnings on it."""
+
+    path: Path
+    name: str
+    results: Results
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def criteria(self) -> list[dict[str, Any]]:
+        """Return the evaluated criteria."""
+        entries = self.manifest.get("criteria")
+        return [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
+
+
+def read_ran(path: Path) -> RecordedRun:
+    """Return results of a path; raise InputError if none, also if they are removed meanwhile."""
+    try:
+        path = newest_run(path)
+        if not path.exists():
+            raise InputError.at(path, f"no such folder or file; give {WANTED}")
+        if not path.is_dir():
+            check_given(path, LOG)
+            return RecordedRun(path, path.stem, read_results(path))
+        rows = rows_in(path)
+        if rows is None:
+            kind = folder_kind(path)
+            if kind is None or "results" not in kind.tables:
+                refuse_folder(path, WANTED)
+            names = " or ".join(f"results{suffix}" for suffix in suffixes())
+            raise InputError.at(path, f"holds no rows{status_in(path)}: no {names}; give {WANTED}")
+        manifest = manifest_in(path)
+        units: Any = manifest.get("units") or replay_record(path).get("units") or {}
+        results = read_results(rows, units, manifest.get("beside", ()), words=manifest.get("texts", ()))
+        return RecordedRun(path, run_name(path), results, manifest, tuple(warnings_on(path)))
+    except FileNotFoundError:
+        raise InputError.at(
+            path, "was removed while it was read; repeat the command with the results that are left"
+        ) from None

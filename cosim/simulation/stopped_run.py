@@ -295,7 +295,7 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
         keeps_rows: Whether the rows stay, because the results have a part of them.
     """
     kept = folder / FOLDER
-    if not is_kept and kept.is_dir() and not kept.is_symlink():
+    if not is_kept:
         shutil.rmtree(kept, ignore_errors=True)
     for name in (IN_USE,) if keeps_rows else (ROWS, BESIDE, IN_USE):
         with suppress(OSError):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.core import errors
-from cosim.core.errors import Fault, FmuError, InputError, refuse
+from cosim.core.errors import FmuError, InputError
 from cosim.core.messages import CheckWarning, with_severity
 from cosim.core.scratch import temporary_folder
 from cosim.files.artefact import Checking
@@ -31,94 +31,83 @@ MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the t
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
 
 
-def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
-    """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
-    notes: list[str] = []
-    refuse(check_fmu(path, checking.worker, notes))
-    if checking.worker is not None:
+def check_fmu(path: Path, checking: Checking) -> list[str]:
+    """Return violations of FMI rules, and warnings of a step that a worker tries.
+
+    Raises:
+        InputError: The FMU cannot be read or run; mere violations of rules are no faults.
+    """
+    notes, worker = list[str](), checking.worker
+    if not path.is_file():
+        raise InputError.at(path, "no such file; give an FMU")
+    try:
+        description = read_description(path)
+    except FmuError as error:
+        raise InputError([error.fault(path, path)]) from None
+    if worker is not None:
+        experiment = description.defaultExperiment
+        start, stop, step = (
+            float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
+        )
+        step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
+        inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
+        if inner and takes_any_step(description):
+            step = min(step, MOST_INNER_STEPS * inner)
+        times = {"start_time": start, "duration": step, "step": step}
+        content = {"name": path.stem, **times, "components": {"fmu": {"fmu": str(path.resolve())}}}
+        worker.start()
+        scenario = worker.folder / "check.json"
+        scenario.write_text(json.dumps(content), encoding="utf-8")
+        try:
+            file = ScenarioFile(scenario)
+            said = _run_once(file, build_system(file), path, worker)
+        except InputError as error:
+            raise InputError([replace(fault, file=path, line=0, column=0) for fault in error.faults]) from None
+        notes += [with_severity(text.removeprefix("fmu: ")) for text in said if isinstance(text, CheckWarning)]
         notes += [f"warning: {sentence}" for sentence in misbehaviour(path)]
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
     return notes + [f"warning: {problem}" for problem in validation(path)]
 
 
-def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None = None) -> Sequence[Fault]:
-    """Return faults of an FMU; with a worker, try a step and add its warnings to `notes`.
-
-    Mere violations of FMI rules are no faults.
-    """
-    if not path.is_file():
-        return [Fault(path, 0, 0, "no such file; give an FMU")]
-    try:
-        description = read_description(path)
-    except FmuError as error:
-        return [error.fault(path, path)]
-    if worker is None:
-        return []
-    experiment = description.defaultExperiment
-    start, stop, step = (
-        float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
-    )
-    step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
-    inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
-    if inner and takes_any_step(description):
-        step = min(step, MOST_INNER_STEPS * inner)
-    times = {"start_time": start, "duration": step, "step": step}
-    content = {"name": path.stem, **times, "components": {"fmu": {"fmu": str(path.resolve())}}}
-    worker.start()
-    scenario = worker.folder / "check.json"
-    scenario.write_text(json.dumps(content), encoding="utf-8")
-    try:
-        file = ScenarioFile(scenario)
-        faults, said = _run_once(file, build_system(file), path, worker)
-        if notes is not None:
-            notes += [with_severity(text.removeprefix("fmu: ")) for text in said if isinstance(text, CheckWarning)]
-        return faults
-    except InputError as error:
-        return [replace(fault, file=path, line=0, column=0) for fault in error.faults]
-
-
 def check_scenario(path: Path, checking: Checking) -> list[str]:
-    """Check a scenario or manifest; return warnings.
-
-    With a worker, the first step is tried too.
+    """Check a scenario or manifest; return warnings. With a worker, the first step is tried too.
 
     Raises:
         InputError: The file has faults.
     """
-    file, worker = ScenarioFile(path), checking.worker
+    file = ScenarioFile(path)
     check_pinned(file)
-    said: Sequence[str] = ()
-    system = build_system(file)
-    if worker is not None:
-        system = with_feedthrough(file, system, worker)
-        faults, said = _run_once(file, system, path, worker)
-        refuse(faults)
-    shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
-    notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*file.warnings, *shown, *notes))]
+    return _check(file, path, checking.worker, file.warnings)
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
-    """Check an SSP; return warnings.
-
-    With a worker, the first step is tried too.
+    """Check an SSP; return warnings. With a worker, the first step is tried too.
 
     Raises:
         InputError: The SSP has faults.
     """
     with temporary_folder("check") as folder:
         file, warnings = lay_out(path, folder)
-        system = build_system(file)
-        said: Sequence[str] = ()
-        if checking.worker is not None:
-            faults, said = _run_once(file, system, path, checking.worker)
-            refuse(replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
+        try:
+            return _check(file, path, checking.worker, warnings)
+        except InputError as error:
+            place = f"{file.path.parent}/"
+            raise InputError([replace(f, message=f.message.replace(place, "")) for f in error.faults]) from None
+
+
+def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequence[str]) -> list[str]:
+    """Return the given warnings, those of the system and those of its first step, which a worker tries."""
+    system, said = build_system(file), list[str]()
+    if worker is not None:
+        system = with_feedthrough(file, system, worker)
+        said = _run_once(file, system, path, worker)
     shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
-    return [*map(with_severity, (*warnings, *shown))]
+    notes = recording_notes(file.scenario, system.columns, system.recording)
+    return [*map(with_severity, (*warnings, *shown, *notes))]
 
 
-def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> tuple[Sequence[Fault], Sequence[str]]:
-    """Return the fault of a failed first step, located at `path`, and the messages of the FMUs."""
+def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[str]:
+    """Return the messages of the FMUs in the first step; raise InputError with a fault at `path` if it fails."""
     load_limit = MAX_CALL_TIME + (LIMIT if permission.get() else 0.0)
     system = replace(system, events={k: changes for k, changes in system.events.items() if k <= 1})
     limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
@@ -126,14 +115,15 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     try:
         stepped = simulate_in(worker, system, 1, file.scenario.step, limits)
     except FmuError as error:
-        return [error.fault(path, path.resolve())], ()
+        raise InputError([error.fault(path, path.resolve())]) from None
     except errors.DiskFull as error:
         message = f"cannot be tried: {error.reason}; --no-load checks it without"
-        return [Fault(path, 0, 0, message, FmuError.exit_code)], ()
-    if (failure := stepped.failure) is None:
-        return [], stepped.log
+        raise InputError.at(path, message, FmuError.exit_code) from None
+    failure = stepped.failure
     if isinstance(failure, (errors.Interrupted, errors.Signalled)):
         raise failure
-    code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
-    cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
-    return [Fault(path, 0, 0, f"does not run: {failure}{cure}", code)], ()
+    if failure is not None:
+        code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
+        cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
+        raise InputError.at(path, f"does not run: {failure}{cure}", code)
+    return [*stepped.log]

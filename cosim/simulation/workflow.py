@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from json import dumps
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from cosim.blocks.compiling import compiling, permission
 from cosim.core.drafts import is_full
-from cosim.core.errors import DiskFull, SimulationError, Terminated, stop_error
+from cosim.core.errors import DiskFull, InputError, SimulationError, Terminated, stop_error
 from cosim.core.messages import Note
+from cosim.core.scratch import temporary_folder
+from cosim.core.settings import Given, Seconds, Seed, Values, texts
 from cosim.files import artefact
 from cosim.files.files import (
     FilePath,
@@ -24,21 +27,31 @@ from cosim.files.files import (
     release_stops,
     write_json,
 )
-from cosim.files.folders import STARTED, describe_run, new_run, remove_earlier
+from cosim.files.folders import (
+    COMMAND,
+    NUMBERED,
+    STARTED,
+    content_of,
+    describe_run,
+    new_run,
+    remove_earlier,
+    results_in,
+)
 from cosim.files.kinds import check_form, shell_path
-from cosim.files.results import Results, rows_in, rows_name
+from cosim.files.results import rows_in, rows_name
 from cosim.files.state_file import write_durable
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import without_ended_states
 from cosim.master.checkpoint import STATE, Continuation, Keeping
 from cosim.master.inbox import Change, with_changes
-from cosim.master.observer import InputFunctions, NamedFunctions, Observer, ProgressObserver
+from cosim.master.observer import InputFunctions, NamedFunctions, Observers, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_in
-from cosim.scenario.scenario_file import ScenarioFile, sha256, take_nearest
+from cosim.scenario.scenario_file import ScenarioFile, from_here, sha256, take_nearest
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
+from cosim.simulation.run_signals import Run, run_of
 from cosim.simulation.stopped_run import (
     EXTRA,
     MANIFEST,
@@ -50,28 +63,9 @@ from cosim.simulation.stopped_run import (
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.system.system import System, build_system
 
+VERB = "cosim run"
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
-WriteReport = Callable[[Path, Results, dict[str, Any]], None]  # into a folder
 COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """A run after writing its files."""
-
-    results: Results
-    manifest: dict[str, Any]
-    file: Path  # file of the rows
-
-    @property
-    def folder(self) -> Path:
-        """Return the folder of rows, manifest and report."""
-        return self.file.parent
-
-    @property
-    def missed(self) -> list[dict[str, Any]]:
-        """Return the missed criteria."""
-        return [c for c in self.manifest["criteria"] if not c["met"]]
 
 
 @dataclass
@@ -103,55 +97,74 @@ class _Prepared:
 
 @one_stop()
 def run(
-    scenario: FilePath,
-    folder: FilePath | None = None,
-    overrides: Sequence[str] = (),
+    scenario: FilePath | Values,
+    out: FilePath | None = None,
+    set: Given | None = None,
     *,
-    force: bool = True,
+    seed: Seed | None = None,
+    pace: float | None = None,
     nearest: bool = False,
-    report: WriteReport | Literal[False] = False,
+    report: bool = True,
+    figures: bool = False,
+    force: bool = False,
     in_process: bool = False,
-    format_: str = "csv",
+    compile: bool = False,
+    format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
-    observers: Sequence[Observer] = (),
+    observers: Observers = (),
     inputs: NamedFunctions | None = None,
     resume: bool = False,
-    until: float | None = None,
+    until: Seconds | None = None,
     tell: Callable[[str], None] = lambda text: None,
-    command: str = "",
-) -> Outcome:
-    """Run a scenario or an SSP, repeat a manifest, or go on with a stopped run.
+) -> Run:
+    """Simulate a scenario or an SSP.
 
-    Writes results.csv, manifest.json and the report. After a failure the rows so far are written before the error is
-    raised.
+    A criterion that is not met is not an error: see `Run.missed`.
 
     Args:
-        scenario: File; with `resume` or `until` the folder of a run.
-        folder: Output folder, by default a new number in results/NAME. An SSP's generated scenario and FMUs go to
-            `system`.
-        force: Whether `folder` may have files; results in it are replaced.
-        nearest: Whether to use the nearest FMUs of a refine instead of its refined ones.
-        report: Function that writes the report of a run, False for none.
-        inputs: Input → function that returns its value while the run goes on.
-        observers: Receive rows during the run; `progress`, a function of (steps done, total), is added to them.
-        format_: Format of the rows, e.g. parquet for results.parquet instead of results.csv.
-        in_process: Load FMUs into this process, for a debugger; a crash of an FMU then loses all rows.
-        resume: Whether to go on with the stopped run in a folder.
-        until: End [s] of a longer run that goes on with the run in a folder.
-        tell: Function that shows a note before the steps.
-        command: Command that made the scenario, if it is not `cosim run`.
+        scenario: File, manifest.json, or the content as a mapping with paths relative to the current folder. With
+            `resume` or `until`: the folder of a run.
+        out: Folder for results.csv, manifest.json and report.html; None writes nothing.
+        set: Path → value, for example {"noise": False, "components.plant.start.mass": 2}, or texts "path=value".
+        seed: Seed for all random numbers (default: the seed of the scenario).
+        pace (NUMBER): Simulated seconds per second: 1 for real time (default: that of the scenario).
+        nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
+        report: Write report.html.
+        figures: Write figures/*.png.
+        force: Write even if the folder is not empty; results in it are replaced.
+        in_process: Load FMUs into this process, for a debugger; limits do not apply.
+        compile: Compile and execute the sources of FMUs that have no library for this machine.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
+        progress (in Python): Function of (completed steps, all steps).
+        observers (in Python): Objects that receive the rows during the run (`cosim.master.observer.Observer`).
+        inputs (in Python): Input → function of time and signals that returns its value during the run, None to hold it.
+        resume: Go on with the stopped run in a folder, to the bytes that an uninterrupted run gives.
+        until (TIME): Go on with the run in a folder to this simulated time, in seconds or with a unit.
+        tell (in Python): Function that shows a note before the steps.
+
+    Returns:
+        The signals, the manifest and the criteria.
 
     Raises:
-        InputError: The input is faulty.
-        FmuError: An FMU does not load.
-        SimulationError: The simulation stopped early.
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
     """
+    goes_on = (resume or until is not None) and not isinstance(scenario, Mapping)
+    if goes_on:
+        is_given = {"out": out not in {None, NUMBERED}, "set": bool(set), "seed": seed is not None}
+        is_given |= {"pace": pace is not None, "nearest": nearest, "format": format != "csv"}
+        for name in (name for name, given in is_given.items() if given):
+            text = f"a run goes on as it began, so --resume and --until take no --{name}; leave it out"
+            raise InputError.at(Path(str(scenario)), text)
     observers = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
-    begin, path = time.perf_counter(), Path(scenario)
-    goes_on = resume or until is not None
-    if not goes_on and not is_ssp(path):
-        check_form(path, artefact.SCENARIO, artefact.MANIFEST)  # before the worker is started
+    begin, overrides = time.perf_counter(), overrides_of(set, seed, pace)
     with ExitStack() as stack:
+        stack.enter_context(compiling(compile or permission.get()))
+        folder = None if goes_on else stack.enter_context(results_in(out, VERB, force=force))
+        path = stack.enter_context(_scenario_file(scenario))
+        if not goes_on and not is_ssp(path):
+            check_form(path, artefact.SCENARIO, artefact.MANIFEST)  # before the worker is started
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # The worker starts up while files are read.
@@ -163,18 +176,19 @@ def run(
             if not is_package:
                 file = ScenarioFile(path, overrides)
             name = path.stem if is_package else file.scenario.name
-            place = stack.enter_context(new_run(folder, name, "cosim run", force=force))
+            place = stack.enter_context(new_run(folder, name, VERB, force=force))
             if is_package:
                 file, warnings = lay_out(path, place, overrides)
             if nearest:
                 take_nearest(file)
             check_pinned(file)
-            system, rows_file = build_system(file), rows_name("results", format_)
+            system, rows_file = build_system(file), rows_name("results", format)
             if not is_package:
                 remove_earlier(place, read=file.files)
             check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
             system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
-            record = manifest(file, system, command)
+            command = content_of(place / STARTED).get(COMMAND, VERB)
+            record = manifest(file, system, "" if command == VERB else command)
             if is_package:
                 record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
             record["warnings"] += warnings
@@ -259,11 +273,39 @@ def run(
         if worker is None and scenario_.limits is not None:
             record["warnings"].append("limits are not watched where FMUs run in this process")
         is_kept = keeping.folder is not None
-        failure = _write_files(prepared, stepped, record, base, report, is_kept=is_kept)
+        is_written = goes_on or out is not None
+        pages = {"report": report and is_written, "figures": figures and is_written}
+        failure = _write_files(prepared, stepped, record, base, pages, is_kept=is_kept)
     if failure is not None:
         failure.left = place
         raise failure
-    return Outcome(stepped.results, record, place / prepared.rows_file)
+    return run_of(stepped.results, record, place if is_written else None)
+
+
+def overrides_of(settings: Given | None, seed: int | None, pace: float | None) -> list[str]:
+    """Return overrides of a scenario as `path=value` texts."""
+    options = {"seed": seed, "pace": pace}
+    return [*texts(settings), *(f"{key}={value}" for key, value in options.items() if value is not None)]
+
+
+@contextmanager
+def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
+    """Yield the file of a scenario; the content of a mapping goes to a temporary file."""
+    if not isinstance(scenario, Mapping):
+        yield Path(scenario)
+        return
+    label = Path("scenario")
+    with temporary_folder("scenario") as scratch:
+        path = scratch / "scenario.json"
+        try:
+            path.write_text(dumps(from_here((), scenario)), encoding="utf-8")
+        except (TypeError, ValueError) as error:
+            raise InputError.at(label, f"holds what no file can: {error!s}") from None
+        try:
+            yield path
+        except InputError as error:
+            faults = [replace(f, file=label, line=0, column=0) if f.file == path else f for f in error.faults]
+            raise InputError(faults) from None
 
 
 def _prepare_stopped(
@@ -328,7 +370,7 @@ def _write_files(
     stepped: SteppedRun,
     record: dict[str, Any],
     base: Callable[[], dict[str, Any]],
-    report: WriteReport | Literal[False],
+    pages: Mapping[str, bool],
     *,
     is_kept: bool,
 ) -> SimulationError | None:
@@ -354,8 +396,10 @@ def _write_files(
         if stepped.state is not None and failure is not None and not is_part:
             write_durable(write_run(rows.parent, base(), rows.name, prepared.warnings) / STATE, stepped.state)
         release_stops()
-        if report:
-            report(rows.parent, results, record)
+        if any(pages.values()):
+            from cosim.simulation.report import write_pages
+
+            write_pages(rows.parent, results, record, **pages)
     except OSError as error:
         if not is_full(error):
             raise

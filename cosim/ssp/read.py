@@ -115,75 +115,46 @@ class SignalLink:
     element: Element
 
 
-@dataclass(frozen=True)
 class SspSystem:
-    """A system without nested systems and without faulty parts; times [s] are None if absent."""
+    """The system of a package, without nested systems and without faulty parts; InputError without a system.
 
-    name: str
-    description: str
-    parts: tuple[FmuPart, ...]
-    links: tuple[SignalLink, ...]
-    start: float | None
-    stop: float | None
-    step: float | None
-    experiment: Element
-    element: Element
-    faults: list[Fault]
-    warnings: list[str]
+    Attributes:
+        parts: FMUs by place.
+        start, stop, step: Times [s], None if absent.
+        element, experiment: Elements of the system and of its times, for messages.
+    """
 
-
-def read(package: Package) -> SspSystem:
-    """Return the system of a package; raise InputError without one."""
-    return _Reader(package).system()
-
-
-class _Reader:
     def __init__(self, package: Package) -> None:
         self.package = package
         self.faults: list[Fault] = []
         self.warnings: list[str] = []
-        self.units: Units = {}
         self.systems: dict[Place, tuple[Element, list[str]]] = {}  # with the names of their elements
         self.parts: dict[Place, FmuPart] = {}
         self.connectors: dict[End, Connector] = {}
         self.connections: list[Connection] = []
         self.into: dict[End, Connection] = {}  # by end; of two sources, a noted fault, the first counts
         self.bindings: list[tuple[Place, Element]] = []  # holders of parameters, the inner ones first
-
-    def system(self) -> SspSystem:
-        """Return the system."""
-        root = self.package.element(self.package.structure)
+        root = package.element(package.structure)
         if root.tag != "ssd:SystemStructureDescription":
             raise InputError([root.fault("it should be ssd:SystemStructureDescription")])
         self.check_version(root)
         system, experiment = root.first("ssd:System"), root.first("ssd:DefaultExperiment")
         if system is None:
             raise InputError([*self.faults, root.fault("it has no ssd:System; add one")])
+        self.element, self.experiment, self.name = system, experiment or root, root.get("name") or "system"
+        self.description = system.get("description") or root.get("description") or ""
         self.units = self.units_in(root, "ssd:Units")
         self.read_system(system, ())
         for place, (element, _) in self.systems.items():
             self.read_connections(element, place)
         self.set_parameters()
-        start = stop = None
-        if experiment is not None:
-            start, stop = (self.number(experiment, name, None) for name in ("startTime", "stopTime"))
-            if stop is not None and stop <= (start or 0.0):
-                cure = f"startTime {start or 0.0:g} s; give a later stopTime"
-                self.note(experiment, f"stopTime {stop:g} s is not after {cure}")
-                stop = None
-        return SspSystem(
-            root.get("name") or "system",
-            system.get("description") or root.get("description") or "",
-            tuple(self.parts.values()),
-            tuple(self.links()),
-            start,
-            stop,
-            self.step([holder for holder in (experiment, system, root) if holder]),
-            experiment or root,
-            system,
-            self.faults,
-            self.warnings,
-        )
+        self.start, self.stop = (self.number(self.experiment, name, None) for name in ("startTime", "stopTime"))
+        if self.stop is not None and self.stop <= (self.start or 0.0):
+            cure = f"startTime {self.start or 0.0:g} s; give a later stopTime"
+            self.note(self.experiment, f"stopTime {self.stop:g} s is not after {cure}")
+            self.stop = None
+        self.links = [*self.read_links()]
+        self.step = self.read_step([holder for holder in (experiment, system, root) if holder])
 
     # -- values and messages --------------------------------------------------------------------
 
@@ -239,7 +210,7 @@ class _Reader:
                     del units[name]
         return units
 
-    def step(self, holders: Iterable[Element]) -> float | None:
+    def read_step(self, holders: Iterable[Element]) -> float | None:
         """Return the communication step [s] of another tool's annotation, if any."""
         annotations = filter(None, (holder.first("ssd:Annotations") for holder in holders))
         for element in chain.from_iterable(each.descendants() for each in annotations):
@@ -361,7 +332,7 @@ class _Reader:
             return None
         return (connector.kind in SENDERS) != (end[0] == within)
 
-    def links(self) -> Iterator[SignalLink]:
+    def read_links(self) -> Iterator[SignalLink]:
         """Yield the connections to FMUs, each followed back through connectors of systems to the output of an FMU."""
         for last in self.connections:
             if last.end[0] not in self.parts or last.end not in self.connectors or self.into[last.end] is not last:

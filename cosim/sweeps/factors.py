@@ -159,23 +159,7 @@ class Factors:
                 return None
             return number
 
-        factor = self._make_factor(name, varied, value)
-        if factor is None:
-            return None
-        values = factor.values
-        if values is None:
-            values = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
-        warnings: list[str] = []
-        for k, v in enumerate(values[:MAX_TESTED_VALUES]):
-            where: Location = ("vary", name, "values", k) if varied.values is not None else ("vary", name)
-            faults, texts = self._test_variant(f"{name}={json.dumps(v)}")
-            for fault in faults:
-                self._note(where, fault.message, exit_code=fault.exit_code)
-            warnings += [text for text in texts if text not in {*self.scenario.warnings, *self.system.warnings}]
-        if warnings:
-            line = self.yaml.place(("vary", name), key=True)[0]
-            self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", warnings[0]))
-        return factor
+        return self._make_factor(name, varied, value)
 
     def _number_at(self, name: str, text: str) -> float:
         """Return the number of text such as `4 ms` at a scenario path; raise ValueError if none."""
@@ -228,18 +212,29 @@ class Factors:
             self._note(("vary", name, way), str(error))
             return None
 
-    def check_drawn(self, columns: Mapping[str, list[Any]]) -> None:
-        """Refuse factors whose extreme drawn values do not fit."""
-        for name in (f.name for f in self.factors if f.drawn is not None):
-            way = self.file.vary[name].way
-            cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
+    def check_values(self, columns: Mapping[str, list[Any]]) -> None:
+        """Note faults and warnings of listed values of paths, and of the extreme drawn values."""
+        for factor in self.factors:
+            name, way = factor.name, self.file.vary[factor.name].way
             component, _, variable = name.partition(".")
-            path = f"components.{component}.start.{variable}" if component in self.blocks else name
-            for value in (min(columns[name]), max(columns[name])):
-                for fault in self._test_variant(f"{path}={json.dumps(value)}")[0]:
-                    text = f"{name} would be {value:g}: {fault.message}; {cure}"
-                    self._note(("vary", name, way), text, exit_code=fault.exit_code)
-        refuse(self.faults)
+            is_variable, is_drawn = component in self.blocks, factor.drawn is not None
+            if name == "seed" or (is_variable and not is_drawn):
+                continue
+            path, warnings = f"components.{component}.start.{variable}" if is_variable else name, list[str]()
+            values = factor.values or ()
+            if is_drawn and columns[name]:
+                values = [min(columns[name]), max(columns[name])]
+            for k, value in enumerate(values[:MAX_TESTED_VALUES]):
+                faults, texts = self._test_variant(f"{path}={json.dumps(value)}")
+                for fault in faults:
+                    where: Location = ("vary", name, way) if is_drawn else ("vary", name)
+                    cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
+                    text = f"{name} would be {value:g}: {fault.message}; {cure}" if is_drawn else fault.message
+                    self._note((*where, way, k) if way == "values" else where, text, exit_code=fault.exit_code)
+                warnings += [text for text in texts if text not in {*self.scenario.warnings, *self.system.warnings}]
+            if warnings and not is_variable:
+                line = self.yaml.place(("vary", name), key=True)[0]
+                self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", warnings[0]))
 
     def _note_overlaps(self) -> None:
         """Note each entry of `vary` and `set` that another entry overrides.

@@ -16,11 +16,10 @@ from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.template import render
-from cosim.sweeps.run_statistics import MIN_RUNS, QUANTILES, Sensitivity, sensitivity
-from cosim.sweeps.sampling import Factor, are_numbers
+from cosim.sweeps.reading import Swept, hardest, headline, repeat_command
+from cosim.sweeps.sampling import MIN_RUNS, QUANTILES, Factor, Sensitivity, are_numbers, sensitivity
 from cosim.sweeps.store import TABLE, read_table, signal_of
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid
-from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16

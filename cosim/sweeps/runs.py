@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -17,7 +17,6 @@ import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import SharedCode
-from cosim.core.arrays import Array
 from cosim.core.errors import CosimError, InputError
 from cosim.core.scratch import process_folder
 from cosim.files.archive import unpack
@@ -85,14 +84,14 @@ class RunResult:
         status: "ok", or the reason of failure.
         values: Values of the criteria, NaN if undefined, e.g. for a settling time never reached.
         met: Outcomes of the criteria.
-        signals: Shape (signals, samples), empty after a failure.
+        signals: Samples of each signal, empty after a failure.
     """
 
     run: int
     status: str
-    values: tuple[float, ...]
-    met: tuple[bool, ...]
-    signals: Array
+    values: Sequence[float]
+    met: Sequence[bool]
+    signals: Sequence[Sequence[float]]
 
 
 _of_thread = threading.local()
@@ -154,10 +153,10 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
     if len(results.time) <= scenario.steps:
         return _failed(job, request, f"it ended at t = {results.time[-1]:g} s")
     criteria = evaluate(scenario, results)
-    values = tuple(np.nan if c["value"] is None else float(c["value"]) for c in criteria)
+    values = [np.nan if c["value"] is None else float(c["value"]) for c in criteria]
     places = sampled_rows(scenario.steps, job.samples)
-    signals = np.array([results[name][places] for name in job.signals])
-    return RunResult(request.run, "ok", values, tuple(bool(c["met"]) for c in criteria), signals)
+    signals = [results[name][places].tolist() for name in job.signals]
+    return RunResult(request.run, "ok", values, [bool(c["met"]) for c in criteria], signals)
 
 
 @lru_cache(maxsize=CACHED_SYSTEMS)
@@ -177,8 +176,7 @@ def _unpack_once(path: Path) -> Path:
 def _failed(job: Job, request: RunRequest, reason: CosimError | str) -> RunResult:
     """Return the result of a failed run, with the first of several faults."""
     text = " ".join(str(reason.faults[0] if isinstance(reason, InputError) else reason).split())
-    undefined, unmet = (np.nan,) * job.criteria, (False,) * job.criteria
-    return RunResult(request.run, text, undefined, unmet, np.empty((0, 0)))
+    return RunResult(request.run, text, [np.nan] * job.criteria, [False] * job.criteria, [])
 
 
 def sampled_rows(steps: int, samples: int) -> list[int]:

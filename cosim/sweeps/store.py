@@ -7,7 +7,6 @@ import itertools
 import json
 import os
 import sqlite3
-import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.drafts import draft_of
 from cosim.core.errors import InputError
+from cosim.core.extras import pandas_for_frames
 from cosim.core.text import counted
 from cosim.files.files import open_bytes
 from cosim.files.folders import content_of
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 GROUP = 4096  # runs per write
-COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, met BLOB, signals INTEGER, numbers BLOB"
 
 
 class Database:
@@ -38,14 +37,12 @@ class Database:
 
     def __init__(self, path: Path, key: str) -> None:
         self.path = path
-        if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
-            raise InputError.at(path, "is no file of a sweep; move it away, or give another --out")
         try:
             self._base = sqlite3.connect(path)
             self.close = self._base.close
             self._base.execute("PRAGMA synchronous = NORMAL")
             with self._transaction():
-                self._base.execute(f"CREATE TABLE IF NOT EXISTS made ({COLUMNS})")
+                self._base.execute("CREATE TABLE IF NOT EXISTS made (run INTEGER PRIMARY KEY, result TEXT)")
                 self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT)")
                 stored = self._base.execute("SELECT key FROM sweep").fetchone()
                 if stored is None:
@@ -70,10 +67,8 @@ class Database:
 
     def add(self, run: RunResult) -> None:
         """Store a run in place of an earlier one with its number."""
-        numbers = np.concatenate([run.values, run.signals.ravel()]).astype(float).tobytes()
-        row = (run.run, run.status, bytes(run.met), len(run.signals), numbers)
         with self._transaction():
-            self._base.execute("INSERT OR REPLACE INTO made VALUES (?, ?, ?, ?, ?)", row)
+            self._base.execute("INSERT OR REPLACE INTO made VALUES (?, ?)", (run.run, json.dumps(vars(run))))
 
     def numbers(self) -> set[int]:
         """Return the numbers of the stored runs."""
@@ -81,10 +76,8 @@ class Database:
 
     def runs(self) -> Iterator[RunResult]:
         """Yield the results of all runs in order, without loading them into memory at once."""
-        for run, status, met, signals, stored in self._base.execute("SELECT * FROM made ORDER BY run"):
-            values, rows = np.split(np.frombuffer(stored), [len(met)])
-            shaped = rows.reshape(signals, -1) if signals else np.empty((0, 0))
-            yield RunResult(run, status, tuple(values.tolist()), tuple(map(bool, met)), shaped)
+        for (text,) in self._base.execute("SELECT result FROM made ORDER BY run"):
+            yield RunResult(**json.loads(text))
 
     def remove(self) -> None:
         """Close and delete the database, and the folder of a part."""
@@ -179,10 +172,7 @@ class Runs:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per run: varied values, criteria, signals; raise ImportError without pandas."""
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        pandas_for_frames()
         frame: pandas.DataFrame = read_table(self.folder / TABLE)[0].to_pandas()
         return frame
 

@@ -7,35 +7,25 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from cosim.files.yaml_file import Part
-from cosim.scenario.scenario import Variable
+from cosim.scenario.scenario import Variable, scalar
 
 Whole = Annotated[int, Field(strict=True, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=1)]
-MOST_TEXT = 1e308
 DISTRIBUTIONS = ("uniform", "log_uniform", "normal", "triangular")
 WAYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
 
 
-def _scalar(value: Any) -> Any:
-    """Return a valid value: a finite number, true or false, or text."""
-    if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < MOST_TEXT):
-        return value
-    raise ValueError("a value is a finite number, true or false, or text such as 12 deg")
-
-
 def _check_listed(value: Any) -> Any:
     """Return a valid listed value, for paths also a list, e.g. poles."""
-    if not isinstance(value, list):
-        return _scalar(value)
-    if not value or any(isinstance(v, list) for v in value):
+    if isinstance(value, list) and (not value or any(isinstance(v, list) for v in value)):
         raise ValueError("a value that is a list holds numbers, true or false, or text")
-    return [_scalar(v) for v in value]
+    return scalar(value)
 
 
 def _quantity(value: Any) -> Any:
-    if isinstance(value, bool):
+    if isinstance(value, (bool, list)):
         raise ValueError("it is a number, or text such as 12 deg")
-    return _scalar(value)
+    return scalar(value)
 
 
 Listed = Annotated[Any, AfterValidator(_check_listed)]

@@ -33,11 +33,10 @@ from cosim.files.files import (
 )
 from cosim.files.folders import SCHEMA_VERSION, content_of, new_run, newest_run, remove_earlier, runs_named
 from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
-from cosim.sweeps.reading import Sweep, read_sweep
-from cosim.sweeps.run_statistics import share_interval
+from cosim.sweeps.reading import Sweep, Swept, read_sweep
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
+from cosim.sweeps.sampling import share_interval
 from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
-from cosim.sweeps.sweep_result import Swept
 
 PARTS = "parts"  # folder of the parts made by --part, as parts/17-of-200
 REPORT = "report.html"

@@ -1,4 +1,4 @@
-"""Verbs: each has a module `NAME_verb` with the command `cosim NAME` and the Python function `cosim.NAME`.
+"""Verbs: each has a function `NAME_command`, the command `cosim NAME`, and the Python function `cosim.NAME`.
 
 A verb is registered by its entry in `VERBS`, or by the entry point of an installed package.
 """
@@ -14,56 +14,56 @@ from cosim.core.registry import ExtensionWarning, Verb, added_verbs, names
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
+    from cosim.authoring.single import simulate as simulate
     from cosim.calibration.workflow import fit as fit
     from cosim.experiment.excite import excite as excite
     from cosim.fmi.building.build import build as build
     from cosim.linearization.workflow import linearize as linearize
     from cosim.residuals.workflow import replay as replay
+    from cosim.simulation.workflow import run as run
     from cosim.sweeps.workflow import sweep as sweep
-    from cosim.verbs.check_verb import check as check
-    from cosim.verbs.compare_verb import compare as compare
-    from cosim.verbs.read_verb import read as read
-    from cosim.verbs.refine_verb import refine as refine
-    from cosim.verbs.run_verb import run as run
-    from cosim.verbs.simulate_verb import simulate as simulate
+    from cosim.verbs.checks import check as check
+    from cosim.verbs.measured import refine as refine
+    from cosim.verbs.results import compare as compare
+    from cosim.verbs.results import read as read
 
-GROUPS = {  # groups and verbs in the order of `cosim -h`: name → place of the Python function
+GROUPS = {  # groups and verbs in the order of `cosim -h`: name → module of its command, place of the Python function
     "Simulate": {
-        "run": "cosim.verbs.run_verb:run",
-        "simulate": "cosim.verbs.simulate_verb:simulate",
-        "init": "",
-        "sweep": "cosim.sweeps.workflow:sweep",
+        "run": ("runs", "cosim.simulation.workflow:run"),
+        "simulate": ("runs", "cosim.authoring.single:simulate"),
+        "init": ("runs", ""),
+        "sweep": ("runs", "cosim.sweeps.workflow:sweep"),
     },
     "Compare and inspect": {
-        "compare": "cosim.verbs.compare_verb:compare",
-        "check": "cosim.verbs.check_verb:check",
-        "info": "",
-        "graph": "",
-        "report": "",
-        "list": "",
-        "open": "",
-        "view": "",
-        "gc": "",
-        "linearize": "cosim.linearization.workflow:linearize",
+        "compare": ("results", "cosim.verbs.results:compare"),
+        "check": ("checks", "cosim.verbs.checks:check"),
+        "info": ("checks", ""),
+        "graph": ("checks", ""),
+        "report": ("results", ""),
+        "list": ("results", ""),
+        "open": ("results", ""),
+        "view": ("results", ""),
+        "gc": ("results", ""),
+        "linearize": ("checks", "cosim.linearization.workflow:linearize"),
     },
     "Measured data": {
-        "replay": "cosim.residuals.workflow:replay",
-        "fit": "cosim.calibration.workflow:fit",
-        "refine": "cosim.verbs.refine_verb:refine",
-        "excite": "cosim.experiment.excite:excite",
+        "replay": ("measured", "cosim.residuals.workflow:replay"),
+        "fit": ("measured", "cosim.calibration.workflow:fit"),
+        "refine": ("measured", "cosim.verbs.measured:refine"),
+        "excite": ("measured", "cosim.experiment.excite:excite"),
     },
     "Build and export": {
-        "build": "cosim.fmi.building.build:build",
-        "export-ssp": "cosim.authoring.export:export_ssp",
-        "schema": "",
+        "build": ("building", "cosim.fmi.building.build:build"),
+        "export-ssp": ("building", "cosim.authoring.export:export_ssp"),
+        "schema": ("checks", ""),
     },
 }
 VERBS = {
-    name: Verb(f"cosim.verbs.{name.replace('-', '_')}_verb:command", function, group=group)
-    for group, functions in GROUPS.items()
-    for name, function in functions.items()
+    name: Verb(f"cosim.verbs.{module}:{name.replace('-', '_')}_command", function, group=group)
+    for group, declared in GROUPS.items()
+    for name, (module, function) in declared.items()
 }
-VERBS["read"] = Verb(function="cosim.verbs.read_verb:read")
+VERBS["read"] = Verb(function="cosim.verbs.results:read")
 
 
 def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:

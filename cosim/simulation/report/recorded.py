@@ -10,6 +10,7 @@ from typing import Any
 from cosim.blocks.coupling import DEFAULT
 from cosim.core.arrays import Array
 from cosim.files.results import Results
+from cosim.report.panels import Trace, display_unit
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
@@ -44,10 +45,14 @@ class Run:
     results: Results
     manifest: Mapping[str, Any]
 
-    @cached_property
+    def part(self, key: str) -> Mapping[str, Any]:
+        """Return the mapping of a key of the manifest, empty without one."""
+        return mapping(self.manifest.get(key))
+
+    @property
     def scenario(self) -> Mapping[str, Any]:
         """Return the scenario of the manifest."""
-        return mapping(self.manifest.get("scenario"))
+        return self.part("scenario")
 
     @cached_property
     def components(self) -> dict[str, Mapping[str, Any]]:
@@ -94,6 +99,17 @@ class Run:
         if column not in self.results:
             return None
         return self.results[column]
+
+    @cached_property
+    def items(self) -> dict[str, dict[float, str]]:
+        """Return column → enumeration items by number."""
+        columns = self.part("items").items()
+        return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in columns}
+
+    def trace(self, column: str, style: str, label: str = "") -> Trace:
+        """Return the line of a column in its displayed unit."""
+        values, is_held = self.results[column] * display_unit(self.unit(column))[1], column in self.results.whole
+        return Trace(label or column, values, style, held=is_held, items=self.items.get(column, {}))
 
     def unit(self, column: str) -> str:
         """Return the unit of a column, or ""."""

@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +15,29 @@ import numpy as np
 from cosim.core import registry
 from cosim.core.arrays import far_beyond
 from cosim.files.files import write_text
-from cosim.files.results import Results
+from cosim.files.results import Results, is_rounded
+from cosim.report.cell.cell import MAX_CURVES, cell_of, rows_to_show
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Row
 from cosim.report.panels import Band, Panel, Trace, by_unit, display_unit, extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage
-from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
+from cosim.simulation.report.recorded import Run, mappings, number, texts
 from cosim.simulation.report.run_rows import (
     badges,
     component_rows,
     connections,
+    criteria,
     event_rows,
     fault_text,
     faults_on,
-    fmi_kinds,
-    items_of,
+    outcome,
     provenance,
     spelled_values,
     time_rows,
     time_sentence,
 )
 from cosim.simulation.report.system_diagram import graph_of_run
-from cosim.simulation.report.verdicts import criteria, outcome
 
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MAX_TILES = 4
@@ -47,6 +48,7 @@ MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
 MAX_SIGNALS = 1000  # signals on a page
 MAX_LISTED = 1000  # connections in the table
 DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
+MOST_NAMES = 5  # in a note
 
 
 @far_beyond
@@ -62,7 +64,7 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
     if entry := registry.page_for(run.variables.values()):
         page = registry.resolve(entry.subject)(run, drawing)
     page = page or ComponentPage(TEMPLATE, tiles=tiles)
-    connected, kinds, shown = connections(run), fmi_kinds(run), page.shown
+    connected, shown = connections(run), page.shown
     judged = judged_panels(run) if run.time.size and not shown else []
     links = connection_panels(run, connected, shown) if run.time.size else {}
     others = signal_panels(run, shown.union(*links, {p.title for p in judged})) if run.time.size else []
@@ -86,13 +88,13 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
         "end": run.time[-1] if run.time.size else 0.0,
         "data": drawing.charts.data(page.data),  # after all drawings
         "diagram": graph.svg(alone=False) if graph is not None and graph.links else "",
-        "provenance": provenance(run, kinds),
+        "provenance": provenance(run),
         "connections": connected[:MAX_LISTED],
         "unlisted": max(0, len(connected) - MAX_LISTED),
-        "components": component_rows(run, kinds),
+        "components": component_rows(run),
         "events": event_rows(run),
         "times": time_rows(run),
-        "time_sentence": time_sentence(mapping(run.manifest.get("timings"))),
+        "time_sentence": time_sentence(run.part("timings")),
         "warnings": texts(run.manifest.get("warnings")),
         "repeat": shlex.join(["cosim", "run", "manifest.json"]),
         "version": str(run.manifest.get("cosim_version") or ""),
@@ -122,14 +124,14 @@ def judged_panels(run: Run) -> list[Panel]:
         if name not in run.results or name in panels or len(panels) == MAX_TILES:
             continue
         unit, factor = display_unit(run.unit(name))
-        traces = [Trace(name, run.results[name] * factor, "true", held=name in run.results.whole)]
+        traces = [run.trace(name, "true")]
         limits: tuple[float, ...] = ()
         if not isinstance(target, str):
             width = number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))  # NaN without limits
             ends = (factor * (number(target) + side * width) for side in (-1.0, 1.0))
             limits = tuple(end for end in ends if math.isfinite(end))
         elif target in run.results:
-            traces.append(Trace(target, run.results[target] * factor, "reference"))
+            traces.append(run.trace(target, "reference"))
         band = _fault_band(run, [name], traces)
         panels[name] = Panel(name, unit, traces, band, limits, LIMIT_LABEL if limits else "")
     return list(panels.values())
@@ -140,34 +142,27 @@ def connection_panels(
 ) -> dict[tuple[str, str], Panel]:
     """Return sent and received signal of each connection, if recorded in one unit."""
     panels: dict[tuple[str, str], Panel] = {}
-    items, whole = items_of(run), run.results.whole
     for link in connected:
         ends = source, target = link["source"], link["target"]
         is_drawable = all(end in run.results and end not in shown for end in ends)
         if not is_drawable or run.unit(source) != run.unit(target) or len(panels) == MAX_CONNECTIONS:
             continue
-        unit, factor = display_unit(run.unit(target))
-        sent, arrived = (run.results[end] * factor for end in ends)
-        traces = [Trace(source, sent, "true", held=source in whole, items=items.get(source, {}))]
-        if not np.array_equal(sent, arrived, equal_nan=True):
-            label = f"{target}, {link['noise']}" if link["noise"] else target
-            traces.insert(0, Trace(label, arrived, "estimate", held=target in whole, items=items.get(target, {})))
+        traces = [run.trace(source, "true")]
+        if not np.array_equal(run.results[source], run.results[target], equal_nan=True):
+            traces.insert(0, run.trace(target, "estimate", ", ".join(filter(None, (target, link["noise"])))))
+        unit, _ = display_unit(run.unit(target))
         panels[ends] = Panel(f"{source} → {target}", unit, traces, _fault_band(run, ends, traces))
     return panels
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
     """Return the columns not in `shown`, grouped by unit, MAX_SIGNALS at most."""
-    panels, items, whole = [], items_of(run), run.results.whole
+    panels = []
     names = [column for column in run.results.columns if column not in shown][:MAX_SIGNALS]
     for unit, columns in by_unit(names, run.unit, run.results.__getitem__):
-        label, factor = display_unit(unit)
-        traces = [
-            Trace(column, run.results[column] * factor, f"s{i}", held=column in whole, items=items.get(column, {}))
-            for i, column in enumerate(columns)
-        ]
+        traces = [run.trace(column, f"s{i}") for i, column in enumerate(columns)]
         title = ", ".join(dict.fromkeys(column.partition(".")[0] for column in columns))
-        panels.append(Panel(title, label, traces, _fault_band(run, columns, traces)))
+        panels.append(Panel(title, display_unit(unit)[0], traces, _fault_band(run, columns, traces)))
     return panels
 
 
@@ -182,3 +177,26 @@ def _fault_band(run: Run, columns: Sequence[str], traces: Sequence[Trace]) -> Ba
         acting |= (run.time >= begin) & (run.time <= end)
     lower, upper = (np.where(acting, edge, np.nan) for edge in around)
     return Band("; ".join(fault_text(fault) for fault in faults), lower, upper)
+
+
+def results_cell(results: Results, names: Sequence[str], title: str) -> str:
+    """Return HTML with an interactive chart of the first of the named signals; those of one unit share a panel.
+
+    A note names signals of texts, which are not drawn, and integers that doubles round.
+    """
+    shown = tuple(names[:MAX_CURVES])
+    rows = rows_to_show([results[name] for name in shown])  # first of all: a long run is not copied
+    values = np.column_stack([results[name][rows] for name in shown]) if shown else np.empty((rows.size, 0))
+    run = drawable_run(replace(results, time=results.time[rows], columns=shown, values=values, exact={}), {})
+    omitted = len(names) - len(shown)
+    page = cell_of(run.time, signal_panels(run), title, rows=results.time.size, omitted=omitted)
+    texts = [name for name in results.exact if name not in results]
+    rounded = [name for name in shown if name in results.exact and is_rounded(results[name])]
+    parts = [f"{_names(texts)} not drawn: texts"] if texts else []
+    parts += [f"{_names(rounded)} above 2⁵³ drawn as the nearest doubles"] if rounded else []
+    note = f"<p><small>{escape('; '.join(parts))}.</small></p>" if parts else ""
+    return page + note
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")

@@ -1,38 +1,26 @@
-"""Rows of the page of any run: badges, connections, components, events, times and provenance."""
+"""Rows and sentences of the page of any run: verdicts, badges, connections, components, events, times, provenance."""
 
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
-from io import BytesIO
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.blocks.coupling import algorithms
-from cosim.core.text import amount, counted, plain
-from cosim.files.archive import BadArchive, description_of
+from cosim.core.text import amount, counted, join_names, plain
 from cosim.files.yaml_file import short
 from cosim.report.html_tables import Badge, Row
-from cosim.scenario.scenario_file import sha256
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
 STEP = "time between two exchanges of values among the components"
 MIN_READINGS = 100  # about half a second, below which shares of the wall time say little
 MIN_SHARE = 0.01  # of the wall time of a component with a row
-CO_SIMULATION, MODEL_EXCHANGE = "co-simulation", "model exchange"
-INTERFACES = {  # element of modelDescription.xml → interface; the last two are those of FMI 1.0
-    "CoSimulation": CO_SIMULATION,
-    "ModelExchange": MODEL_EXCHANGE,
-    "CoSimulation_StandAlone": CO_SIMULATION,
-    "CoSimulation_Tool": CO_SIMULATION,
-}
-CHOSEN = {"co-simulation": CO_SIMULATION, "model-exchange": MODEL_EXCHANGE}  # key of a component → interface
-VARIABLES = "ModelVariables"  # element after which FMI 2.0 and 3.0 have no interfaces
+NEGLIGIBLE = 1e-9  # share of its limit below which a value is shown as 0
+NAMES = {"peak": "largest magnitude"}  # of kinds, others are shown as the scenario names them
 
 
 def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[Badge]:
@@ -51,7 +39,7 @@ def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[Badge]:
         (run.links, Badge("noise on" if has_noise else "noise off")),
         (seed is not None and has_noise, Badge(f"seed {seed}")),
         (warnings, Badge(counted(len(warnings), "warning"), "warn")),
-        (mapping(run.manifest.get("git")).get("dirty"), Badge("uncommitted changes", "warn")),
+        (run.part("git").get("dirty"), Badge("uncommitted changes", "warn")),
     )
     return [badge for applies, badge in badges if applies]
 
@@ -66,15 +54,9 @@ def event_rows(run: Run) -> list[dict[str, str]]:
             firsts.setdefault((str(cause[0]), str(cause[1])), f"{time:.6g} s")
     return [
         {"component": c, "cause": cause, "count": str(count), "first": firsts.get((c, cause), "–")}
-        for c, counts in mapping(run.manifest.get("event_counts")).items()
+        for c, counts in run.part("event_counts").items()
         for cause, count in mapping(counts).items()
     ]
-
-
-def items_of(run: Run) -> dict[str, dict[float, str]]:
-    """Return column → enumeration items by number."""
-    columns = mapping(run.manifest.get("items"))
-    return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in columns.items()}
 
 
 def spelled_values(run: Run) -> list[Row]:
@@ -83,7 +65,7 @@ def spelled_values(run: Run) -> list[Row]:
     These are text, 64-bit integers, binary data and enumeration items.
     """
     columns: list[tuple[str, list[int], list[str]]] = []
-    for column, names in islice(items_of(run).items(), MAX_SPELLED):
+    for column, names in islice(run.items.items(), MAX_SPELLED):
         if column in run.results and run.time.size:
             numbers = run.results[column]
             points = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist()]
@@ -137,12 +119,14 @@ def fault_text(fault: Mapping[str, Any]) -> str:
     return " ".join([f"fault: {fault.get('kind', '?')}", *sizes, *times])
 
 
-def component_rows(run: Run, kinds: Mapping[str, str]) -> list[dict[str, str]]:
-    """Return name, FMU or block, kind and settings of the scenario's components.
+def fmi_kind(fmu: Mapping[str, Any]) -> str:
+    """Return version and interface of an FMU of the manifest: `FMI 2.0, co-simulation`; "" if not recorded."""
+    version, interface = fmu.get("fmi_version"), str(fmu.get("interface")).replace("-e", " e")
+    return f"FMI {version}, {interface}" if version else ""
 
-    Args:
-        kinds: Component → FMI version and interface, as far as known.
-    """
+
+def component_rows(run: Run) -> list[dict[str, str]]:
+    """Return name, FMU or block, kind and settings of the scenario's components."""
 
     def notation(value: object) -> str:
         """Return a setting in scenario notation on one line."""
@@ -152,48 +136,20 @@ def component_rows(run: Run, kinds: Mapping[str, str]) -> list[dict[str, str]]:
             return "{" + ", ".join(f"{key}: {notation(v)}" for key, v in value.items()) + "}"
         return "[" + ", ".join(map(notation, value)) + "]" if isinstance(value, list | tuple) else str(value)
 
-    rows = []
+    rows, fmus = [], run.part("fmus")
     for name, component in run.components.items():
-        hidden = {"start", "fmu", "block", "sha256", *(("interface",) if name in kinds else ())}
+        kind = fmi_kind(mapping(fmus.get(name)))
+        hidden = {"start", "fmu", "block", "sha256", *(("interface",) if kind else ())}
         chosen = {key: setting for key, setting in component.items() if setting != {} and setting is not False}
         settings = []
         for key, value in {**chosen, **mapping(component.get("start"))}.items():
             if key not in hidden:
                 own = " s (communication step of its own)" if key == "step" else ""
                 settings.append(f"{key} = {notation(value)}{own}")
-        kind = kinds.get(name, "block of cosim" if component.get("block") else "")
+        kind = kind or ("block of cosim" if component.get("block") else "")
         source = str(component.get("fmu") or component.get("block") or "")
         rows.append({"label": name, "source": source, "kind": kind, "settings": ", ".join(settings)})
     return rows
-
-
-# -- FMI version and interface, which the manifest does not hold ------------------------------------------
-
-
-def fmi_kinds(run: Run) -> dict[str, str]:
-    """Return component → version and interface of the executed FMU, e.g. `FMI 2.0, co-simulation`.
-
-    Components with a missing or changed FMU are omitted.
-    """
-    kinds = {}
-    for name, entry in mapping(run.manifest.get("fmus")).items():
-        fmu, chosen = mapping(entry), str(run.components.get(str(name), {}).get("interface"))
-        path = Path(str(fmu.get("path") or ""))
-        version, interfaces = "", set[str]()
-        try:
-            if not path.is_file() or sha256(path) != fmu.get("sha256"):
-                continue
-            for _, element in ET.iterparse(BytesIO(description_of(path)), events=("start",)):
-                version = version or element.get("fmiVersion", "")
-                interfaces |= {INTERFACES[element.tag]} if element.tag in INTERFACES else set()
-                if element.tag == VARIABLES and not version.startswith("1"):
-                    break
-        except (OSError, ValueError, BadArchive, ET.ParseError):
-            continue
-        if version:
-            used = CO_SIMULATION if CO_SIMULATION in interfaces else MODEL_EXCHANGE
-            kinds[str(name)] = f"FMI {version}, {CHOSEN.get(chosen, used)}"
-    return kinds
 
 
 # -- wall time -----------------------------------------------------------------------------------------------
@@ -201,7 +157,7 @@ def fmi_kinds(run: Run) -> dict[str, str]:
 
 def time_rows(run: Run) -> list[dict[str, str]]:
     """Return the measured wall times of components by calls, and of waiting."""
-    timings = mapping(run.manifest.get("timings"))
+    timings = run.part("timings")
     if not number(timings.get("readings")) >= MIN_READINGS:
         return []
     rows, calls = [], ("step", "set", "get", "other")
@@ -234,23 +190,22 @@ def time_sentence(timings: Mapping[str, Any]) -> str:
 # -- provenance ----------------------------------------------------------------------------------------------
 
 
-def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
-    """Return known facts for reproducing the run.
-
-    Args:
-        kinds: Component → FMI version and interface, as far as known.
-    """
+def provenance(run: Run) -> list[Row]:
+    """Return known facts for reproducing the run."""
     manifest, rows = run.manifest, list[Row]()
     keys = ("model_name", "version", "guid", "sha256", "generation_tool")
-    for name, entry in mapping(manifest.get("fmus")).items():
-        fmu, kind = mapping(entry), kinds.get(str(name), "")
-        lines = [*filter(None, [kind]), *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key))]
+    for name, entry in run.part("fmus").items():
+        fmu = mapping(entry)
+        lines = [
+            *filter(None, [fmi_kind(fmu)]),
+            *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key)),
+        ]
         rows.append(Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or "")))
-    git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
+    git, timings, seed = run.part("git"), run.part("timings"), manifest.get("seed")
     wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
     if math.isfinite(speed := number(timings.get("real_time_factor"))):
         wall.append(f"{plain(speed, 2)} times as fast as real time")
-    versions = ", ".join(f"{key} {value}" for key, value in mapping(manifest.get("versions")).items())
+    versions = ", ".join(f"{key} {value}" for key, value in run.part("versions").items())
     duration = run.scenario.get("duration")
     facts = (
         Row("cosim", str(manifest.get("cosim_version") or "")),
@@ -275,7 +230,7 @@ def _step_text(run: Run) -> str:
     row = number(control.get("rows"), number(control.get("max")))
     limits = f"{amount(number(control.get('min')), 's')} to {amount(number(control.get('max')), 's')}"
     lines = [f"controlled, {limits}; a row every {amount(row, 's')}"]
-    if steps := mapping(run.manifest.get("steps")):
+    if steps := run.part("steps"):
         error, tolerance = number(steps.get("largest_error")), number(steps.get("tolerance"))
         if error > tolerance > 0.0:
             count = f"{steps.get('above_tolerance')} of {steps.get('accepted')} steps"
@@ -326,7 +281,7 @@ def _pace_rows(run: Run) -> Iterator[Row]:
         value = 1e3 * number(seconds)
         return "below 0.001 ms" if 0.0 < value < 1e-3 else f"{value:.3g} ms"
 
-    if not (pacing := mapping(run.manifest.get("pacing"))):
+    if not (pacing := run.part("pacing")):
         return
     overruns, jitter, points = mapping(pacing.get("overruns")), mapping(pacing.get("jitter")), pacing.get("points")
     lines = [f"{overruns.get('count')} of {points} communication points missed, as the steps took too long"]
@@ -337,3 +292,49 @@ def _pace_rows(run: Run) -> Iterator[Row]:
         delays = ", ".join(f"{name} {milliseconds(jitter.get(k))}" for k, name in names.items())
         lines.append(f"delay of a point: {delays}")
     yield Row("Pace", "\n".join((f"{number(pacing.get('pace')):g} × real time", *lines)))
+
+
+def criteria(run: Run) -> list[dict[str, Any]]:
+    """Return title, value, allowed value, margin and outcome of the manifest's criteria as text."""
+    rows = []
+    for entry in mappings(run.manifest.get("criteria")):
+        own_unit, unit = run.unit(str(entry.get("of"))), str(entry.get("unit") or "")
+        value, bound = number(entry.get("value")), number(entry.get("max"))
+        kind, target = str(entry.get("kind", "criterion")), entry.get("to")
+        met = bool(entry["met"]) if "met" in entry else value <= bound
+        parts = [f"{NAMES.get(kind, kind.replace('_', ' '))} of {entry.get('of', '?')}"]
+        if target is not None:
+            parts.append(f"to {target if isinstance(target, str) else amount(number(target), own_unit, None)}")
+        if "band" in entry:
+            parts.append(f"within ±{amount(number(entry['band']), own_unit, None)}")
+        parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
+        if abs(value) < NEGLIGIBLE * bound:
+            value = 0.0
+        text = amount(value, unit) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
+        rest = bound - value
+        margin = f"{amount(abs(rest), unit)} {'left' if rest >= 0 else 'over'}" if math.isfinite(rest) else ""
+        allowed = f"≤ {amount(bound, unit, None)}" if math.isfinite(bound) else ""
+        rows.append({"title": " ".join(parts), "value": text, "allowed": allowed, "margin": margin, "met": met})
+    return rows
+
+
+def outcome(run: Run, judged: Sequence[Mapping[str, Any]]) -> str:
+    """Return the run's outcome in one or two sentences."""
+    if run.has_failed:
+        reason = str(run.manifest["status"]).removeprefix("failed").lstrip(": ") or "no reason was recorded"
+        return f"The simulation failed: {reason}. The rows before that are shown."
+    missed = [c for c in judged if not c["met"]]
+    if missed:
+        first = missed[0]
+        detail = f"{first['title']}: {first['value']}" + (f", allowed {first['allowed']}" if first["allowed"] else "")
+        verb, which = ("was", detail) if len(missed) == 1 else ("were", f"first, {detail}")
+        return f"{len(missed)} of {counted(len(judged), 'criterion')} {verb} missed ({which})."
+    if judged:
+        every = {1: "The criterion was met.", 2: "Both criteria were met."}
+        return every.get(len(judged), f"All {counted(len(judged), 'criterion')} were met.")
+    names = list(run.components) or list(run.variables)
+    if not names or not run.time.size:
+        return "Nothing was recorded."
+    steps = counted(run.time.size - 1, "communication step")
+    over = f"{amount(float(run.time[-1] - run.time[0]), 's', None)} in {steps}"
+    return f"Simulated {join_names(names)} over {over}. No criteria are set, so nothing was judged."

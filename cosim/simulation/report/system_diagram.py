@@ -45,32 +45,6 @@ class DiagramLink:
     held: bool
 
 
-@dataclass
-class _Box:
-    """A component in the SVG: inputs on the left, outputs on the right, each with its height [px]."""
-
-    name: str
-    about: str
-    ports: tuple[dict[str, _Port], dict[str, _Port]]
-    left: float = 0.0
-
-    @property
-    def width(self) -> float:
-        """Return the width [px]."""
-        sides = sum(max((port.width for port in side.values()), default=0.0) for side in self.ports)
-        return max(MIN_WIDTH, sides + 40, BOLD * len(self.name) + 24, SMALL * len(self.about) + 24)
-
-    @property
-    def height(self) -> float:
-        """Return the height [px]."""
-        return HEAD + 12 + max(sum(port.height for port in side.values()) for side in self.ports)
-
-    def port_y(self, side: int, variable: str) -> float:
-        """Return the height of a port below the top of the box [px]."""
-        names = list(self.ports[side])
-        return HEAD + 17 + sum(self.ports[side][name].height for name in names[: names.index(variable)])
-
-
 @dataclass(frozen=True)
 class _Port:
     """An input or output in the SVG: its name, its unit, and notes on noise and faults below it."""
@@ -110,37 +84,38 @@ class Graph:
         """
         if not self.about:
             return ""
-        boxes = {name: _Box(f"{k} {name}", text, ({}, {})) for k, (name, text) in enumerate(self.about.items(), 1)}
-        place = {name: k for k, name in enumerate(boxes)}
+        place = {name: k for k, name in enumerate(self.about)}
+        ports: dict[str, tuple[dict[str, _Port], dict[str, _Port]]] = {name: ({}, {}) for name in place}
         wires = []  # numbers of the boxes at both ends
         for link in self.links:
             for side, (end, unit) in enumerate(zip((link.target, link.source), link.units[::-1], strict=True)):
                 owner, _, variable = end.partition(".")
                 port = _Port(_cut(variable), written(unit), link.acting if side == 0 else ())
-                boxes[owner].ports[side].setdefault(variable, port)
+                ports[owner][side].setdefault(variable, port)
             wires.append((place[link.source.partition(".")[0]], place[link.target.partition(".")[0]]))
-        gaps = [_order(gap, wires) for gap in range(len(boxes) + 1)]
+        gaps = [_order(gap, wires) for gap in range(len(place) + 1)]
         # Wires past a box run in lanes above, wires back in lanes below.
         above = {k: lane for lane, k in enumerate(reversed([k for k, (a, b) in enumerate(wires) if b > a + 1]))}
         below = {k: lane for lane, k in enumerate(reversed([k for k, (a, b) in enumerate(wires) if b <= a]))}
         top, x = MARGIN + LANE * len(above), float(MARGIN + SLOT * (1 + len(gaps[0])))
-        for number, box in enumerate(boxes.values(), 1):
-            box.left = x
-            x += box.width + SLOT * (3 + len(gaps[number]))
-        bottom = top + max(box.height for box in boxes.values()) + 12
-        parts = []
-        for box in boxes.values():
-            left, width = box.left, box.width
+        parts, bottom = list[str](), 0.0
+        places: tuple[dict[str, tuple[float, float]], ...] = {}, {}  # of inputs and outputs, where wires end
+        for number, (name, about) in enumerate(self.about.items(), 1):
+            title, sides = f"{number} {name}", ports[name]
+            widths = sum(max((port.width for port in side.values()), default=0.0) for side in sides)
+            width = max(MIN_WIDTH, widths + 40, BOLD * len(title) + 24, SMALL * len(about) + 24)
+            box = HEAD + 12 + max(sum(port.height for port in side.values()) for side in sides)
+            bottom = max(bottom, top + box + 12)
             parts += [
-                f'<rect class="box" x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{box.height:.1f}" '
-                f'rx="{RADIUS}"/>',
-                f'<path class="head" d="M{left:.1f} {top + HEAD:.1f}h{width:.1f}"/>',
-                f'<text class="name" x="{left + 12:.1f}" y="{top + 20:.1f}">{escape(box.name)}</text>',
-                f'<text class="about" x="{left + 12:.1f}" y="{top + 37:.1f}">{escape(box.about)}</text>',
+                f'<rect class="box" x="{x:.1f}" y="{top:.1f}" width="{width:.1f}" height="{box:.1f}" rx="{RADIUS}"/>',
+                f'<path class="head" d="M{x:.1f} {top + HEAD:.1f}h{width:.1f}"/>',
+                f'<text class="name" x="{x + 12:.1f}" y="{top + 20:.1f}">{escape(title)}</text>',
+                f'<text class="about" x="{x + 12:.1f}" y="{top + 37:.1f}">{escape(about)}</text>',
             ]
-            for ports, at, where in zip(box.ports, (left + 12, left + width - 12), ("", " right"), strict=True):
+            for side, (edge, at, where) in enumerate(((x, x + 12, ""), (x + width, x + width - 12, " right"))):
                 down = top + HEAD + 21
-                for port in ports.values():
+                for variable, port in sides[side].items():
+                    places[side][f"{name}.{variable}"] = edge, down - 4
                     unit = f' <tspan class="unit">[{escape(port.unit)}]</tspan>' if port.unit else ""
                     text = f"{escape(port.name)}{unit}"
                     parts.append(f'<text class="port{where}" x="{at:.1f}" y="{down:.1f}">{text}</text>')
@@ -148,11 +123,9 @@ class Graph:
                         look, note_y = f"note-{'bad' if note.startswith('fault') else 'warn'}{where}", down + NOTE * k
                         parts.append(f'<text class="{look}" x="{at:.1f}" y="{note_y:.1f}">{escape(note)}</text>')
                     down += port.height
+            x += width + SLOT * (3 + len(gaps[number]))
         for number, (link, (before, after)) in enumerate(zip(self.links, wires, strict=True)):
-            (out_name, _, output), (in_name, _, variable) = link.source.partition("."), link.target.partition(".")
-            source, target = boxes[out_name], boxes[in_name]
-            x1, y1 = source.left + source.width, top + source.port_y(1, output)
-            x2, y2 = target.left, top + target.port_y(0, variable)
+            (x2, y2), (x1, y1) = places[0][link.target], places[1][link.source]
             out = x1 + SLOT * (1.5 + gaps[before + 1].index((number, "out")))
             if after == before + 1:
                 points = [(x1, y1), (out, y1), (out, y2), (x2, y2)]
@@ -178,7 +151,7 @@ class Graph:
         parts += [f'<text class="key" x="{MARGIN}" y="{key_top:.0f}">{escape(key)}</text>'] if key else []
         width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL * len(key) if key else 0.0)
         height = key_top + (15 if key else 0)
-        summary = f"{counted(len(boxes), 'component')} of {self.name} in the order in which they step"
+        summary = f"{counted(len(place), 'component')} of {self.name} in the order in which they step"
         summary += f", {counted(len(wires), 'connection')}"
         size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
         paper = '<rect class="paper" width="100%" height="100%"/>' if alone else ""

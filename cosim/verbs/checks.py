@@ -1,0 +1,503 @@
+"""Files before a run: check, info, graph, linearize and schema."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from cosim.core.drafts import is_full
+from cosim.core.errors import (
+    Crashed,
+    Fault,
+    FmuError,
+    InputError,
+    Interrupted,
+    NotExecuted,
+    Signalled,
+    Terminated,
+    refuse,
+)
+from cosim.core.messages import with_prefix
+from cosim.core.program import STOPPED
+from cosim.core.registry import resolve
+from cosim.core.settings import Files, Given, ModelName
+from cosim.core.text import some
+from cosim.files.artefact import Checking, artefacts, kind_by_keys, of_kind
+from cosim.files.files import FilePath
+from cosim.files.folders import name_of, new_run
+from cosim.verbs.cli import echo, say, say_json, show, table, warn
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from cosim.blocks.summary import Summary, Variable
+    from cosim.probing.fmu_structure import Port
+    from cosim.probing.places import Places
+    from cosim.simulation.report.system_diagram import Graph
+
+
+CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
+MOST_LINES = 200  # printed without --json
+SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
+EXPERIMENT_UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
+MAX_NAMES = 8  # states, and items of an enumeration
+MAX_PARAMETERS = 60  # parameters in the table; --all shows every one
+DIAGRAM_HEAD = 4096  # characters that contain the subject of a diagram
+MERMAID = "flowchart LR\n  n1["
+DIAGRAM = re.compile(
+    r'\A<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
+)
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+RESULT_SCHEMAS = {  # kind of result → class of its content
+    "refine_result": "cosim.refinement.record:Record",
+    "fit_result": "cosim.calibration.fit_record:Record",
+}
+KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
+
+
+def check(
+    files: FilePath | Files,
+    model: ModelName | None = None,
+    *,
+    load: bool = True,
+    compile: bool = False,
+    columns: Given | None = None,
+) -> list[str]:
+    """Find every fault of files.
+
+    Args:
+        files: One file or several: scenarios, studies, sweeps, protocols, models, logs, SSPs, FMUs.
+        model: Model of the logs (base, a model.yaml, file.py:Class). By default a log with an input of the base model
+            belongs to that model, and another log is checked alone.
+        load: Load FMUs and make one step, and execute Python files that are named, in a worker process. False executes
+            nothing.
+        compile: Compile and execute the sources of FMUs that have no library for this machine.
+        columns: Column of the logs → variable, or "time".
+
+    Returns:
+        Notes and warnings, one line each.
+
+    Raises:
+        InputError: Every fault of all files.
+    """
+    from cosim.blocks.compiling import compiling, permission
+    from cosim.isolation.process import Worker
+    from cosim.logs.log import read_column_names
+    from cosim.master.remote import MODULES
+
+    faults: list[Fault] = []
+    lines: list[str] = []
+    paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
+    first = paths[0] if paths else Path("columns")
+    names = columns if isinstance(columns, Mapping) else read_column_names(columns or (), first)
+    with compiling(compile):
+        if permission.get() and not load:
+            text = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
+            raise InputError.at(Path("--compile"), text)
+        with Worker(*MODULES) if load else nullcontext() as worker:
+            checking = Checking(model, dict(names), worker)
+            for path in paths:
+                try:
+                    lines += [with_prefix(f"{path}: ", line) for line in _check_isolated(path, checking)]
+                except InputError as error:
+                    faults += error.faults
+    refuse(faults)
+    return lines
+
+
+def _check_isolated(path: Path, checking: Checking) -> list[str]:
+    """Check a file; execute named Python in the worker, or not at all without a worker."""
+    from cosim.fmi.building.file import without_execution
+
+    worker = checking.worker
+    with without_execution() as skipped:
+        try:
+            return _check(path, checking)
+        except NotExecuted as code:
+            if worker is None:
+                return [f"warning: {code} (--no-load); that file and everything that depends on it are not checked"]
+        except InputError:
+            if worker is None or not skipped:  # else there may be more faults
+                raise
+    try:
+        lines: list[str] = worker.call(_check, path, replace(checking, worker=None))
+    except Crashed as crash:
+        reason = crash.reason.replace("the worker", "its Python", 1)
+        raise InputError.at(skipped[0], f"does not load: {reason}") from None
+    return lines
+
+
+def _check(path: Path, checking: Checking) -> list[str]:
+    """Return the notes of a file; raise InputError with its faults."""
+    from cosim.files import artefact, kinds
+    from cosim.files.yaml_file import YamlFile
+
+    kind: str | None = artefact.CODE
+    if not path.suffix.startswith(".py:"):  # FILE.py:Class
+        kinds.refuse_unreadable(path, CHECKED_KINDS)
+        kind = kinds.kind_by_form(path)
+    if kind is None:
+        root = YamlFile(path).root
+        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # one that forgets its logs
+        kind = kind_by_keys(root) or (artefact.STUDY if is_study else artefact.SCENARIO)
+    declared = of_kind(kind)
+    if declared is None or not declared.check:
+        raise InputError.at(path, f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}")
+    notes: list[str] = resolve(declared.check)(path, checking)
+    return notes
+
+
+def check_command(*, json: bool = False, **given: Any) -> None:
+    """Find every fault of scenarios, studies, models, logs and FMUs.
+
+    Args:
+        files (FILE): Scenario, study, sweep, protocol, model, log, SSP, FMU or manifest.json.
+        model (MODEL): Model of the logs: base, a model.yaml, or FILE.py:CLASS.
+        load: Load the FMUs and make one step in a separate process, or do not.
+        columns (--column COLUMN=VARIABLE): Name of a log's column in the model, or time.
+
+    Example: cosim check scenario.yaml build/*.fmu
+    """
+    files = given["files"]
+    try:
+        lines = check(**given)
+    except (Signalled, Terminated) as error:
+        raise FmuError(error.reason if isinstance(error, Signalled) else str(error)) from None
+    except (Interrupted, KeyboardInterrupt):
+        raise typer.Exit(STOPPED) from None
+    except OSError as error:
+        if not is_full(error):
+            raise
+        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
+    say(*lines[:MOST_LINES])
+    if len(lines) > MOST_LINES:
+        say(f"… and {len(lines) - MOST_LINES} more; --json lists all of them")
+    say(f"no fault in {', '.join(map(str, files))}")
+    if json:
+        say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})
+
+
+def info_command(
+    fmus: list[Path],
+    *,
+    every: bool = False,
+    places: bool = False,
+    log: list[str] | None = None,
+    compile: bool = False,
+    limits: str = "",
+    json: bool = False,
+) -> None:
+    """List variables, units, defaults and capabilities of FMUs.
+
+    Args:
+        fmus (FMU): FMU to describe.
+        every (--all): List local variables and every parameter too.
+        places: Execute each FMU to find the places where terms can act.
+        log (LOG): Measured log that drives the inputs for --places.
+        compile: Compile and execute the sources of FMUs that have no library for this machine.
+        limits: Limits of each simulation for --places, for example 'step: 10 s'.
+
+    Example: cosim info plant.fmu controller.fmu
+    """
+    from cosim.blocks.summary import summaries
+
+    if not places and (log or limits or compile):
+        raise typer.BadParameter("--log, --limits and --compile need --places")
+    descriptions = summaries(fmus)
+    probed: dict[Path, Places] = {}
+    if places:
+        from cosim.blocks.compiling import compiling
+        from cosim.isolation.limits import read_limits
+        from cosim.probing.places import probe_places
+        from cosim.probing.prober import LIMITS
+        from cosim.residuals.drive import log_of_fmu
+
+        most, logs = read_limits(limits) if limits else LIMITS, log or []
+        for fmu in fmus:
+            read = [log_of_fmu(Path(name), fmu, alone=len(logs) == 1) for name in logs]
+            with compiling(compile):
+                probed[fmu] = probe_places(fmu, read, limits=most)
+    contents, blank = [], [""]
+    for fmu, summary in zip(fmus, descriptions, strict=True):
+        contents.append(summary.as_json() | ({"places": probed[fmu].as_json()} if places else {}))
+        say(*(blank if len(contents) > 1 else []), *_overview(summary))
+        say(*(_places(probed[fmu]) if places else _variables(summary, every=every)))
+    if json:
+        say_json(contents if len(contents) > 1 else contents[0])
+
+
+def _places(p: Places) -> list[str]:
+    """Return the tables of places, and the findings."""
+
+    def forces(*ports: Port | None) -> str:
+        return ", ".join(f"{port.input} ({port.gain:.4g})" for port in ports if port)
+
+    s = p.structure
+    header = ("  output", "unit", "start", "input (gain)") if s.feeds else ("  state", "unit", "start", "")
+    stored = [q for q in s.states or s.outputs if q.name in s.storages]
+    storages = [(f"  {q.name}", q.unit, f"{q.start:.6g}", forces(s.feeds.get(q.name))) for q in stored]
+    shows = {output: state for state, output in s.shown.items()}
+    parameters = []
+    for q in s.parameters:
+        acts = "yes" if q.acts else "at the start only" if q.starts else "no"
+        acts += ", and the FMU fails with a value near it" if q.failure else ""
+        parameters.append((f"  {q.name}", q.quantity.unit, f"{q.quantity.start:.6g}", acts))
+    pairs = [(f"  {r.position}", r.velocity, f"{r.gain:.6g}", forces(*r.ports) or "none") for r in s.pairs]
+    joined = [
+        (f"  {c.first.position}", c.second.position, f"{c.stiffness:.6g}", f"{c.damping:.6g}") for c in s.connections
+    ]
+    braked = [(f"  {d.parameter}", d.pair.velocity, f"{d.gain:.6g}", ", ".join(d.rates)) for d in s.dampings]
+    sections: list[tuple[str, tuple[str, ...], Sequence[Sequence[str]]]] = [
+        ("pairs", ("  position", "velocity", "gain", "forces (gain)"), pairs),
+        *([("connections", ("  position", "and", "spring", "damper"), joined)] if joined else []),
+        *([("dampings", ("  parameter", "velocity", "gain", "changes the rates of"), braked)] if braked else []),
+        ("storages", header, storages),
+        ("sensors", ("  output", "unit", "shows"), [(f"  {q.name}", q.unit, shows.get(q.name, "")) for q in s.outputs]),
+        ("inputs", ("  input", "unit", "start"), [(f"  {q.name}", q.unit, f"{q.start:.6g}") for q in s.inputs]),
+        ("parameters", ("  parameter", "unit", "start", "acts"), parameters),
+    ]
+    lines = [f"way: {s.way}: {p.reason}"]
+    for title, heads, rows in sections:
+        lines += [f"{title}: {len(rows)}", *table(heads, rows)] if rows else [f"{title}: none"]
+    return [*lines, f"findings: {len(p.findings) or 'none'}", *(f"  {finding}" for finding in p.findings)]
+
+
+def _overview(s: Summary) -> list[str]:
+    """Return the lines about an FMU before its variables."""
+    from cosim.fmi.description import C_CODE
+
+    experiment = [f"{key} {s.experiment[key]:g}{unit}" for key, unit in EXPERIMENT_UNITS.items() if key in s.experiment]
+    without = " without --compile" if C_CODE in s.platforms else ""
+    here = "" if s.runs_here else f", so it does not run on this machine{without}"
+    capabilities = []
+    for way, flags in s.capabilities.items():
+        names = [name if value is True else f"{name} {value}" for name, value in flags.items()]
+        capabilities.append(f"  {way}: {', '.join(names) or 'no capability declared'}")
+    return [
+        f"{s.file}: {s.name}, FMI {s.fmi_version} for {', '.join(s.ways)}" + (f", by {s.tool}" if s.tool else ""),
+        *([f"  {s.description}"] if s.description else []),
+        f"  default experiment: {', '.join(experiment) or 'none'}",
+        f"  platforms: {', '.join(s.platforms) or 'none'}{here}",
+        *capabilities,
+        f"  states: {s.state_count}" + (f" ({some(s.states, MAX_NAMES)})" if s.states else ""),
+        *(f"  warning: {slip}" for slip in s.slips[:5]),
+    ]
+
+
+def _variables(s: Summary, *, every: bool) -> list[str]:
+    """Return the tables of variables; local variables are counted unless all are shown."""
+    groups = {title: s.of(*causalities) for title, causalities in SECTIONS.items()}
+    others = [v for v in s.variables if v.causality not in {"independent"}.union(*SECTIONS.values())]
+    if every and others:
+        groups["others"] = others
+    lines = []
+    for title, variables in groups.items():
+        listed = variables if every or title != "parameters" else variables[:MAX_PARAMETERS]
+        header = ("  name", "type", "unit", "start", "range", "description")
+        lines += (
+            [f"{title}: {len(variables)}", *table(header, [*map(_row, listed)])] if variables else [f"{title}: none"]
+        )
+        lines += [f"  … and {len(variables) - len(listed)} more (--all)"] if len(listed) < len(variables) else []
+    if others and not every:
+        lines.append(f"{len(others)} more: locals and calculated parameters (--all lists them)")
+    return lines
+
+
+def _row(v: Variable) -> tuple[str, ...]:
+    """Return the cells of a variable: name, type, unit, start, range, description."""
+    item = next((name for name, number in v.items.items() if str(number) == v.start), "")
+    start = f"{v.start} ({item})" if item else (v.start or "")[:30]
+    limits = "" if v.min is None and v.max is None else f"{v.min or '-∞'} … {v.max or '∞'}"
+    if v.items:
+        limits = some([f"{number} {name}" for name, number in v.items.items()], MAX_NAMES)
+    name = f"  {v.name}{list(v.dimensions) if v.dimensions else ''}"
+    return name, v.type, v.unit, start, limits, v.description[:80]
+
+
+def graph_command(
+    scenario: Path,
+    *,
+    out: FilePath | None = None,
+    mermaid: bool = False,
+    set: list[str] | None = None,
+    open: bool = False,
+    force: bool = False,
+    json: bool = False,
+) -> None:
+    """Draw the components and connections of a scenario.
+
+    The picture shows the order of steps, signals, units, noise and faults.
+
+    Args:
+        scenario: A scenario, an SSP, or the manifest.json of a run.
+        out (--out -o PATH): Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg).
+        mermaid: Print the picture as Mermaid text and write no file.
+        set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
+        force: Overwrite a file that is not a picture of this scenario.
+
+    Example: cosim graph scenario.yaml
+    """
+    from cosim.files.files import write_text
+
+    graph = graph_of(scenario, set or ())
+    if mermaid:
+        say_json({"mermaid": graph.mermaid()}) if json else echo(graph.mermaid().rstrip("\n"))
+        return
+    path = Path(f"{scenario.stem}.svg" if out is None else out)
+    if not path.parent.is_dir():
+        raise InputError.at(path, "its folder is not there; make it first")
+    if path.suffix.lower() not in (".svg", ".mmd"):
+        raise InputError.at(path, "name an .svg or .mmd file")
+    if path.exists() and not force:
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            head = stream.read(DIAGRAM_HEAD)
+        if path.suffix.lower() == ".mmd":
+            is_earlier = head.startswith(MERMAID)
+        else:
+            titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
+            is_earlier = titles[0] != [] and titles[0] == titles[1]
+        if not is_earlier:
+            reason = (
+                f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
+            )
+            raise InputError.at(path, reason)
+    write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
+    say(f"graph: {path}")
+    if json:
+        say_json({"graph": str(path)})
+    show(path, open)
+
+
+def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
+    """Return the block diagram of a scenario, a manifest or an SSP.
+
+    Raises:
+        InputError: The input is faulty.
+        FmuError: An FMU is invalid.
+    """
+    from cosim.core.scratch import temporary_folder
+    from cosim.scenario.scenario import resolve_defaults
+    from cosim.scenario.scenario_file import ScenarioFile
+    from cosim.simulation.packaged import is_ssp, lay_out
+    from cosim.simulation.report.system_diagram import graph_from
+    from cosim.system.system import build_system
+
+    with ExitStack() as stack:
+        if is_ssp(path):
+            file, _ = lay_out(path, stack.enter_context(temporary_folder("graph")), overrides)
+        else:
+            file = ScenarioFile(path, overrides)
+        system = build_system(file)
+    units = {name: signal.unit for name, signal in system.signals.items()}
+    arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
+    held = {transfer.name for transfer in system.held if not transfer.of}
+    return graph_from(resolve_defaults(file.scenario), system.names, held, {**arrays, **units})
+
+
+def linearize_command(*, open: bool = False, json: bool = False, **given: Any) -> None:
+    """Linearize a model or an FMU about an operating point.
+
+    Prints A, B, C, D, poles and ranks. Writes linear.json, linear.mat, linear.py and report.html.
+
+    Args:
+        model: A registered model such as base, a model.yaml, FILE.py:CLASS, the folder of a refine, or an FMU.
+        out (--out -o PATH): Folder for the results (default: a new number in results/MODEL-linear).
+        at (POINT): Operating point: NAME=VALUE,NAME=VALUE of states and inputs, SCENARIO@TIME, or
+            SCENARIO@START:STOP:STEP for a trajectory.
+        set (NAME=VALUE): Value of a parameter.
+        states (NAME,NAME): States of the linear model, in this order.
+        inputs (NAME,NAME): Inputs of the linear model.
+        outputs (NAME,NAME): Outputs of the linear model.
+        residualize (NAME,NAME): Fast states that are set to their equilibrium.
+        component (NAME): Component of the scenario, if several match.
+        step (NUMBER): Step of central differences, for example 1e-5; replaces the FMU's derivatives.
+
+    Example: cosim linearize motor.fmu --at speed=100
+    """
+    from cosim.linearization.workflow import linearize
+    from cosim.linearization.write import HEAD, content, headline, matrix_lines, pole_rows
+
+    for key in ("states", "inputs", "outputs", "residualize"):
+        given[key] = [name.strip() for text in given[key] for name in text.split(",") if name.strip()]
+    run = new_run(given["out"], f"{name_of(str(given['model']))}-linear", "cosim linearize", force=given["force"])
+    with run as given["out"]:
+        outcome = linearize(**given)
+    warn(*outcome.notes)
+    if json:
+        say_json(content(outcome))
+    m, page = outcome.first, given["out"] / "report.html"
+    say(headline(outcome.structure, m))
+    say(*table(HEAD, [tuple(row.values()) for row in pole_rows(outcome.structure)]))
+    for name in "ABCD":
+        header, *cells = matrix_lines(name, *m.matrix(name)) or [[name]]
+        say(*table(header, cells) if cells else [])
+    count = len(outcome.linear)
+    several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""
+    say(f"by {m.method}{several}")
+    report = f"; report: {page}" if page.is_file() else ""
+    say(f"linear model: {given['out'] / 'linear.json'}, linear.mat, linear.py{report}")
+    show(page, open)
+
+
+def schema_command(kind: str) -> None:
+    """Print the JSON schema of a kind of file, for editors.
+
+    Args:
+        kind: Kind of file: scenario, study, model, refine_result, …, or one of a package.
+
+    Example: cosim schema scenario
+    """
+    say_json(schema_of(kind))
+
+
+def schema_of(name: str) -> dict[str, Any]:
+    """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
+    kinds = {a.schema_name: a for a in artefacts() if a.schema}
+    places = {**{kind: a.schema for kind, a in kinds.items()}, **RESULT_SCHEMAS}
+    if name not in places:
+        raise InputError.at(
+            Path(name), f"is no kind of file that has a schema; give one of {', '.join(sorted(places))}"
+        )
+    model: type[BaseModel] = resolve(places[name])
+    schema = model.model_json_schema(mode="serialization" if name in RESULT_SCHEMAS else "validation")
+    for part in (schema, *schema.get("$defs", {}).values()):
+        keys: dict[str, Any] = part.get("properties", {})
+        rest, last = [], ""
+        for line in str(part.get("description", "")).splitlines():  # `key: meaning` goes to the key
+            match = KEY.match(line)
+            if match and match[1] in keys:
+                last = match[1]
+                keys[last]["description"] = match[2]
+            elif last and line.strip():
+                keys[last]["description"] += f" {line.strip()}"
+            elif not last:
+                rest.append(line)
+        if rest:
+            part["description"] = "\n".join(rest).strip()
+        for content in keys.values() if name in RESULT_SCHEMAS else ():
+            content.pop("title", None)  # repeats the key
+    if name in RESULT_SCHEMAS:
+        return {"$schema": DIALECT, **schema}
+    limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
+    for key, content in limits.items():  # 10 s, 2 GB
+        limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}
+    return {"$schema": DIALECT, **_allow_on_and_off(schema), "title": kinds[name].title}
+
+
+def _allow_on_and_off(node: Any) -> Any:
+    """Allow `on` and `off`, as in YAML 1.1, in place of true and false."""
+    if isinstance(node, list):
+        return [_allow_on_and_off(value) for value in node]
+    if not isinstance(node, dict):
+        return node
+    inner = {key: _allow_on_and_off(value) for key, value in node.items()}
+    if inner.get("type") != "boolean":
+        return inner
+    return {**{k: v for k, v in inner.items() if k != "type"}, "anyOf": [{"type": "boolean"}, {"enum": ["on", "off"]}]}

@@ -1,0 +1,256 @@
+"""The commands for measured logs: replay, fit, refine and excite."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.core.errors import InputError
+from cosim.core.settings import Files, Port, Values
+from cosim.files.files import FilePath
+from cosim.files.folders import NUMBERED, name_of, name_of_file, new_run
+from cosim.verbs.cli import echo, files_in, live_page, progress_bar, say, say_json, show, table, warn
+
+if TYPE_CHECKING:
+    from cosim.estimation.subject.interface import Subject
+    from cosim.refinement.refinement import Refined
+
+REFINE_FILES = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
+
+
+def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> None:
+    """Simulate an FMU with the recorded inputs of a log, and compare.
+
+    Writes results.csv, residual.csv and report.html, and study.yaml for `cosim refine` if a named FMU lacks something.
+
+    Args:
+        log: Measured log: CSV file with time, inputs and measured outputs.
+        fmu (--fmu --plant FMU): FMU to simulate (default: the plant of the base model).
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the log).
+        start (NAME=VALUE): Start value or parameter of the FMU, for example angle=12deg.
+        columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
+
+    Example: cosim replay log.csv --plant motor.fmu --column speed=w
+    """
+    from cosim.core.text import plain, size
+    from cosim.files.results import rows_in
+    from cosim.residuals.compare import as_json, horizon_name, verdict
+    from cosim.residuals.workflow import NEXT_STUDY, replay
+
+    with progress_bar("replaying") as progress:
+        replayed = replay(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
+    assert replayed.folder is not None  # a command writes
+    comparison, place, page = replayed.comparison, replayed.folder, replayed.folder / "report.html"
+    for finding in comparison.findings:
+        if finding.severity == "warning":
+            echo(finding.line, err=True)
+    say(verdict(comparison))
+    rows = []
+    for c in comparison.channels:  # the error of each, beside the noise of its sensor
+        error = size(c.scores[c.measure].rmse, c.unit)
+        rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
+    say(*table(("channel", "error (rms)", "over", "noise σ", "error / noise floor"), rows))
+    if (study := place / NEXT_STUDY).is_file():
+        name = shlex.quote(str(study))
+        say(f"next: cosim refine {name}, or its parameters alone: cosim fit {name}")
+    say(f"residual: {rows_in(place, 'residual')}" + (f", report: {page}" if page.is_file() else ""))
+    if json:
+        findings = [finding.line for finding in comparison.findings]
+        content = {"sentence": verdict(comparison), "findings": findings, "channels": as_json(comparison)}
+        files = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
+        say_json({**content, **files_in(place, *files, NEXT_STUDY)})
+    show(page, open)
+
+
+def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None:
+    """Estimate parameters and start values of an FMU from measured logs.
+
+    Writes fit.json, fitted.ssv, fitted.fmu (if the library of the FMU follows the start values of its file) and
+    report.html.
+
+    Args:
+        logs: Measured logs: CSV files with time, inputs and measured outputs; or a study.
+        fmu (--fmu FMU): FMU whose parameters are estimated, if no study names it.
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME-fit of the FMU or study).
+        vary (NAME[=BOUNDS]): Parameter to estimate: NAME, NAME=20% (prior) or NAME=LOW..HIGH (default: all
+            identifiable ones).
+        start (NAME=VALUE): Further value of the FMU, or first value of a parameter.
+        sealed (LOG): Log for the proof, not used by the estimate.
+        columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
+
+    Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
+    """
+    from cosim.calibration.workflow import fit
+    from cosim.core.text import amount
+
+    with progress_bar() as progress:
+        fitted = fit(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
+    assert fitted.folder is not None  # a command writes
+    warn(*fitted.warnings)
+    files = files_in(fitted.folder, "fit.json", "fitted.ssv", "fitted.fmu")
+    if json:
+        say_json({**fitted.record, "files": files})
+    say(fitted.sentence)
+    rows = []
+    for name, p in fitted.record["parameters"].items():
+        unit, interval = p["unit"], " … ".join(amount(end, p["unit"], 4) for end in p["ci95"] or ())
+        rows.append((name, amount(p["start"], unit, 4), amount(p["value"], unit, 5), interval, p["status"]))
+    say(*table(("parameter", "before", "estimate", "95 % interval", "status"), rows))
+    others = [(c["name"], c["reason"]) for c in fitted.record["screening"] if not c["estimated"]]
+    say(*(table(("not estimated", "reason"), others) if others else []))
+    say(*(f"{name + ':':9}{path}" for name, path in files.items()))
+    show(fitted.folder / "report.html", open)
+
+
+def refine(
+    study: FilePath | Subject,
+    out: FilePath,
+    *,
+    logs: FilePath | Files = (),
+    validation: FilePath | Files = (),
+    settings: Values | None = None,
+    report: bool = True,
+    force: bool = False,
+    in_process: bool = False,
+    limits: str = "",
+    progress: Callable[[str, float], None] | None = None,
+) -> Refined:
+    """Find the effect that a model lacks, from measured logs.
+
+    Args:
+        study: Study file, or an object that derives from `cosim.estimation.subject.interface.Subject`.
+        out: Folder for refine.json, model.yaml, plant.fmu and report.html.
+        logs (in Python): Estimation logs of an object.
+        validation (in Python): Sealed logs of an object.
+        settings (in Python): Further keys of a study file, for an object.
+        report: Write report.html.
+        force: Write even if the folder is not empty; results in it are replaced.
+        in_process: Load FMUs into this process, for a debugger; limits do not apply.
+        limits: Limits of time and memory in place of those of a study file, for example "total: 10 min".
+        progress (in Python): Function of (stage, completed share).
+
+    Returns:
+        The verdict, the effects, the refined model and its FMU.
+
+    Raises:
+        InputError: Every fault of the input.
+        FmuError: An FMU cannot be read or loaded.
+        SimulationError: The simulation failed; the rows so far are in `out`.
+    """
+    from cosim.refinement.refinement import Refined
+    from cosim.refinement.study import study_of
+    from cosim.refinement.workflow import refine as refine_study
+
+    if isinstance(study, (str, PathLike)):
+        if logs or validation or settings:
+            text = "logs, validation and settings stand in the file; write them into the study, or give an object"
+            raise InputError.at(Path(study), f"{text} in its place")
+        source: Any = study
+    else:
+        source = study_of(study, logs, validation, **(settings or {}))
+    with new_run(out, "", "cosim refine", force=force) as place:
+        result = refine_study(source, place, progress, report=report, in_process=in_process, limits=limits)
+    return Refined(result.record, place, result.variants["after"].subject, result)
+
+
+def refine_command(
+    *, live: bool = False, port: Port | None = None, open: bool = False, json: bool = False, **given: Any
+) -> None:
+    """Find the effect that a model lacks, from measured logs.
+
+    Writes refine.json, the refined model.yaml and plant.fmu, and report.html.
+
+    Args:
+        study: A study: model, estimation logs and validation logs.
+        out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the study).
+
+    Example: cosim refine study.yaml --out results/refine
+    """
+    from cosim.probing.fmu_structure import Structure
+    from cosim.refinement.report.refine_page import error_tables, second_sentence
+    from cosim.refinement.stages import stage_number
+
+    study = Path(given["study"])
+
+    def show_stage(stage: str, share: float) -> None:
+        number, of = stage_number(stage)
+        if bar is not None:
+            bar(f"stage {number} of {of}: {stage}" if number else stage, share)
+
+    with (
+        new_run(given["out"], name_of_file(study), "cosim refine", force=given["force"]) as given["out"],
+        progress_bar() as bar,
+        live_page("LiveRefine", study.stem, live=live, port=port, progress=show_stage) as page,
+    ):
+        refined = refine(**given, progress=show_stage if page is None else page)
+        if page is not None:
+            page.show_verdict(refined.record, refined.folder / "report.html")
+    result, record, place = refined.details, refined.record, refined.folder
+    warn(*result.study.warnings)
+    say(f"verdict: {record['verdict']}")
+    say(" ".join(s for s in (str(record["sentence"]), second_sentence(result)) if s))
+    for errors in error_tables(result)[-1:]:
+        has_claim = result.verdict.claimed is not None
+        keys = ["channel", "before", "recalibrated", *(["after"] if has_claim else [])]
+        keys += ["nearest", "floor"] if errors["nearest"] else ["floor"]
+        header = [{"after": "refined", "floor": "noise floor"}.get(key, key) for key in keys]
+        say(
+            f"\n{errors['title']}, root mean square error:",
+            *table(header, [[r[k] for k in keys] for r in errors["rows"]]),
+            "",
+        )
+    for name, file in REFINE_FILES.items():
+        if file != "report.html" or given["report"]:
+            say(*([f"{name + ':':9}{place / file}"] if (place / file).is_file() else []))
+    if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
+        say(f"The FMU holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
+    if json:
+        answer = {key: record[key] for key in ("verdict", "sentence", "effects", "rivals", "error") if key in record}
+        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
+    show(place / "report.html", open and given["report"])
+    if refined.verdict == "ambiguous":
+        from cosim.experiment.rigs import inputs_to_limit
+
+        ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *ranges])}")
+
+
+def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> None:
+    """Design the input that separates rival hypotheses best.
+
+    Writes excitation.csv, excitation.yaml, a scenario that plays the input, and report.html.
+
+    Args:
+        text (MODEL): A registered model such as base, a model.yaml, FILE.py:CLASS, an FMU, or a refine.json or its
+            folder.
+        folder (--out -o PATH): Folder for the results (default: a new number in results/MODEL-excitation).
+        against (--against NAME): Effect, sensor error or parameter that is a rival hypothesis.
+        limits (--limit NAME=VALUE): Largest distance of an input or output from its start value, for example
+            angle=8deg.
+        ranges (--range NAME=MIN..MAX): Range of an input, within the bounds of the model.
+        measured (NAME): Output that will be logged.
+        duration (TIME): Duration of the experiment, for example 90 or 2min (default: 40 s, longer for a slow model).
+
+    Example: cosim excite results/refine --limit angle=8deg
+    """
+    from cosim.experiment.excite import excite
+
+    run = new_run(
+        given["folder"], f"{name_of(given['text'])}-excitation", "cosim excite", force=given["force"], goes_on=True
+    )
+    with run as place, progress_bar() as progress:
+        choice = excite(**{**given, "folder": place}, progress=progress)
+    say(choice.headline)
+    warn(*choice.warnings)
+    say(*choice.sentences)
+    files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
+    say(f"excitation: {files['excitation']}, played by: cosim run {shlex.quote(files['scenario'])}")
+    pages = files_in(place)
+    say(*(f"report: {page}" for page in pages.values()))
+    show(place / "report.html", open)
+    if json:
+        apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in choice.apart.items()]
+        say_json({"apart": apart, "warning": "; ".join(choice.warnings), **files, **pages})

@@ -1,0 +1,436 @@
+"""Results that are there: compare, report, list, open, view, gc, and `cosim.read`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from cosim.core.errors import CriterionMissed, InputError, refuse
+from cosim.core.registry import resolve
+from cosim.core.settings import Count, NotNegative, Port, Whole
+from cosim.core.text import counted, some
+from cosim.files.artefact import artefacts
+from cosim.files.files import FilePath, check_writable
+from cosim.files.folders import RESULTS, newest_run, warnings_on
+from cosim.verbs.cli import progress_bar, say, say_json, show, show_page, table, warn
+
+if TYPE_CHECKING:
+    from cosim.calibration.fitted import Fitted
+    from cosim.comparison.differences import Compared
+    from cosim.comparison.several import ComparedRuns
+    from cosim.files.run_entries import Removal
+    from cosim.refinement.refinement import Refined
+    from cosim.residuals.replay_signals import Replay
+    from cosim.simulation.run_signals import Run, Signals
+    from cosim.sweeps.store import Runs
+
+
+MAX_SIGNALS = 12  # on the terminal
+OTHER_RECORDS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
+WIDEST = 60  # characters of an outcome, and of the changes
+MOST_MATCHES = 5
+MOST_LABELS = 5
+LAYOUTS = "view.json"
+GRACE_S = 10.0  # [s] without a page until the command ends
+MOST_REMOVED = 10
+
+
+def compare(
+    a: FilePath | Count | Signals | Sequence[FilePath | Count | Signals],
+    b: FilePath | Count | Signals | None = None,
+    out: FilePath | None = None,
+    *,
+    baseline: FilePath | Count | Signals | None = None,
+    tolerance: NotNegative | None = None,
+    absolute: NotNegative = 0.0,
+    force: bool = False,
+) -> Compared | ComparedRuns:
+    """Compare runs signal by signal with a baseline.
+
+    A difference beyond the tolerance is not an error: see `Compared.same`.
+
+    Args:
+        a: Baseline: folder of a run, CSV file whose first column is time, number, name or pattern in `cosim list`, or
+            result of a function; or a list of runs, however many.
+        b: Run that is compared with the baseline `a`.
+        out: Folder for comparison.json and report.html; None writes nothing.
+        baseline: Baseline of a list of runs; by default its first run.
+        tolerance: Allowed difference as a share of each signal's range in the baseline.
+        absolute: Allowed difference in each signal's unit, added to `tolerance`.
+        force: Write even if the folder is not empty; results in it are replaced.
+
+    Returns:
+        The difference of each signal, and the verdict if there is a tolerance: `Compared` of two runs `a` and `b`,
+        `ComparedRuns` of a list.
+
+    Raises:
+        InputError: No such run, or runs without a common signal or a common time.
+    """
+    from cosim.comparison.several import compare as compare_runs
+
+    sides = [*(a if isinstance(a, (list, tuple)) else [a]), *([] if b is None else [b])]
+    comparison, _ = compare_runs(
+        sides,
+        out,
+        baseline=baseline,
+        as_pair=not isinstance(a, (list, tuple)),
+        tolerance=tolerance,
+        absolute=absolute,
+        write=out is not None,
+        force=force,
+    )
+    return comparison
+
+
+def compare_command(
+    runs: list[str],
+    *,
+    baseline: str | None = None,
+    tolerance: float | None = None,
+    absolute: float = 0.0,
+    results: Path | None = None,
+    out: FilePath | None = None,
+    report: bool = True,
+    force: bool = False,
+    open: bool = False,
+    json: bool = False,
+) -> None:
+    """Compare runs signal by signal with a baseline.
+
+    Prints the largest differences. Writes comparison.json and a report that shows all runs in the same charts.
+
+    Args:
+        runs (RUN...): Folders of runs, their numbers, names or patterns in `cosim list`, or CSV files of rows.
+        baseline (RUN): Baseline (default: the first run).
+        tolerance (--tol NUMBER): Allowed difference as a share of each signal's range; exit code 5 if exceeded.
+        absolute (--abs NUMBER): Allowed difference in each signal's unit, added to --tol.
+        out (--out -o PATH): Folder for the results (default: a new number in results/A-and-B).
+
+    Example: cosim compare results/one results/two --tol 1e-3
+    """
+    from cosim.comparison.differences import Compared
+    from cosim.comparison.several import compare as compare_runs
+
+    if absolute and tolerance is None:
+        tolerance = 0.0
+    comparison, folder = compare_runs(
+        runs,
+        out,
+        baseline=baseline,
+        results=results,
+        tolerance=tolerance,
+        absolute=absolute,
+        report=report,
+        force=force,
+    )
+    if isinstance(comparison, Compared):
+        warn(*comparison.a.warnings, *comparison.b.warnings)
+        lines = _lines(comparison)
+    else:
+        warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
+        lines = _lines_of_several(comparison)
+    if json:
+        say_json(comparison.as_json())
+    say(lines[0], met=comparison.same if comparison.judged else None)
+    say(*lines[1:])
+    say(f"differences: {folder / 'comparison.json'}")
+    if report:
+        say(f"report:      {folder / 'report.html'}")
+        show(folder / "report.html", open)
+    if comparison.judged and not comparison.same:
+        raise CriterionMissed("; ".join(comparison.reasons))
+
+
+def _lines_of_several(c: ComparedRuns) -> list[str]:
+    """Return the lines to print: verdict, runs, inputs that differ, signals with the largest differences."""
+    from cosim.comparison.differences import format_share, format_size
+    from cosim.files.run_inputs import input_text
+
+    lines = [c.summary]
+    lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
+    shown = c.drawn
+    heads = [c.shorts[k] for k in shown]
+    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in shown)) for i in c.inputs[:MAX_SIGNALS]]
+    lines += table(("  input", *heads), inputs) if inputs else []
+    rows = []
+    differing = c.differing
+    for name, cells in list(differing.items())[:MAX_SIGNALS]:
+        shares = ("" if (d := cells[k]) is None else f"{format_size(d, d.largest)}, {format_share(d)}" for k in shown)
+        rows.append((f"  {name}", *shares))
+    lines += table(("  largest difference", *heads), rows) if rows else []
+    if len(differing) > MAX_SIGNALS:
+        lines.append(f"  … and {len(differing) - MAX_SIGNALS} more that differ")
+    return lines
+
+
+def _lines(comparison: Compared) -> list[str]:
+    """Return the lines to print: verdict, signals with the largest differences, signals in a single run."""
+    from cosim.comparison.differences import format_share, format_size, sentence
+
+    ranked = [d for d in comparison.ranking if d.largest]
+    rows = []
+    for d in ranked[:MAX_SIGNALS]:
+        verdict = ("beyond" if d.beyond else "within") if comparison.judged else ""
+        sizes = format_size(d, d.largest), f"{d.at:.6g} s", format_size(d, d.rms), format_share(d)
+        rows.append((f"  {d.name}", *sizes, verdict, d.note))
+    lines = table(("  signal", "largest", "at", "rms", "of its range", "", ""), rows) if rows else []
+    if len(ranked) > MAX_SIGNALS:
+        lines.append(f"  … and {len(ranked) - MAX_SIGNALS} more that differ")
+    for name, only in (("a", comparison.only_a), ("b", comparison.only_b)):
+        lines += [f"  only in {name}: {some(only, MAX_SIGNALS)}"] if only else []
+    return [sentence(comparison), *lines]
+
+
+def report_command(folder: Path, *, figures: bool = False, open: bool = False, json: bool = False) -> None:
+    """Write the report of a run again from its results.
+
+    Args:
+        folder: Folder of a run.
+        figures: Write figures/*.png too.
+
+    Example: cosim report results/one --open
+    """
+    from cosim.files.results import rows_in
+    from cosim.files.kinds import check_given
+    from cosim.simulation.report import write_pages
+    from cosim.simulation.run_signals import read_ran
+
+    path = newest_run(folder)
+    if not path.is_dir():
+        check_given(path, "a folder that a run left")
+        raise InputError.at(path, "is a file; give the folder with the results of `cosim run`")
+    if not (path / "manifest.json").is_file():
+        verb = next((v for name, v in OTHER_RECORDS.items() if (path / name).is_file()), None)
+        own = "has no manifest.json; give the folder with the results of `cosim run`"
+        other = f"holds no manifest.json; it is of `cosim {verb}`, which writes its page itself"
+        raise InputError.at(path, other if verb else own)
+    run = read_ran(path)
+    if not isinstance(run.manifest.get("scenario"), dict):
+        raise InputError.at(
+            path / "manifest.json", "is no manifest of a run: there is no scenario in it, or it is torn; run it again"
+        )
+    if not run.results.time.size:
+        raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before its first; run it again")
+    check_writable(path, ("report.html",))
+    warn(*run.warnings)
+    about_rows = [text for text in run.warnings if text not in warnings_on(path)]
+    manifest = {**run.manifest, "warnings": [*run.manifest.get("warnings", ()), *about_rows]}
+    write_pages(path, run.results, manifest, figures=figures)
+    page = path / "report.html"
+    say(f"report:  {page}")
+    if json:
+        say_json({"report": str(page)})
+    show(page, open)
+
+
+def list_command(names: list[str] | None = None, *, results: Path | None = None, json: bool = False) -> None:
+    """List results: when, what, criteria, and the inputs that changed.
+
+    Args:
+        names ([RUN]): Numbers, names or patterns such as 'tank/*' (default: all).
+
+    Example: cosim list 'tank*'
+    """
+    from cosim.files.run_entries import find_entries
+
+    root = results or RESULTS
+    found = [(entry, datetime.fromtimestamp(entry.time)) for entry in find_entries(names, root)]
+    warn(*(text for entry, _ in found for text in entry.warnings))
+    if json:
+        say_json(
+            {
+                "results": [
+                    {
+                        "number": e.number,
+                        "name": e.name,
+                        "folder": str(e.folder),
+                        "command": e.verb,
+                        "time": when.astimezone().isoformat(timespec="seconds"),
+                        "outcome": e.outcome,
+                        "changes": dict(e.changes),
+                        "other_version": e.version or None,
+                        "warnings": [*e.warnings],
+                    }
+                    for e, when in found
+                ]
+            }
+        )
+    rows = []
+    for e, when in found:
+        outcome, changes = (t if len(t) <= WIDEST else f"{t[: WIDEST - 1]}…" for t in (e.outcome, e.changed))
+        rows.append((str(e.number), f"{when:%Y-%m-%d %H:%M}", e.verb, e.name, outcome, changes, e.version))
+    heads = ("no.", "when", "command", "name", "outcome", "changed", "of cosim")
+    say("\n".join(table(heads, rows)) if rows else f"no results in {root}")  # a write for all lines
+
+
+def open_command(
+    run: str | None = None, *, results: Path | None = None, browser: bool = True, json: bool = False
+) -> None:
+    """Open the report of results in a browser.
+
+    Args:
+        run ([RUN]): Number, name or pattern of results, or their folder (default: the newest results).
+        browser: Open the page, or print its path only.
+
+    Example: cosim open 3
+    """
+    from cosim.files.folders import has_results, state_of, warnings_on
+    from cosim.files.run_entries import Selected, entries, select_groups
+
+    root = results or RESULTS
+    found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_groups([run], root)[0]
+    if not found:
+        text = "no results here; run a command without --out first, or name their folder as --results"
+        raise InputError.at(root, text)
+    if len(found) > 1:
+        names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], MOST_MATCHES)
+        raise InputError.at(Path(run or ""), f"{len(found)} results match: {names}; name one")
+    folder, entry = found[0].path, found[0].entry
+    page = folder / "report.html"
+    if not page.is_file():
+        if not has_results(folder):
+            reason = "holds no results of a command; give a number, a name or a folder in `cosim list`"
+            raise InputError.at(folder, reason)
+        if state := state_of(folder):
+            raise InputError.at(folder, f"has no report.html: its command is {state}; `cosim list` shows the state")
+        of_run = entry.verb in {"run", "simulate", ""} if entry is not None else (folder / "manifest.json").is_file()
+        report = f"`cosim report {shlex.quote(str(folder))}` writes it"
+        cure = report if of_run else "run the command again with a report"
+        raise InputError.at(folder, f"has no report.html; {cure}")
+    warn(*dict.fromkeys((*warnings_on(folder), *(entry.warnings if entry is not None else ()))))
+    say(f"report: {page}")
+    if json:
+        say_json({"report": str(page)})
+    show(page, browser)
+
+
+def view_command(
+    runs: list[str] | None = None,
+    *,
+    results: Path | None = None,
+    layout: Path | None = None,
+    port: Port = 0,
+    browser: bool = True,
+    prepare: bool = False,
+    json: bool = False,
+) -> None:
+    """Browse the signals of runs in one page of this machine.
+
+    Args:
+        runs ([RUN]): Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).
+        layout: File of saved layouts (default: view.json in the folder of results).
+        port: Port of the page (0: any).
+        browser: Open the page, or print its address only.
+        prepare: Convert large tables, and end without a page.
+
+    Example: cosim view 'tank*'
+    """
+    from cosim.pages.layouts import Layouts
+    from cosim.pages.runs import find_runs, open_runs
+    from cosim.pages.view_page import view_page
+
+    root = results or RESULTS
+    layouts = Layouts(layout or root / LAYOUTS)
+    places, notes = find_runs(runs or (), root)
+    opened, warnings = open_runs(places, progress_bar)
+    warn(*notes, *warnings)
+    labels = [run.place.label for run in opened]
+    signals, rows = sum(len({*r.rows.units, *r.rows.texts}) for r in opened), sum(r.rows.rows for r in opened)
+    amounts = counted(len(opened), "run"), counted(signals, "signal"), counted(rows, "row")
+    say(f"{', '.join(amounts)}: {some(labels, MOST_LABELS)}")
+    about = {"runs": [{"name": r.place.name, "file": str(r.place.file), "rows": r.rows.rows} for r in opened]}
+    if prepare:
+        if json:
+            say_json(about)
+        return
+    title = labels[0] if len(labels) == 1 else counted(len(labels), "run")
+    page = view_page(title, opened, layouts, port, notes=[*notes, *warnings])
+    if json:
+        say_json({"url": page.url, **about})
+    show_page(page, "signals", title, float("inf"), GRACE_S, opens=browser)
+
+
+def gc_command(
+    names: list[str] | None = None,
+    *,
+    keep: Whole = 0,
+    older: NotNegative = 0.0,
+    results: Path | None = None,
+    yes: bool = False,
+    json: bool = False,
+) -> None:
+    """Remove earlier runs; the newest results of each name stay.
+
+    Says how much it would remove, and asks.
+
+    Args:
+        names ([RUN]): Numbers, names or patterns such as 'tank/*' (default: all).
+        keep (NUMBER): Earlier runs of each name that stay.
+        older (DAYS): Remove runs older than this number of days.
+        yes (--yes -y): Remove without a question.
+
+    Example: cosim gc --keep 5
+    """
+    from cosim.files.run_entries import Removal, entries, find_entries, plan_removal, remove
+
+    root = results or RESULTS
+    chosen = find_entries(names, root)
+    plan = plan_removal(entries(root), keep=keep, older=older, chosen=chosen)
+    warn(*(text for entry in chosen for text in entry.warnings))
+    planned = [entry.name for entry in plan.entries]
+    if planned:
+        say(f"to remove: {_amount(plan)}: {some(planned, MOST_REMOVED)}")
+        if not yes:
+            if json or not sys.stdin.isatty():
+                raise InputError.at(root, "nothing is removed without an answer; add --yes")
+            if not typer.confirm("Remove?"):
+                planned = []
+    done = remove(plan.entries) if planned else Removal((), 0)
+    warn(*done.warnings)
+    reason = ""
+    if not plan.entries:
+        reason = ": no earlier run is among these results"
+        if names and chosen and all(entry.is_newest for entry in chosen):
+            earlier = " ".join(shlex.quote(f"{entry.of}/*") for entry in chosen)
+            reason = f": the newest results of a name stay; name its earlier runs as {earlier}"
+    say(f"removed: {_amount(done)}" if done.entries else f"nothing is removed{reason}")
+    if json:
+        say_json({"removed": [entry.name for entry in done.entries], "bytes": done.size})
+    refuse(done.faults)
+
+
+def _amount(removal: Removal) -> str:
+    """Return a number of runs and their size as text."""
+    from rich.filesize import decimal
+
+    return f"{counted(len(removal.entries), 'earlier run')}, {decimal(removal.size)}"
+
+
+def read(folder: FilePath) -> Run | Replay | Fitted | Refined | Runs | Signals:
+    """Read the results of a verb from a folder, or the signals of a CSV file.
+
+    Args:
+        folder: Folder of `run`, `simulate`, `replay`, `fit`, `refine` or `sweep`, or a CSV file whose first column is
+            time.
+
+    Returns:
+        The object that the verb's function returns; `Runs` of a sweep; `Signals` of a CSV file.
+
+    Raises:
+        InputError: There are no such results.
+    """
+    from cosim.simulation.run_signals import read_run
+
+    path = newest_run(Path(folder))
+    for artefact in artefacts():
+        if artefact.reader and artefact.is_left_in(path):
+            result: Run | Replay | Fitted | Refined | Runs | None = resolve(artefact.reader)(path)
+            if result is not None:
+                return result
+    return read_run(path)
