@@ -20,7 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, Flags
 
 SLOW = 0.25  # ratio of successive residuals, above which the slopes are computed again
 SHORTEST = 2.0**-10  # smallest share of a Newton step
@@ -71,7 +71,7 @@ class RootFinding:
     tolerance: float
     most: int
     scale: Array
-    is_assumed: Array | bool = False
+    is_assumed: Flags | bool = False
     slopes: Array | None = None
     computed: int = 0
     largest: float = 0.0

@@ -196,8 +196,8 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
 
     Example: cosim report results/one --open
     """
-    from cosim.files.results import rows_in
     from cosim.files.kinds import check_given
+    from cosim.files.results import rows_in
     from cosim.simulation.report import write_pages
     from cosim.simulation.run_signals import read_ran
 
