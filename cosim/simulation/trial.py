@@ -96,7 +96,7 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
 
 
 def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequence[str]) -> list[str]:
-    """Return the given warnings, those of the system and those of its first step, which a worker tries."""
+    """Return the given warnings, those of the system, and with a worker those of a first step."""
     system, said = build_system(file), list[str]()
     if worker is not None:
         system = with_feedthrough(file, system, worker)

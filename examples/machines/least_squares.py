@@ -19,7 +19,7 @@ WATER = 4186.0  # heat capacity [J/(kg K)]
 
 
 def lamp(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """One storage."""
+    """Heat capacity of the plate alone; heat in proportion to the drive."""
     gain, time = p
     return [(gain * u - (x[0] - 25.0)) / time]
 
@@ -32,13 +32,13 @@ def lamp_two(p: Array, x: Array, u: float) -> Sequence[Array]:
 
 
 def tanks(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """Two tanks that never run over."""
+    """Two tanks without overflow."""
     upper, lower = np.sqrt(np.maximum(x, 0.0))
     return [p[0] * u - p[1] * upper, p[2] * upper - p[3] * lower]
 
 
 def tanks_full(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """Two tanks that run over: the upper one, a share of it into the lower one, and that at 10 V."""
+    """Two tanks that overflow: the upper one partly into the lower one, the lower one at 10 V."""
     full, share = p[4:]
     upper, lower = tanks(p, x, u)
     over = np.where(x[0] >= full, np.maximum(upper, 0.0), 0.0)

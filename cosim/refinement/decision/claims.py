@@ -273,7 +273,7 @@ def _remaining_texts(c: Claims, remaining: Mapping[str, float], file: str) -> It
     misfit = c.decision.misfit
     if c.decision.disputed:
         names = join_names(sorted(c.decision.disputed))
-        yield f"Not claimed, since the logs also show a term without a name: {names}."
+        yield f"Not claimed, since the model also lacks something without a name: {names}."
     if c.claimed is not None and c.residual["signals"] and misfit.probability < MISFIT:
         where = f" in the equation of {c.residual['equation']}" if c.residual["equation"] else ""
         yield f"Something remains{where}; it {_dependence_text(c)}."
