@@ -255,7 +255,7 @@ def inclusion_rows(r: Refinement) -> Rows:
     """Return the probable parts, most probable first, with what became of them."""
     decision, rows = r.verdict.decision, list[dict[str, Any]]()
     withdrawn = {name: WITHDRAWN.get(why, "") for why, _, name in (r.partition(": ") for r in decision.reasons)}
-    withdrawn |= dict.fromkeys(decision.disputed, "the logs also show a term without a name")
+    withdrawn |= dict.fromkeys(decision.disputed, "the model also lacks something without a name")
     for name, probability in sorted(decision.inclusion.items(), key=lambda item: -item[1]):
         why = "uncertain" if name in decision.uncertain else ""
         if name in withdrawn or probability >= CERTAIN:
