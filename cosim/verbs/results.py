@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 MAX_SIGNALS = 12  # on the terminal
 OTHER_RECORDS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
 WIDEST = 60  # characters of an outcome, and of the changes
-MOST_MATCHES = 5
-MOST_LABELS = 5
+NAMED_RUNS = 5  # on the terminal
 LAYOUTS = "view.json"
 GRACE_S = 10.0  # [s] without a page until the command ends
 MOST_REMOVED = 10
@@ -289,7 +288,7 @@ def open_command(
         text = "no results here; run a command without --out first, or name their folder as --results"
         raise InputError.at(root, text)
     if len(found) > 1:
-        names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], MOST_MATCHES)
+        names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], NAMED_RUNS)
         raise InputError.at(Path(run or ""), f"{len(found)} results match: {names}; name one")
     folder, entry = found[0].path, found[0].entry
     page = folder / "report.html"
@@ -343,7 +342,7 @@ def view_command(
     labels = [run.place.label for run in opened]
     signals, rows = sum(len({*r.rows.units, *r.rows.texts}) for r in opened), sum(r.rows.rows for r in opened)
     amounts = counted(len(opened), "run"), counted(signals, "signal"), counted(rows, "row")
-    say(f"{', '.join(amounts)}: {some(labels, MOST_LABELS)}")
+    say(f"{', '.join(amounts)}: {some(labels, NAMED_RUNS)}")
     about = {"runs": [{"name": r.place.name, "file": str(r.place.file), "rows": r.rows.rows} for r in opened]}
     if prepare:
         if json:
