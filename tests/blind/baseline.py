@@ -61,8 +61,11 @@ ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_
 # -- one study ---------------------------------------------------------------------------------------------
 
 
-def conduct(suite: str, seed: int, python: str, revision: str, folder: Path) -> Line:
-    """Draw a study in a folder, refine it with the Python of an environment, and return its line."""
+def conduct(suite: str, seed: int, python: str, revision: str, folder: Path, *, near_ties: bool = True) -> Line:
+    """Draw a study in a folder, refine it with the Python of an environment, and return its line.
+
+    Whether it is a near-tie takes longer than to refine it, and is not asked in the confirmatory comparison.
+    """
     study, told = harness.invent(suite, seed, folder / "study")
     if not revision.endswith("+"):
         for path in study.parent.glob("*.py"):
@@ -76,7 +79,10 @@ def conduct(suite: str, seed: int, python: str, revision: str, folder: Path) -> 
     except (RefinerFailed, OSError, ValueError) as e:
         found = {"verdict": "failed", "failure": str(e)[-300:]}
     seconds = _processor_seconds() - begin
-    return line_of(suite, json.loads(told), found) | {"revision": revision, "processor_seconds": round(seconds, 1)}
+    line = line_of(suite, json.loads(told), found)
+    if near_ties:
+        line["near_tie"] = suite == FMU and is_near_tie(seed)
+    return line | {"revision": revision, "processor_seconds": round(seconds, 1)}
 
 
 def _processor_seconds() -> float:
@@ -91,7 +97,7 @@ def line_of(suite: str, told: Line, found: dict[str, Any]) -> Line:
     The keys are those of the harness, but `error` has stage → set of logs → channel, and `sensors` only those of the
     truth.
     """
-    line = {"suite": suite, "seed": told["seed"], "near_tie": suite == FMU and is_near_tie(told["seed"])}
+    line = {"suite": suite, "seed": told["seed"]}
     line |= {key: told[key] for key in (*STUDY, *ANSWER) if key in told}
     line |= {"sensors": sorted(set(told.get("sensors", ())) & set(told["truth"]))}
     line |= {key: found[key] for key in FOUND if found.get(key)}
@@ -156,7 +162,7 @@ def append(path: Path, line: Line) -> None:
         file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
 
 
-def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path, jobs: int) -> int:
+def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path, jobs: int, *further: str) -> int:
     """Conduct studies, several at a time; return how many could not be drawn."""
     running: set[subprocess.Popen[str]] = set()
     stopped, failed = threading.Event(), 0
@@ -168,7 +174,7 @@ def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path,
         with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
             if stopped.is_set():
                 return None, ""
-            words = [sys.executable, "-m", "tests.blind.baseline", "--python", python, "--revision", revision]
+            words = [sys.executable, "-m", "tests.blind.baseline", "--python", python, "--revision", revision, *further]
             process = subprocess.Popen(
                 [*words, "--study", suite, str(seed), folder], cwd=ROOT, env=environment | {"TMPDIR": folder},
                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -239,7 +245,7 @@ def table(lines: Sequence[Line]) -> str:
     text = []
     for suite, (_, of) in SUITES.items():
         every = [line for line in lines if line["suite"] == suite]
-        apart = [line for line in every if not line["near_tie"]]
+        apart = [line for line in every if not line.get("near_tie")]
         failed = sum(line["verdict"] == "failed" for line in every)
         text += ["", f"{suite}: {len(every)} of {of} studies, {failed} failed, {len(every) - len(apart)} near-ties"]
         groups = [counts(suite, every)] + ([counts(suite, apart)] if len(apart) < len(every) else [])
@@ -250,7 +256,7 @@ def table(lines: Sequence[Line]) -> str:
             late = seconds[math.ceil(0.95 * len(seconds)) - 1]
             text.append(f"  processor seconds: median {statistics.median(seconds):.0f}, 95 % {late:.0f}")
         if len(apart) < len(every):
-            text.append("  near-ties: " + " ".join(str(line["seed"]) for line in every if line["near_tie"]))
+            text.append("  near-ties: " + " ".join(str(line["seed"]) for line in every if line.get("near_tie")))
     return "\n".join(text[1:])
 
 
@@ -348,7 +354,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     revision = commit if commit.endswith("+") else commit[:12]
     if options.study:
         suite, seed, folder = options.study
-        print(json.dumps(conduct(suite, int(seed), options.python, revision, Path(folder))))
+        line = conduct(suite, int(seed), options.python, revision, Path(folder), near_ties=not options.confirmatory)
+        print(json.dumps(line))
         return 0
     lines = options.lines or (LINES.with_name("confirmatory.jsonl") if options.confirmatory else LINES)
     if options.against:
@@ -359,7 +366,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
             parser.error(f"{python} has no cosim and hovercraft")
         todo = missing(lines, revision, options.suites, confirmatory=options.confirmatory)
-        if run(todo, python, revision, lines, options.jobs):
+        further = ["--confirmatory"] if options.confirmatory else []
+        if run(todo, python, revision, lines, options.jobs, *further):
             return 1
     print(f"revision {revision}\n{table(list(read(lines, revision).values()))}")
     return 0
