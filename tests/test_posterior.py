@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -252,6 +252,9 @@ def test_classes_fold_into_more_probable_subsets_and_families_into_their_special
     assert folded({ALONE: 0.03, a: 0.9, ab: 0.06, b: 0.01}, ()) == pytest.approx({a: 0.96, ALONE: 0.04})
     assert folded({a: 0.3, ab: 0.7}, ()) == {ab: 0.7, a: 0.3}  # a richer set that is more probable stays
     assert folded({a: 0.6, b: 0.4}, [(a, b)]) == {a: 1.0}
+    ac, d = named("a", "c"), named("d")
+    for order in permutations({a: 0.2, ab: 0.15, ac: 0.3, d: 0.35}.items()):
+        assert folded(dict(order), ()) == pytest.approx({a: 0.35, d: 0.35, ac: 0.3})
     assert by_family({a: 0.6, b: 0.4}, {"b": "a"}) == {a: 1.0}
     assert by_family({ALONE: 0.6, b: 0.4}, {"b": "a"}) == {ALONE: 0.6, b: 0.4}  # the special case was not fitted
     assert by_family({a: 0.03, b: 0.97}, {"b": "a"}) == {a: 0.03, b: 0.97}  # the richer one is certain by itself

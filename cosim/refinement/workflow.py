@@ -20,7 +20,6 @@ from cosim.core.errors import Fault, TimedOut, refuse
 from cosim.core.text import counted, join_names, plain
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.free_runs import with_likely_starts
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, predictable_horizon
 from cosim.estimation.problem import Problem
@@ -60,7 +59,7 @@ from cosim.refinement.proof.measure import (
 from cosim.refinement.proof.proof_replays import LogSets, replay_variants
 from cosim.refinement.record import Floors, Replayed, Replays, record, unfinished
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, SearchResult
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
@@ -130,7 +129,7 @@ def refine(
     allowed = study.content.limits
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
-        variants = _variants(study, claims, unfitted, result.free_noise)
+        variants = _variants(study, result, claims, unfitted)
         files = [*variants["after"].subject.write(scratch, folder, "refined")]
         if "nearest" in variants:
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
@@ -282,18 +281,19 @@ def _candidates(study: Study) -> list[Candidate]:
     return [c for c in candidates if c.name not in unread]
 
 
-def _variants(study: Study, claims: Claims, unfitted: Fit, free_noise: Noise | None) -> dict[str, Variant]:
+def _variants(study: Study, result: SearchResult, claims: Claims, unfitted: Fit) -> dict[str, Variant]:
     """Return the variants to replay: before, recalibrated, after, and the nearest model if the claim is incomplete.
 
     Args:
         unfitted: Given model with fitted unknown inputs.
     """
-    subject, settings = study.subject, study.settings
+    subject, settings, free_noise = study.subject, study.settings, result.free_noise
     named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
     named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
     made = {id(None): variant_of(subject, settings, unfitted, free_noise)}  # one that stands twice is replayed once
     for h in filter(None, named.values()):
-        made[id(h)] = variant_of(refined_subject(subject, settings, h), settings, h.fit, free_noise)
+        refined = refined_subject(subject, result.search.problem, h)
+        made[id(h)] = variant_of(refined, settings, h.fit, free_noise)
     return {"before": made[id(None)], **{name: made[id(h)] for name, h in named.items()}}
 
 

@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, Self, runtime_checkable
 
 from cosim.core.arrays import Array, Rows
 from cosim.estimation.kernel.kernel import Data, Kernel
@@ -205,6 +205,10 @@ class Subject(Protocol):
     def substeps(self, step: float) -> int:
         """Return the number of integration steps in a communication step [s]; fits may use fewer."""
         return 1
+
+    def with_finer_steps(self, times: float) -> Self:
+        """Return the subject with as many times the integration steps."""
+        return self
 
     def prediction(self, log: Log) -> Predict | None:
         """Return a one-step predictor for the detection of outliers; None to use neighbours."""

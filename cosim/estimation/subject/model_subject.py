@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from shutil import copyfile
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import Data, Kernel
@@ -110,6 +111,13 @@ class ModelSubject(Subject):
         """Return the number of substeps within the model's limit."""
         return substeps(step, self.model.substep)
 
+    def with_finer_steps(self, times: float) -> Self:
+        """Return the subject with as many times the integration steps."""
+        finer = copy(self)
+        finer.model = self.model.with_substep(self.model.substep / times, self.model.chosen_integrator)
+        finer.loaded, finer.fmu = replace(self.loaded, model=finer.model), None
+        return finer
+
     def prediction(self, log: Log) -> Predict | None:
         """Return a one-step predictor of a log's rows."""
         return partial(predicted_outputs, self.model, log)
@@ -147,7 +155,7 @@ class ModelSubject(Subject):
 
     def quick_replayer(self, place: Workplace) -> Replayer | None:
         """Return a replayer of the class's native FMU, for all parameter values."""
-        fmu = place.folder / "class.fmu"
+        fmu = place.folder / f"class{self.substeps(self.rate)}.fmu"
         if not fmu.is_file():
             class_fmu(self.loaded, fmu)
         return FmuReplayer(self.model, fmu, place, "native", dict(self.loaded.parameters))  # a worker pickles it

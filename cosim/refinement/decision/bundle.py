@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import expit, logsumexp
 from scipy.stats import chi2, norm
 
+from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.fit import Fit, inverse, slopes
 from cosim.estimation.problem import Problem
@@ -64,7 +65,8 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
     nuisance, own = count + np.flatnonzero(~pinned), np.arange(count)
     F = informations.sum(axis=0)
     across = least_squares(F[np.ix_(nuisance, nuisance)], F[np.ix_(nuisance, own)])
-    marginal = informations[:, :count, :count] - across.T @ informations[:, nuisance, :count]
+    project = np.zeros((len(F), count))
+    project[own, own], project[nuisance] = 1.0, -across
     block, logs = blocks_of_time(at.scored.of_each_log(at.scored.rows))
     moved = gradients[own] - across.T @ gradients[nuisance]
     found = Evidence(
@@ -74,7 +76,7 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
         gradients=np.stack([np.bincount(block, row, len(logs)) for row in moved], axis=1)
         if count
         else np.zeros((len(logs), 0)),
-        informations=0.5 * (marginal + marginal.transpose(0, 2, 1)),
+        informations=project.T @ informations @ project,  # of a log too never negative
         logs=logs,
         among=math.prod(c.among for c in h.candidates),
     )
@@ -86,12 +88,12 @@ def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
     """Return a free parameter of a fit with its prior."""
     subject, problem = search.subject, search.problem
     value, low = float(h.fit.values[f.name]), max(f.low, h.fit.values.get(f.above, f.low))
-    if f.group:
-        return Parameter(f.name, "", value, value, np.inf)
     if f.prior:
         return Parameter(f.name, "", value, *f.prior, low=low, high=f.high)
-    part = next((c.name for c in h.candidates if f.name in c.parameters), "")
-    given = float(problem.values[f.name])
+    of = next((c for c in h.candidates if f.name in c.parameters), None)
+    part, given = of.name if of else "", float(problem.values[f.name])
+    if of and f.name in of.repeats[:1]:  # the period from which this fit began: all that are apart count in `among`
+        given = of.starts[0].get(f.name, given)
     if f.name in {p.name for p in subject.parameters}:
         p, stated = subject.declared[f.name], problem.settings.tolerance
         tolerance = stated.get(f.name, TRIAL_TOLERANCE if p.tolerance is None else p.tolerance)
@@ -144,10 +146,11 @@ def bundle_of(search: Search, candidates: Sequence[Candidate], hidden: Sequence[
 
 
 def beside_unnamed_terms(search: Search, h: Hypothesis, together: Fit, kappa: float, count: int) -> dict[str, float]:
-    """Return part → its probability beside unnamed terms, by the ratio of densities at its neutral value.
+    """Return part → its probability beside unnamed terms.
 
-    The Bayes factor of a nested hypothesis is the density of the prior there over that of the posterior (Dickey 1971,
-    Annals of Mathematical Statistics 42:204).
+    With the likelihood N(a, V) of its sizes, a from the value without effect, and their prior N(0, T), the Bayes factor
+    is N(a; 0, V + T)/N(a; 0, V), the ratio of the densities of prior and posterior at no effect (Dickey 1971, Annals of
+    Mathematical Statistics 42:204).
 
     Args:
         together: Fit of the hypothesis with the terms.
@@ -160,12 +163,16 @@ def beside_unnamed_terms(search: Search, h: Hypothesis, together: Fit, kappa: fl
         sizes = [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
         places = [names.index(p.name) for p in sizes]
         away = np.array([together.values[p.name] - p.centre for p in sizes])
-        block = covariance[np.ix_(places, places)]
-        spread = 0.5 * float(away @ inverse(block) @ away) + 0.5 * float(np.linalg.slogdet(block)[1])
-        widths = np.array([p.width for p in sizes])
-        prior = float(logsumexp([-np.sum(np.log(times * widths)) for times in MIXTURE])) - math.log(len(MIXTURE))
-        found[c.name] = float(expit(prior + spread + odds))
+        block, widths = covariance[np.ix_(places, places)], np.array([p.width for p in sizes])
+        with_it = [_log_density(away, block + np.diag((times * widths) ** 2)) for times in MIXTURE]
+        factor = float(logsumexp(with_it)) - math.log(len(MIXTURE)) - _log_density(away, block)
+        found[c.name] = float(expit(factor + odds))
     return found
+
+
+def _log_density(x: Array, covariance: Array) -> float:
+    """Return ln of the density N(x; 0, covariance), without its constant."""
+    return -0.5 * float(x @ inverse(covariance) @ x) - 0.5 * float(np.linalg.slogdet(covariance)[1])
 
 
 def chance_of(problem: Problem, leftover: Leftover, alone: Fit) -> float:
@@ -229,13 +236,13 @@ def misfit_of(
         floor: Channel → noise floor of the hypothesis.
         beside: Part → its probability beside unnamed terms.
     """
-    before, after = ({n: e for n, e in of.items() if math.isfinite(e)} for of in (errors["before"], errors["after"]))
-    known = {n: f for n, f in floor.items() if f > 0.0 and n in before and n in after}
-    shares = {n: remaining_excess(before[n], after[n], f) for n, f in known.items()}
+    before, after = errors["before"], errors["after"]
+    known = {n: f for n, f in floor.items() if f > 0.0 and n in after and math.isfinite(before.get(n, math.nan))}
+    shares = {n: remaining_excess(before[n], after[n], f) for n, f in known.items() if not math.isnan(after[n])}
     return Misfit(
         probability=by_chance,
         beside=beside,
         unknown_share=max(moves.values(), default=0.0),
-        remaining={n: max(0.0, share) for n, share in shares.items() if math.isfinite(share)},
-        over_floor={n: after[n] / f for n, f in known.items()},
+        remaining={n: max(0.0, share) for n, share in shares.items() if not math.isnan(share)},
+        over_floor={n: after[n] / f for n, f in known.items() if not math.isnan(after[n])},
     )

@@ -245,6 +245,8 @@ def _unexplained_text(c: Claims, something: str) -> str:
     channel = max(over, key=lambda n: over[n], default="")
     if over.get(channel, 0.0) <= COUNTS_FROM:
         return f"{something} is missing: terms without a name improve the fit, but show no stable pattern."
+    if math.isinf(over[channel]):
+        return f"Replays with the most probable hypothesis run away in {channel}."
     return (
         f"Replays with the most probable hypothesis miss {channel} by {plain(over[channel], 2)} times the noise floor."
     )
@@ -281,7 +283,7 @@ def _remaining_texts(c: Claims, remaining: Mapping[str, float], file: str) -> It
         yield f"Something remains; it acts as if {join_names(list(c.residual['changing']))} changed during each log."
     if c.grade == "part" and c.name != "ambiguous" and misfit.remains > LITTLE:
         channel = max(misfit.remaining, key=lambda n: misfit.remaining[n])
-        rest = percent(misfit.remaining[channel])
+        rest = percent(misfit.remaining[channel]) if misfit.remaining[channel] < 1.0 else "all"
         yield f"This explains only a part of the error: {rest} of the excess error of {channel} remains in replays."
     if remaining:
         share = sum(remaining.values()) / len(remaining)

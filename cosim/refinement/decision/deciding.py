@@ -12,7 +12,6 @@ from cosim.core.arrays import Array
 from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import Fit
 from cosim.estimation.kernel.nameless import RATE
-from cosim.estimation.posing import build_problem, coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest
 from cosim.logs.channel_noise import NORMAL_95
@@ -21,6 +20,7 @@ from cosim.refinement.decision.claims import Claims, equivalent_groups, experime
 from cosim.refinement.decision.posterior import CERTAIN, MISFIT, Bundle, Decision, decide, log_evidence, log_prior
 from cosim.refinement.decision.scatter import (
     fit_given_model,
+    fit_without,
     held_out_errors,
     noise_gains,
     unknown_input_gain,
@@ -28,6 +28,7 @@ from cosim.refinement.decision.scatter import (
 )
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
+    Variant,
     log_noise,
     noise_floor,
     predicted_errors,
@@ -54,11 +55,9 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     units |= {f"{RATE}{q.name}": unit_of_rate(q.unit) for q in subject.states}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
     progress("looking for what has no name", 0.0)
-    posed = build_problem(subject, study.logs, True, study.content.noise, study.settings)
-    if posed.layout.is_free_run:
-        posed = replace(search.problem, kernel=posed.kernel, values={**posed.values, **search.problem.values})
-    coarse = coarsen(posed, best.fit.values)
-    nameless = replace(coarse, sensing=best.fit.noise, trusted=search.problem.trusted, scatter=search.problem.scatter)
+    kernel = subject.kernel(search.problem.layout.outputs, unnamed=True, constant=study.settings.per_log)
+    values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **search.problem.values}
+    nameless = replace(search.problem, kernel=kernel, values=values, sensing=best.fit.noise)
     leftover = find_unnamed_terms(nameless, best.fit, search.price, units)
     by_chance = TESTS * chance_of(nameless, leftover, best.fit)
     leftover = leftover if by_chance < MISFIT else Leftover()
@@ -73,13 +72,23 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     if leftover.fit is not None and best.candidates:
         beside = beside_unnamed_terms(search, best, leftover.fit, first.dispersion, len(bundle.kinds))
     settings = study.settings
-    variants = {
-        "before": variant_of(subject, settings, fit_given_model(search.problem, base.fit), result.free_noise),
-        "after": variant_of(refined_subject(subject, settings, best), settings, best.fit, result.free_noise),
+
+    def refined(f: Fit) -> Variant:
+        fitted = refined_subject(subject, search.problem, replace(best, fit=f))
+        return variant_of(fitted, settings, f, result.free_noise)
+
+    logs, given = (
+        study.logs,
+        variant_of(subject, settings, fit_given_model(search.problem, base.fit), result.free_noise),
+    )
+    # a single log has no others
+    fits = [best.fit if len(logs) == 1 else fit_without(search, search.problem, best, k) for k in range(len(logs))]
+    errors = {
+        "before": predicted_errors([given] * len(logs), search.problem, logs),
+        "after": predicted_errors([refined(f) for f in fits], search.problem, logs),
     }
-    errors = {name: predicted_errors(variant, search.problem, study.logs) for name, variant in variants.items()}
-    quiet = replace(variants["after"], noise=log_noise(best.fit.noise, result.free_noise))
-    floor = noise_floor(quiet, search.problem, study.logs, np.random.default_rng(FLOOR_SEED))
+    quiet = replace(refined(best.fit), noise=log_noise(best.fit.noise, result.free_noise))
+    floor = noise_floor(quiet, search.problem, logs, np.random.default_rng(FLOOR_SEED))
     misfit = misfit_of(by_chance, moves, errors, floor.level, beside)
     claimed = None
     if max(first.inclusion.values(), default=0.0) >= CERTAIN:
@@ -87,7 +96,8 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
         bundle = replace(bundle, unsure=frozenset(_unsure(search, claimed, bundle.families)))
     bundle = replace(bundle, misfit=misfit)
     decision = decide(bundle)
-    delivered = _delivered(decision, hypotheses)
+    tried = _ranked(search, bundle, decision.dispersion)
+    delivered = _delivered(decision, [h for h, _ in tried])
     if claimed is None or delivered is None or delivered.names != claimed.names:
         claimed = with_intervals(search, delivered) if delivered else None
     shown = [hypotheses[parts] for parts in [*decision.classes][:SHOWN] if parts]
@@ -104,7 +114,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
         base=base,
         claimed=claimed,
         nearest=nearest,
-        tried=_ranked(search, bundle, decision.dispersion),
+        tried=tried,
         experiment=experiment_for(subject, rivals) if rivals else "",
         equivalent=equivalent_groups(bundle.equivalent),
         residual=residual,
@@ -115,16 +125,21 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     )
 
 
-def _delivered(decision: Decision, hypotheses: Mapping[frozenset[str], Hypothesis]) -> Hypothesis | None:
-    """Return the most probable hypothesis with all claimed parts, and none beside them but base numbers."""
+def _delivered(decision: Decision, ranked: Sequence[Hypothesis]) -> Hypothesis | None:
+    """Return the most probable hypothesis with all claimed parts, and none beside them but base numbers.
+
+    Args:
+        ranked: Hypotheses, most probable first.
+    """
     claimed = frozenset(decision.claimed)
     if not claimed:
         return None
+    nearest = next(h for h in ranked if frozenset(h.names) == decision.nearest)
     if decision.verdict == "ambiguous" and claimed <= decision.nearest:
-        return hypotheses[decision.nearest]  # the certain parts alone may fit worse than the given model
+        return nearest  # the certain parts alone may fit worse than the given model
     numbers = {n for n in decision.uncertain if decision.verdict != "ambiguous"} - decision.disputed
-    suited = [h for parts, h in hypotheses.items() if h.ended and claimed <= parts <= claimed | numbers]
-    return min(suited, key=lambda h: h.score, default=hypotheses[decision.nearest])
+    suited = (h for h in ranked if h.ended and claimed <= frozenset(h.names) <= claimed | numbers)
+    return next(suited, nearest)
 
 
 def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Iterator[str]:

@@ -26,7 +26,7 @@ from scipy.special import log_ndtr, logsumexp
 from cosim.core.arrays import Array, Rows
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
-# The numbers that decide, with `EQUIVALENT` of `cosim.refinement.decision.equivalence` and `COUNTS_FROM` of replays.
+# The numbers that decide, with `EQUIVALENT` of `equivalence.py`, `CLEARLY` of `trust.py` and `COUNTS_FROM` of replays.
 CERTAIN = 0.95  # inclusion probability from which a part is claimed; mass of the classes of an ambiguous verdict
 POSSIBLE = 1.0 - CERTAIN  # probability of a class from which it counts beside others
 PART = 0.5  # prior factor of each further part
@@ -247,18 +247,20 @@ def posterior(hypotheses: Sequence[Evidence], count: int) -> tuple[dict[Names, f
 def folded(sets: Mapping[Names, float], equivalent: Iterable[tuple[Names, Names]]) -> dict[Names, float]:
     """Return classes with their probabilities, most probable first, named by their most probable sets.
 
-    Equivalent sets are one class. A class joins its most probable subset that is more probable than itself: a part that
-    explains nothing would otherwise keep the few per cent of its prior, and make every true claim uncertain.
+    Equivalent sets are one class. A class joins its most probable subset that is more probable than itself, both before
+    folding: a part that explains nothing would otherwise keep the few per cent of its prior, and make every true claim
+    uncertain.
     """
     weight = dict(sets)
     for one, other in equivalent:
         if one in weight and other in weight:
             more, less = sorted((one, other), key=lambda parts: -weight[parts])
             weight[more] += weight.pop(less)
-    for parts in sorted(weight, key=lambda parts: -len(parts)):
-        hosts = [other for other in weight if other < parts and weight[other] > weight[parts]]
+    alone = dict(weight)
+    for parts in sorted(alone, key=lambda parts: -len(parts)):
+        hosts = [other for other in alone if other < parts and alone[other] > alone[parts]]
         if hosts:
-            weight[max(hosts, key=lambda other: weight[other])] += weight.pop(parts)
+            weight[max(hosts, key=lambda other: alone[other])] += weight.pop(parts)
     return dict(sorted(weight.items(), key=lambda item: -item[1]))
 
 

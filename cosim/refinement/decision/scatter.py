@@ -110,14 +110,17 @@ def held_out_errors(search: Search, h: Hypothesis | None, given: Fit) -> Array:
     for k in range(len(problem.logs)):
         f = fit_without(search, problem, h, k) if h else fit_given_model(problem, given, k)
         errors = replay_errors(problem, search.subject.horizon, f, k)
-        sums, counts = np.nansum(errors**2, axis=(0, 1)), np.isfinite(errors).sum(axis=(0, 1))
+        with np.errstate(over="ignore"):
+            sums, counts = np.nansum(errors**2, axis=(0, 1)), (~np.isnan(errors)).sum(axis=(0, 1))
         seen = (counts > 0) & (sums > 0.0)  # not an output without readings in this log
         found.append(float(np.mean(0.5 * np.log(sums[seen] / counts[seen]))) if seen.any() else math.inf)
     return np.array(found)
 
 
 def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
-    """Return measurement − open-loop prediction of a log, shape (replays, rows, outputs); NaN if not finite.
+    """Return measurement − open-loop prediction of a log, shape (replays, rows, outputs).
+
+    NaN stands for a missing measurement, infinity for a prediction that diverges.
 
     Consecutive replays last one horizon of the model, at most half of the log, or a part of the log for a model judged
     by a free run, from the states that the filter estimates. A library begins at the start of a log only; its one free
@@ -132,8 +135,8 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
     rows = range(first, every - length, length)
     if problem.layout.is_free_run:
         begin, memory = problem.begin_replay(run, first), np.zeros(problem.layout.memory)
-        errors = data.y - lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
-        replays = [errors[row + 1 : row + 1 + length] for row in rows]
+        predicted = lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
+        replays = [(data.y[row + 1 : row + 1 + length], predicted[row + 1 : row + 1 + length]) for row in rows]
     else:
         back = rows_of_delay(problem, p, data.step)
         begins: list[Begin] = []
@@ -143,9 +146,9 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
         replays = []
         for row, begin_at, replay in zip(rows, begins, simulate_all(problem.kernel, begins), strict=True):
             predicted = lagged_table(replay.outputs[begin_at[-1] :], data.lags, data.y[row])[1:]
-            replays.append(data.y[row + 1 : row + 1 + length] - predicted)
-    found = np.array(replays).reshape(len(rows), length, data.y.shape[1])
-    return np.where(np.isfinite(found), found, np.nan)
+            replays.append((data.y[row + 1 : row + 1 + length], predicted))
+    found = [np.where(np.isfinite(model) | np.isnan(y), y - model, np.inf) for y, model in replays]
+    return np.array(found).reshape(len(rows), length, data.y.shape[1])
 
 
 def noise_gains(problem: Problem, f: Fit) -> list[float]:
@@ -166,10 +169,10 @@ def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) ->
     Parameters per log come from all logs, or from all but `left_out`. The noise must be refitted: a filter that trusts
     the given model as much as the recalibrated model would not follow the measurements.
     """
-    fixed = fit(problem, (), problem.values, base.noise, None, SCREEN_ITERATIONS, sensing=False)
+    others = [k for k in range(len(problem.logs)) if k != left_out]
+    fixed = fit(problem, (), problem.values, base.noise, others, SCREEN_ITERATIONS, sensing=False)
     if not problem.own:
         return fixed
-    others = [k for k in range(len(problem.logs)) if k != left_out]
     values = {**problem.values, **{f.name: base.values[f.name] for f in problem.own}}
     refit = fit(problem, problem.own, values, fixed.noise, others, SCREEN_ITERATIONS, sensing=False)
     return refit if left_out is None else fit_for_held_out(problem, refit, left_out)

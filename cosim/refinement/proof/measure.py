@@ -67,18 +67,21 @@ class Variant:
         return self.noise if self.free_noise is None or horizon == FREE_RUN else self.free_noise
 
 
-def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis) -> Subject:
-    """Return the subject with the fitted values of a claim.
+def refined_subject(subject: Subject, problem: Problem, claimed: Hypothesis) -> Subject:
+    """Return the subject with the fitted values of a claim, and with the substeps of the fit if it needed more.
 
     A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
     per log takes its mean.
     """
     fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group}
     fitted |= {name: mean for name, (mean, _) in expected_values(claimed.fit).items()}
-    stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*settings.tolerance}
+    stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*problem.settings.tolerance}
     if {c.kind for c in claimed.candidates} == {"sensor"}:
         fitted = {n: v for n, v in fitted.items() if n in subject.sensor_parameters or n in stated}
     refined = subject.refined(fitted)
+    times = max(log.substeps / subject.substeps(log.step) for log in problem.logs)
+    if times > 1.0:
+        refined = refined.with_finer_steps(times)
     refined.horizon = subject.horizon
     return refined
 
@@ -213,10 +216,18 @@ def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, ro
     return {name: np.array([states[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
 
 
-def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Return the RMSE of each channel in kernel replays."""
-    problem = _begun(variant, problem, logs)
-    return pool_errors(_KernelReplays(variant, problem, log, k).errors() for k, log in enumerate(logs))
+def predicted_errors(variants: Sequence[Variant], problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
+    """Return the RMSE of each channel in kernel replays, infinite if a replay diverges.
+
+    Args:
+        variants: One for each log.
+    """
+    errors = [
+        _KernelReplays(variant, _begun(variant, problem, logs), log, k).errors()
+        for k, (variant, log) in enumerate(zip(variants, logs, strict=True))
+    ]
+    diverged = {n for of in errors for n, e in of.items() if np.isinf(e).any()}
+    return {n: math.inf if n in diverged else size for n, size in pool_errors(errors).items()}
 
 
 @dataclass(frozen=True)
@@ -319,7 +330,8 @@ class _KernelReplays:
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
             memory = {LASTS: math.exp(noise.memory)}
-            errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
+            with np.errstate(invalid="ignore"):  # where both diverge
+                errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
         return self._by_channel(np.where(np.isnan(data.y), np.nan, errors))
 
     def _random_deviations(self, rng: np.random.Generator) -> Array:
@@ -338,7 +350,7 @@ class _KernelReplays:
     def _simulate(
         self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None
     ) -> Array:
-        """Return outputs of simulations from given states, NaN elsewhere."""
+        """Return outputs of simulations from given states, infinite where they diverge, NaN elsewhere."""
         problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
         p, outputs = problem.numbers(problem.of_log(values, self.index)), np.full(data.y.shape, np.nan)
@@ -349,7 +361,7 @@ class _KernelReplays:
             read = run.outputs[k:]
             if part.late is not None:  # by the age of each reading in rows
                 read = read - np.nan_to_num(part.late[k:]) * np.diff(read, axis=0, prepend=read[:1])
-            outputs[k + 1 : end + 1] = read[1:]
+            outputs[k + 1 : end + 1] = np.where(np.isnan(read[1:]), np.inf, read[1:])
         rows = np.arange(len(outputs), dtype=np.float64)
         for j, lag in enumerate(data.lags if data.lags is not None else ()):
             if lag:

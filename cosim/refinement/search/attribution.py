@@ -247,6 +247,12 @@ class Attributor(Search):
         self.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
         self._fit_neighbours()
         best = best_hypothesis(h for h in self.tried.values() if h.ended)
+        while (posed := with_finer_steps(self.problem, best.fit.values, best.fit.noise)) is not self.problem:
+            self.problem, ended = posed, [h for h in self.tried.values() if h.ended]
+            self.tried = {n: replace(h, ended=False) for n, h in self.tried.items()}
+            self.fit_to_the_end([(h.candidates, h.fit) for h in ended])
+            self._fit_neighbours()
+            best = best_hypothesis(h for h in self.tried.values() if h.ended)
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
         hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
         return SearchResult(self, best, hidden, tuple(self.candidates))
@@ -290,6 +296,7 @@ class Attributor(Search):
                 starts[h.names] = h.candidates, h.fit
             untried = [s for names, s in starts.items() if not (names in self.tried and self.tried[names].ended)]
             untried += self._without_idle_parts(best.score + NEAR * kappa)
+            untried += self._worse_than_their_parts(best.score + NEAR * kappa)
             if not untried:
                 return
             self.fit_to_the_end(untried)
@@ -310,6 +317,19 @@ class Attributor(Search):
             if h.ended and least + self.cost(acting) < limit and not (known and known.fit.objective <= least):
                 starts[key_of(acting)] = acting, h.fit
         return [*starts.values()]
+
+    def _worse_than_their_parts(self, limit: float) -> Iterator[Start]:
+        """Yield the sets with a fit that is worse than a later one of some of their parts.
+
+        Args:
+            limit: Score from which a set is too improbable.
+        """
+        reached = {h.names for h in optima(self)}
+        for h in self.tried.values():
+            if h.ended and h.names not in reached:
+                within = [o.fit.objective for o in self.tried.values() if o.ended and {*o.names} < {*h.names}]
+                if min(within) + self.cost(h.candidates) < limit:
+                    yield h.candidates, h.fit
 
     def _neighbours(self, h: Hypothesis, kappa: float) -> Iterator[Start]:
         """Yield sets near a hypothesis with starts of their fits."""
