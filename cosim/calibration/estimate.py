@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry
+from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry, ProfileEntry
 from cosim.calibration.fit_study import Parameter
 from cosim.calibration.identifiability import find_combination, screen
-from cosim.calibration.intervals import Covariance, covariance
+from cosim.calibration.intervals import Covariance, covariance, profile
 from cosim.calibration.likelihood import Likelihood, Logs
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
@@ -41,6 +41,7 @@ class Estimate:
         reason: Reason for windows in place of free runs, "" for free runs.
         dropped: Named start values that windows cannot estimate.
         settled: True if the last search ended at a maximum.
+        profiles: Parameter → its profile; None for one that is not estimated or has no interval.
     """
 
     def __init__(self, logs: Logs, report: Report) -> None:
@@ -53,9 +54,13 @@ class Estimate:
         self.idle, self.dropped = list[str](), list[str]()
         self.reason, self.settled = "", False
         self.covariance: Covariance | None = None
+        self.profiles = dict[str, ProfileEntry | None]()
 
-    def run(self, parameters: Sequence[Parameter], *, screening: bool) -> None:
+    def run(self, parameters: Sequence[Parameter], *, screening: bool, profiled: Sequence[str] = ()) -> None:
         """Estimate parameters, with `screening` only determined ones.
+
+        Args:
+            profiled: Parameters whose likelihood is profiled.
 
         Raises:
             InputError: The logs determine no parameter.
@@ -82,6 +87,12 @@ class Estimate:
             self.combinations, self.held = [], {}
             likelihood = self._fit(self._begin(chosen))
         self.covariance = covariance(likelihood)
+        places = {u.name: j for j, u in enumerate(likelihood.unknowns) if u.log is None}
+        alone = {n for c in self.combinations for n in c.names}
+        for k, name in enumerate(profiled):
+            self.report(f"profiling {name}", k / len(profiled))
+            is_alone = name in places and name not in alone
+            self.profiles[name] = profile(likelihood, self.covariance, places[name]) if is_alone else None
 
     def _begin(self, parameters: Sequence[Parameter]) -> Likelihood:
         """Return the likelihood of these parameters with its value before the fit; windows need no start values."""

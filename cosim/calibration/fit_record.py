@@ -14,6 +14,16 @@ Verdict = Literal["improved", "unchanged", "worse", "stopped"]
 Form = Literal["ratio", "product", "sum", "difference", "combination"]
 
 
+class ProfileEntry(BaseModel):
+    """Likelihood of a parameter with all others estimated anew at each value."""
+
+    values: list[Finite]
+    deviance: list[Finite] = Field(
+        description="2·(max ln L − ln L), scaled for residuals that are not white; 3.84 at the ends of ci95"
+    )
+    ci95: tuple[Finite | None, Finite | None] = Field(description="null: no end within the bounds or where it runs")
+
+
 class ParameterEntry(BaseModel):
     """A parameter that all logs share."""
 
@@ -27,6 +37,7 @@ class ParameterEntry(BaseModel):
     status: Literal["estimated", "at_bound", "held"] = Field(
         description="held: kept at start, see combinations, or without effect"
     )
+    profile: ProfileEntry | None = None
 
 
 class StartEntry(BaseModel):

@@ -45,6 +45,7 @@ class FitStudyFile(BaseModel):
     logs:    Files, relative to the study; those of `validation` are sealed until all decisions are made.
     vary:    Names, or name → bounds `0.3..2 kg`, prior `20%`, or nothing; default: what the logs determine.
     start:   Name → further value of the FMU, or first value of an estimated parameter.
+    profile: Parameters whose likelihood is profiled.
     columns: Name in the logs → name in the FMU, if different.
     limits:  Limits of the FMU; `total` limits the estimate.
     """
@@ -55,6 +56,7 @@ class FitStudyFile(BaseModel):
     logs: LogLists
     vary: list[str] | dict[str, str | float | tuple[float, float] | None] = []
     start: dict[str, float | int | bool | str] = {}
+    profile: list[str] = []
     columns: dict[str, str] = {}
     limits: Limits | None = None
 
@@ -66,6 +68,7 @@ class Request:
     Attributes:
         vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those that the logs determine.
         start: Further values as NAME=VALUE; of a varied parameter: its first value.
+        profile: Parameters whose likelihood is profiled.
         columns: Log column → variable.
         yaml: Study file of the request; None for options.
         unused: Keys of a study of `cosim refine` that a fit does not use.
@@ -76,6 +79,7 @@ class Request:
     sealed: Sequence[Path] = ()
     vary: Sequence[str] = ()
     start: Sequence[str] = ()
+    profile: Sequence[str] = ()
     columns: Mapping[str, str] = field(default_factory=dict)
     limits: Limits = field(default_factory=Limits)
     yaml: YamlFile | None = None
@@ -105,6 +109,7 @@ def request_of(
     vary: Sequence[str] = (),
     start: Sequence[str] = (),
     sealed: Sequence[FilePath] = (),
+    profile: Sequence[str] = (),
     columns: Sequence[str] = (),
     limits: str = "",
 ) -> Request:
@@ -114,6 +119,7 @@ def request_of(
         vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those of the study, or those that logs determine.
         start: Further values as NAME=VALUE; of a varied parameter: its first value.
         sealed: Logs for the proof.
+        profile: Parameters whose likelihood is profiled.
         columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
         limits: Limits of the FMU; `total` limits the estimate.
 
@@ -128,7 +134,7 @@ def request_of(
             for log in logs:
                 check_given(Path(log), LOG, STUDY, FIT_STUDY)
             raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
-        return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, names, most)
+        return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, profile, names, most)
     if fmu is not None or sealed or columns:
         message = f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed"
         raise InputError.at(Path(logs[0]), f"{message} and --column")
@@ -145,6 +151,7 @@ def request_of(
         [_beside(path, name) for name in content.logs.validation],
         vary or texts(content.vary),
         [*texts(content.start), *start],
+        profile or content.profile,
         content.columns,
         most if limits else content.limits or Limits(),
         yaml,

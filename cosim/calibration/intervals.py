@@ -3,6 +3,9 @@
 The estimate is θ̂ = θ + A⁻¹·Σ_t K_t'·e_t with K = J/σ², A = J'·J/σ². The residuals of each output are modelled as an
 autoregression e = ε/a(q), so that Σ K'·e = Σ K̃'·ε, where K̃ is K filtered backwards by 1/a. The sandwich
 A⁻¹·(Σ K̃'·S·K̃)·A⁻¹ with the covariance S of ε needs no white residuals.
+
+A profile is the deviance 2·(ln L − max ln L) over one parameter, with all others estimated anew at each value. Its
+interval is not symmetric where the model is not linear in the parameter.
 """
 
 from __future__ import annotations
@@ -14,15 +17,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cosim.calibration.fit_record import ProfileEntry
 from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import pseudo_inverse
+from cosim.logs.channel_noise import NORMAL_95
 
 MOST_LAGS = 30  # order of an autoregression
 FEW = 8  # values for each lag
 MANY = 50.0  # independent residuals for each unknown from which Student's factor is right
 DRAWS, SEED = 99, 1  # repetitions for the factors of few residuals
 SETTLING = 20  # multiple of the largest order before repeated residuals begin
+MOST_PROFILED = 10  # values of a profile on each side
+NEAR_END = 0.02  # standard deviations by which the end of a profile's interval may be missed
+FARTHER = 2.0  # half-widths that a profile goes at most at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +40,13 @@ class Covariance:
     Attributes:
         matrix: Covariance of all unknowns.
         halves: Half-width of the 95 % interval of each unknown.
+        white: Standard deviation of each unknown if residuals were white.
         colour: Channel → variance of a mean of its residuals relative to white residuals.
     """
 
     matrix: Array
     halves: Array
+    white: Array
     colour: Array
 
 
@@ -84,11 +94,11 @@ def covariance(likelihood: Likelihood) -> Covariance:
         return inverse @ middle @ inverse, spread, models
 
     matrix, spread, models = sandwich(point.tables)
-    colour = np.array([m.colour for m in models])
+    colour, white = np.array([m.colour for m in models]), np.sqrt(np.maximum(0.0, np.diag(inverse)))
     freedom = max(1.0, float(np.sum(point.counts / np.maximum(1.0, colour))) - unknowns)
     factors, roots = np.full(unknowns, float(stdtrit(freedom, 0.975))), np.sqrt(np.maximum(0.0, np.diag(matrix)))
     if freedom >= MANY * unknowns:
-        return Covariance(matrix, factors * roots, colour)
+        return Covariance(matrix, factors * roots, white, colour)
     # In each repetition the autoregressions make new residuals, from which the linearized estimate and its standard
     # deviation are computed as from the log (bootstrap-t). That allows for the part of slow residuals that the
     # parameters absorb, and for the uncertain colour.
@@ -111,7 +121,63 @@ def covariance(likelihood: Likelihood) -> Covariance:
         shift = -inverse @ gradient
         repeated, _, _ = sandwich([e + s @ shift for s, e in zip(slopes, drawn, strict=True)])
         ratios.append(np.abs(shift) / np.sqrt(np.maximum(np.diag(repeated), 1e-300)))
-    return Covariance(matrix, np.maximum(factors, np.quantile(ratios, 0.95, axis=0)) * roots, colour)
+    return Covariance(matrix, np.maximum(factors, np.quantile(ratios, 0.95, axis=0)) * roots, white, colour)
+
+
+def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry | None:
+    """Return the profile of an unknown, None if it has no interval.
+
+    The deviance is scaled so that it is 1.96² at the ends of the interval of the covariance if the model is linear in
+    the parameter: residuals that are not white widen the profile as they widen that interval (composite likelihood).
+    """
+    best, half, unknown = likelihood.best, float(spread.halves[j]), likelihood.unknowns[j]
+    if not (math.isfinite(half) and half > 0.0 and spread.white[j] > 0.0):
+        return None
+    others = np.arange(best.x.size) != j
+    scale = (NORMAL_95 * float(spread.white[j]) / half) ** 2
+
+    def root(value: float, start: Array) -> tuple[float, Array]:
+        """Return the root of the scaled deviance at a value, infinite if the FMU fails, and the other unknowns."""
+        free = [u for u, is_other in zip(likelihood.unknowns, others, strict=True) if is_other]
+        inner = Likelihood(likelihood.logs, free, {**likelihood.given, unknown.name: value})
+        inner.steps, inner.slopes = likelihood.steps[others], [s[..., others] for s in likelihood.slopes]
+        if inner.point(start) is None:
+            return math.inf, start
+        if free:
+            inner.maximize(lambda iteration: None)
+        own = 0.5 * float(likelihood.precision[j]) * (value - float(likelihood.prior[j])) ** 2
+        return math.sqrt(max(0.0, 2.0 * scale * (inner.best.cost + own - best.cost))), inner.best.x
+
+    centre, points, ends = float(best.x[j]), {float(best.x[j]): 0.0}, list[float | None]()
+    for side, bound in ((-1.0, float(likelihood.low[j])), (1.0, float(likelihood.high[j]))):
+        inside, outside, start = (centre, 0.0), (math.nan, math.inf), best.x[others]
+        step, end = 0.5 * half, None
+        for _ in range(MOST_PROFILED):
+            value = inside[0] + side * step
+            value = max(value, bound) if side < 0.0 else min(value, bound)
+            here, reached = root(value, start)
+            if math.isfinite(here):
+                points[value] = here**2
+            if abs(here - NORMAL_95) < NEAR_END:
+                end = value
+                break
+            if here < NORMAL_95:
+                inside, start = (value, here), reached
+                if value == bound:
+                    break
+            else:
+                outside = value, here
+            if math.isfinite(outside[1]):  # the root of the deviance is nearly linear
+                share = (NORMAL_95 - inside[1]) / (outside[1] - inside[1])
+                step = abs(outside[0] - inside[0]) * share
+            elif math.isfinite(outside[0]):
+                step = 0.5 * abs(outside[0] - inside[0])
+            else:
+                slope = inside[1] / abs(inside[0] - centre) if inside[1] else 0.0
+                step = min((NORMAL_95 - inside[1]) / slope if slope else math.inf, FARTHER * half)
+        ends.append(end)
+    values = sorted(points)
+    return ProfileEntry(values=values, deviance=[points[v] for v in values], ci95=(ends[0], ends[1]))
 
 
 def _autoregression(parts: Sequence[Array]) -> Autoregression:

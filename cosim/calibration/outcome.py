@@ -153,6 +153,7 @@ def write_record(
             **p.entry(),
             ci95=None if p.name in alone else interval(j),
             status="at_bound" if value in (p.low, p.high) else "estimated",
+            profile=estimate.profiles.get(p.name),
         )
     for p in estimate.held.values():
         parameters[p.name] = ParameterEntry(value=p.start, unit=p.unit, **p.entry(), ci95=None, status="held")
@@ -240,6 +241,8 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
         shown = ", ".join(f"{n} = {plain(v, 4)}" for n, v in values.items() if n in record.parameters)
         count = f"{record.failed_simulations} of {record.simulations}"
         yield f"{count} simulations failed and were rejected, first at {shown}: {error}"
+    if unprofiled := [name for name, found in estimate.profiles.items() if found is None]:
+        yield f"no profile of {join_names(unprofiled)}, which these logs do not determine alone"
     if estimate.dropped:
         yield f"windows have start values of their own, so {join_names(estimate.dropped)} is not estimated"
     if parts and (risen := parts[-1].rises):

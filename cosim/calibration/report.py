@@ -8,12 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_record import ParameterEntry, Record, StartEntry
 from cosim.calibration.outcome import Part
 from cosim.core.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
 from cosim.core.version import __version__
+from cosim.logs.channel_noise import NORMAL_95
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import Panel, Trace
@@ -22,6 +25,7 @@ from cosim.residuals.compare import horizon_name
 
 TEMPLATE = Path(__file__).with_name("templates") / "fit.html.j2"
 MOST_OUTPUTS = 8  # with a chart
+CURVE = 80  # points of a drawn profile
 STRONG = 0.95  # correlation of two estimates that is worth a word
 
 
@@ -112,6 +116,9 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
             "badges": badges,
             "warnings": [*record.warnings, *record.notes],
             "plots": plots,
+            "profiles": [
+                _profile_plot(n, p, charts) for n, p in record.parameters.items() if p.profile and p.profile.values[1:]
+            ],
             "log": "" if proof is None else proof.log.path.name,
             "is_sealed": proof is not None and proof.sealed,
             "horizon": "" if proof is None else horizon_name(proof.errors.horizon),
@@ -161,6 +168,22 @@ def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:
     }
 
 
+def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
+    """Draw the deviance over a parameter, with the level of 95 %."""
+    assert p.profile is not None
+    symbol, factor = display(p.unit)
+    values, deviance = factor * np.array(p.profile.values), np.array(p.profile.deviance)
+    ends = float(values[0]), float(values[-1])
+    from scipy.interpolate import PchipInterpolator
+
+    roots = np.sign(values - factor * p.value) * np.sqrt(deviance)  # nearly a straight line
+    grid = np.linspace(*ends, CURVE)
+    curve = Trace("deviance", PchipInterpolator(values, roots)(grid) ** 2, "true", x=grid)
+    points = Trace("fits", deviance, "s0 dots", x=values)
+    level = Trace("95 %", np.full(2, NORMAL_95**2), "reference", x=np.array(ends))
+    return charts.alone(Panel(f"Profile of {name}", "1", [curve, points, level]), ends, (name, symbol))
+
+
 def _range(entry: ParameterEntry | StartEntry) -> str:
     """Return a confidence interval with as many digits as its width deserves."""
     if entry.ci95 is None:
@@ -187,6 +210,8 @@ def _repeat(record: Record, estimate: Estimate) -> list[str]:
         words += ["--start", f"{name}={str(given).lower() if isinstance(given, bool) else given}"]
     for path in record.sealed:
         words += ["--sealed", path]
+    for name in estimate.profiles:
+        words += ["--profile", name]
     for column, name in {c: n for d in estimate.logs.drives for c, n in d.log.called.items()}.items():
         words += ["--column", f"{column}={name}"]
     return [*words, *(["--compile"] if permission.get() else [])]

@@ -16,13 +16,13 @@ from cosim.blocks.compiling import compiling, permission
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_study import Parameter, Request, candidates, read_vary, request_of
 from cosim.calibration.fitted import Fitted
-from cosim.calibration.fitted_fmu import why_no_copy
+from cosim.calibration.fitted_fmu import deliver
 from cosim.calibration.likelihood import Logs, OutOfTime
 from cosim.calibration.outcome import Part, prove, write_record
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
-from cosim.core.settings import Files, Given, column_names, texts
-from cosim.core.text import join_names
+from cosim.core.settings import Files, Given, Names, column_names, texts
+from cosim.core.text import did_you_mean, join_names
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
 from cosim.files.folders import name_of_file, remove_earlier, results_in
@@ -47,6 +47,7 @@ def fit(
     vary: Given | None = None,
     start: Given | None = None,
     sealed: Files = (),
+    profile: Names = (),
     columns: Given | None = None,
     report: bool = True,
     force: bool = False,
@@ -65,6 +66,7 @@ def fit(
             of the study, or those that the logs determine.
         start: Further value of the FMU, or first value of a parameter → value.
         sealed: Logs for the proof, which the estimate does not use.
+        profile: Parameters whose likelihood is profiled, for intervals that need not be symmetric.
         columns: Column of the logs → variable, or "time".
         report: Write report.html.
         force: Write even if the folder is not empty; results in it are replaced.
@@ -88,6 +90,7 @@ def fit(
         vary=texts(vary),
         start=texts(start),
         sealed=list(sealed),
+        profile=list(profile),
         columns=column_names(columns),
         limits=limits,
     )
@@ -121,7 +124,7 @@ def fit(
         stop: SimulationError | None = None
         stage = "the fit"
         try:
-            estimate.run(chosen, screening=not request.vary)
+            estimate.run(chosen, screening=not request.vary, profiled=request.profile)
             stage = "the proof"
             progress("replaying with the values before and after", 0.0)
             assert estimate.likelihood is not None
@@ -168,8 +171,10 @@ def fit(
         write_parameter_set(place / "fitted.ssv", f"{path.stem}-fitted", pairs, definitions)
         if stop is None and values:
             start = {n: v for n, v in likelihood.values(point.x, 0).items() if n not in values}
-            reason = why_no_copy(drives[0], values, start, place / "fitted.fmu", lambda file: load(read[0], file))
-            if reason is not None:
+            way, reason = deliver(drives[0], values, start, place / "fitted.fmu", lambda file: load(read[0], file))
+            if way == "wrapped":
+                record.notes.append(f"fitted.fmu holds the FMU in a wrapper that sets the values: {reason}")
+            elif not way:
                 words = ["cosim", "simulate", str(path)]
                 words += [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
                 command = shlex.join([*words, *(["--compile"] if permission.get() else [])])
@@ -258,8 +263,12 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any],
 
     chosen: list[Parameter] = attempt(choose, [])
     read_logs = [attempt(read, None, path) for path in paths]
-    refuse(faults)
     varied = {p.name for p in chosen}
+    for k, name in enumerate(request.profile if chosen else ()):
+        if name not in {p.name for p in chosen if not p.per_log}:
+            message = f"{name} is no parameter that is estimated for all logs{did_you_mean(name, varied)}"
+            faults.append(request.fault(("profile", k), f"{message}; name it as --vary too"))
+    refuse(faults)
     return read_logs, chosen, given, {n: v for n, v in given.items() if n not in varied}
 
 

@@ -68,8 +68,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
 def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """Estimate parameters and start values of an FMU from measured logs.
 
-    Writes fit.json, fitted.ssv, fitted.fmu (if the library of the FMU follows the start values of its file) and
-    report.html.
+    Writes fit.json, fitted.ssv, fitted.fmu and report.html.
 
     Args:
         logs: Measured logs: CSV files with time, inputs and measured outputs; or a study.
@@ -79,6 +78,7 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
             identifiable ones).
         start (NAME=VALUE): Further value of the FMU, or first value of a parameter.
         sealed (LOG): Log for the proof, not used by the estimate.
+        profile (NAME): Parameter whose likelihood is profiled, for an interval that need not be symmetric.
         columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
 
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
@@ -99,6 +99,10 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
         unit, interval = p["unit"], " … ".join(amount(end, p["unit"], 4) for end in p["ci95"] or ())
         rows.append((name, amount(p["start"], unit, 4), amount(p["value"], unit, 5), interval, p["status"]))
     say(*table(("parameter", "before", "estimate", "95 % interval", "status"), rows))
+    for name, p in fitted.record["parameters"].items():
+        if p["profile"]:
+            ends = ("open" if end is None else amount(end, p["unit"], 4) for end in p["profile"]["ci95"])
+            say(f"{name}: 95 % interval by its profile {' … '.join(ends)}")
     others = [(c["name"], c["reason"]) for c in fitted.record["screening"] if not c["estimated"]]
     say(*(table(("not estimated", "reason"), others) if others else []))
     say(*(f"{name + ':':9}{path}" for name, path in files.items()))
