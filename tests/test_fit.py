@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -219,6 +220,31 @@ def test_all_faults_of_arguments_and_logs_are_told_at_once(bench: Path, tmp_path
         cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary=["mass"], sealed=[bench / "a.csv"], **QUICK)
     with pytest.raises(InputError, match="starts at 1, outside 2 to 3; give another value as --start mass=VALUE"):
         cosim.fit([bench / "a.csv"], bench / "slider.fmu", vary={"mass": (2, 3)}, **QUICK)
+
+
+def test_a_parameter_has_a_value_for_each_log_on_request(bench: Path, tmp_path: Path) -> None:
+    masses = {"a.csv": 1.2, "b.csv": 2.4}
+    logs = [slider_log(tmp_path / n, TRUTH | {"mass": m}, seed=k) for k, (n, m) in enumerate(masses.items(), start=5)]
+    study = tmp_path / "study.yaml"
+    shutil.copy(bench / "slider.fmu", tmp_path)
+    study.write_text("model: slider.fmu\nlogs: {estimation: [a.csv, b.csv]}\nvary: [damping]\nper_log: [mass]\n")
+    for fitted in (
+        cosim.fit(logs, bench / "slider.fmu", vary=["damping"], per_log=["mass"], **QUICK),
+        cosim.fit(study, out=tmp_path / "out", **QUICK),
+    ):
+        assert holds(fitted, damping=0.8)
+        found = {Path(e["log"]).name: e for e in fitted.record["per_log"]}
+        assert {n: e["value"] for n, e in found.items()} == pytest.approx(masses, rel=0.02)
+        assert all(e["ci95"][0] < masses[n] < e["ci95"][1] for n, e in found.items())
+        assert fitted.record["parameters"].keys() == {"damping"}
+        assert fitted.verdict == "improved"
+    common = cosim.fit(logs, bench / "slider.fmu", vary=["damping", "mass"], **QUICK)
+    name = "velocity"
+    errors = [f.record["errors"]["estimation"]["channels"][name]["after"] for f in (fitted, common)]
+    assert errors[0] < 0.2 * errors[1]
+    with pytest.raises(InputError) as refused:
+        cosim.fit(logs, bench / "slider.fmu", per_log=["mas"], **QUICK)
+    assert len(refused.value.faults) == 1
 
 
 def test_a_profile_is_the_likelihood_with_the_others_estimated_anew(bench: Path, tmp_path: Path) -> None:

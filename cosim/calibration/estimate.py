@@ -83,7 +83,7 @@ class Estimate:
         if self.logs.horizon is None and (reason := self._why_windows(likelihood)):
             self._use_windows(reason)
             chosen = [u for u in likelihood.unknowns if u.log is None]
-            chosen += self.held.values()
+            chosen += [*self.held.values(), *(p for p in parameters if p.per_log and not p.is_start)]
             self.combinations, self.held = [], {}
             likelihood = self._fit(self._begin(chosen))
         self.covariance = covariance(likelihood)
@@ -96,14 +96,15 @@ class Estimate:
 
     def _begin(self, parameters: Sequence[Parameter]) -> Likelihood:
         """Return the likelihood of these parameters with its value before the fit; windows need no start values."""
-        named, values = [p for p in parameters if p.per_log], {p.name: p.start for p in parameters}
+        values = {p.name: p.start for p in parameters}
         while True:
+            own = [p for p in parameters if p.per_log and not (p.is_start and self.logs.horizon)]
             unknowns = [p for p in parameters if not p.per_log]
+            unknowns += [replace(p, log=k) for k in range(len(self.logs.drives)) for p in own]
             if self.logs.horizon is None:
-                unknowns += [replace(p, log=k) for k in range(len(self.logs.drives)) for p in named]
                 unknowns += self.logs.shown_starts(values)
             else:
-                self.dropped = [p.name for p in named]
+                self.dropped = [p.name for p in parameters if p.is_start]
             likelihood = Likelihood(self.logs, unknowns)
             if likelihood.point(np.clip(likelihood.prior, likelihood.low, likelihood.high)) is not None:
                 self.likelihood = likelihood

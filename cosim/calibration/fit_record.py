@@ -40,14 +40,19 @@ class ParameterEntry(BaseModel):
     profile: ProfileEntry | None = None
 
 
-class StartEntry(BaseModel):
-    """A start value of one log."""
+class LogEntry(BaseModel):
+    """A parameter of one log."""
 
     log: str
     name: str
     value: Finite
     unit: str
     ci95: tuple[Finite, Finite] | None
+
+
+class StartEntry(LogEntry):
+    """A start value of one log."""
+
     named: bool = Field(description="true: named by the user; false: shown by a measured output")
 
 
@@ -117,6 +122,7 @@ class Record(BaseModel):
     windows_reason: str
     parameters: dict[str, ParameterEntry]
     starts: list[StartEntry]
+    per_log: list[LogEntry] = []
     given: dict[str, Any] = Field(description="further values set by --start")
     correlation: list[list[Finite]] | None = Field(description="of the estimated parameters, in their order")
     singular_values: list[Finite] = Field(description="of the sensitivities per value, in standard deviations")

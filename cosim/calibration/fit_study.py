@@ -45,6 +45,7 @@ class FitStudyFile(BaseModel):
     logs:    Files, relative to the study; those of `validation` are sealed until all decisions are made.
     vary:    Names, or name → bounds `0.3..2 kg`, prior `20%`, or nothing; default: what the logs determine.
     start:   Name → further value of the FMU, or first value of an estimated parameter.
+    per_log: Parameters with a value for each log, such as a load that changes between logs.
     profile: Parameters whose likelihood is profiled.
     columns: Name in the logs → name in the FMU, if different.
     limits:  Limits of the FMU; `total` limits the estimate.
@@ -56,6 +57,7 @@ class FitStudyFile(BaseModel):
     logs: LogLists
     vary: list[str] | dict[str, str | float | tuple[float, float] | None] = []
     start: dict[str, float | int | bool | str] = {}
+    per_log: list[str] = []
     profile: list[str] = []
     columns: dict[str, str] = {}
     limits: Limits | None = None
@@ -68,6 +70,7 @@ class Request:
     Attributes:
         vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those that the logs determine.
         start: Further values as NAME=VALUE; of a varied parameter: its first value.
+        per_log: Parameters with a value for each log.
         profile: Parameters whose likelihood is profiled.
         columns: Log column → variable.
         yaml: Study file of the request; None for options.
@@ -79,6 +82,7 @@ class Request:
     sealed: Sequence[Path] = ()
     vary: Sequence[str] = ()
     start: Sequence[str] = ()
+    per_log: Sequence[str] = ()
     profile: Sequence[str] = ()
     columns: Mapping[str, str] = field(default_factory=dict)
     limits: Limits = field(default_factory=Limits)
@@ -109,6 +113,7 @@ def request_of(
     vary: Sequence[str] = (),
     start: Sequence[str] = (),
     sealed: Sequence[FilePath] = (),
+    per_log: Sequence[str] = (),
     profile: Sequence[str] = (),
     columns: Sequence[str] = (),
     limits: str = "",
@@ -119,6 +124,7 @@ def request_of(
         vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those of the study, or those that logs determine.
         start: Further values as NAME=VALUE; of a varied parameter: its first value.
         sealed: Logs for the proof.
+        per_log: Parameters with a value for each log.
         profile: Parameters whose likelihood is profiled.
         columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
         limits: Limits of the FMU; `total` limits the estimate.
@@ -134,7 +140,7 @@ def request_of(
             for log in logs:
                 check_given(Path(log), LOG, STUDY, FIT_STUDY)
             raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
-        return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, profile, names, most)
+        return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, per_log, profile, names, most)
     if fmu is not None or sealed or columns:
         message = f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed"
         raise InputError.at(Path(logs[0]), f"{message} and --column")
@@ -151,6 +157,7 @@ def request_of(
         [_beside(path, name) for name in content.logs.validation],
         vary or texts(content.vary),
         [*texts(content.start), *start],
+        per_log or content.per_log,
         profile or content.profile,
         content.columns,
         most if limits else content.limits or Limits(),
@@ -177,7 +184,8 @@ class Parameter:
         start: Value before the estimate.
         low, high: Bounds, infinite without any.
         tolerance: Half-width of the 95 % interval of a normal prior about `start`; None without a prior.
-        per_log: True for the start value of a state, which is estimated for each log.
+        is_start: True for the start value of a state.
+        per_log: True for what is estimated for each log: start values, and parameters that the user names.
         log: Index of the log of a start value; None for a parameter of all logs.
         spread: Size of a start value that an output shows; 0 for values that were named.
     """
@@ -188,6 +196,7 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     tolerance: float | None = None
+    is_start: bool = False
     per_log: bool = False
     log: int | None = None
     spread: float = 0.0
@@ -228,9 +237,10 @@ def candidates(description: Any, given: Mapping[str, Any]) -> dict[str, Paramete
         is_state = v.causality in {"local", "internal", "output", None}
         if v.type in REALS and not v.shape and v.start is not None and settable(v) and (is_parameter or is_state):
             low, high = limits_of(v)
-            per_log = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
-            found[v.name] = Parameter(v.name, unit_of(v), float(given.get(v.name, v.start)), low, high, None, per_log)
-    return dict(sorted(found.items(), key=lambda item: item[1].per_log))
+            starts = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
+            first = float(given.get(v.name, v.start))
+            found[v.name] = Parameter(v.name, unit_of(v), first, low, high, None, starts, per_log=starts)
+    return dict(sorted(found.items(), key=lambda item: item[1].is_start))
 
 
 def read_vary(
@@ -282,7 +292,7 @@ def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, 
         kind = f"of type {variable.type}"
     elif variable.shape:
         kind = "an array"
-    names = [n for n, p in offered.items() if not p.per_log][:MOST_NAMES]
+    names = [n for n, p in offered.items() if not p.is_start][:MOST_NAMES]
     return (
         f"{name} is {kind}, which has no value to estimate; name a parameter, or the start value of a state "
         f"({', '.join(names) or 'the FMU has none'})"

@@ -73,7 +73,7 @@ class Logs:
             for name, (output, p) in shown.items():
                 spread, unit = 0.1 * self.spread[output] / abs(p.gain), drive.units.get(output, "")
                 start = first.get(name, p.tried[0])
-                unknowns.append(Parameter(name, unit, start, p.low, p.high, None, True, k, spread))
+                unknowns.append(Parameter(name, unit, start, p.low, p.high, None, True, True, k, spread))
         return unknowns
 
     def errors(self, k: int, values: Mapping[str, float], horizon: float | None = None) -> Array | None:

@@ -12,6 +12,7 @@ import numpy as np
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_record import (
     ChannelErrors,
+    LogEntry,
     NoiseEntry,
     ParameterEntry,
     PartErrors,
@@ -136,7 +137,7 @@ def write_record(
         estimate.likelihood.unknowns,
     )
     alone = {n for c in estimate.combinations for n in c.names}
-    parameters, starts = dict[str, ParameterEntry](), list[StartEntry]()
+    parameters, starts, per_log = dict[str, ParameterEntry](), list[StartEntry](), list[LogEntry]()
 
     def interval(j: int) -> tuple[float, float] | None:
         value, half = float(point.x[j]), math.nan if spread is None else float(spread.halves[j])
@@ -145,8 +146,11 @@ def write_record(
     for j, (p, value) in enumerate(zip(unknowns, point.x.tolist(), strict=True)):
         common = {"value": value, "unit": p.unit}
         if p.log is not None:
-            path = str(logs.drives[p.log].log.path)
-            starts.append(StartEntry(**common, log=path, name=p.name, ci95=interval(j), named=not p.spread))
+            entry = LogEntry(**common, log=str(logs.drives[p.log].log.path), name=p.name, ci95=interval(j))
+            if not p.is_start:
+                per_log.append(entry)
+            else:
+                starts.append(StartEntry(**dict(entry), named=not p.spread))
             continue
         parameters[p.name] = ParameterEntry(
             **common,
@@ -174,6 +178,7 @@ def write_record(
         windows_reason=estimate.reason,
         parameters=parameters,
         starts=starts,
+        per_log=per_log,
         given=dict(given),
         correlation=correlation,
         singular_values=estimate.singular.tolist(),
@@ -196,7 +201,7 @@ def write_record(
 
 def _sentence(record: Record, parts: Sequence[Part]) -> str:
     """Return the verdict: a headline with the outputs that change most, and a sentence on what was estimated."""
-    count = sum(entry.status != "held" for entry in record.parameters.values())
+    count = sum(entry.status != "held" for entry in record.parameters.values()) + len({e.name for e in record.per_log})
     runs = counted(record.simulations, "simulation")
     effort = f"{counted(count, 'parameter')} from {counted(len(record.logs), 'log')} by {runs}."
     if not parts:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate
-from cosim.calibration.fit_record import ParameterEntry, Record, StartEntry
+from cosim.calibration.fit_record import LogEntry, ParameterEntry, Record
 from cosim.calibration.outcome import Part
 from cosim.core.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
 from cosim.core.version import __version__
@@ -44,10 +44,13 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     ]
     if record.warnings:
         badges.append(Badge(counted(len(record.warnings), "warning"), "warn"))
-    starts = [
-        {"name": s.name, "log": Path(s.log).name, "value": amount(s.value, s.unit, 4), "interval": _range(s)}
-        for s in record.starts
-    ]
+    starts, own = (
+        [
+            {"name": s.name, "log": Path(s.log).name, "value": amount(s.value, s.unit, 4), "interval": _range(s)}
+            for s in entries
+        ]
+        for entries in (record.starts, record.per_log)
+    )
     names, matrix = [n for n, p in record.parameters.items() if p.status != "held"], record.correlation or []
     rows = [(n, [plain(v, 2) for v in row]) for n, row in zip(names, matrix, strict=False)]
     strong = [
@@ -124,6 +127,7 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
             "horizon": "" if proof is None else horizon_name(proof.errors.horizon),
             "parameters": [_parameter(n, p) for n, p in record.parameters.items()],
             "starts": starts,
+            "own": own,
             "correlation": {"columns": names, "rows": rows} if len(matrix) > 1 else None,
             "strong": join_names(strong),
             "singular": [plain(v) for v in record.singular_values],
@@ -184,7 +188,7 @@ def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
     return charts.alone(Panel(f"Profile of {name}", "1", [curve, points, level]), ends, (name, symbol))
 
 
-def _range(entry: ParameterEntry | StartEntry) -> str:
+def _range(entry: ParameterEntry | LogEntry) -> str:
     """Return a confidence interval with as many digits as its width deserves."""
     if entry.ci95 is None:
         return MISSING
@@ -210,6 +214,8 @@ def _repeat(record: Record, estimate: Estimate) -> list[str]:
         words += ["--start", f"{name}={str(given).lower() if isinstance(given, bool) else given}"]
     for path in record.sealed:
         words += ["--sealed", path]
+    for name in dict.fromkeys(entry.name for entry in record.per_log):
+        words += ["--per-log", name]
     for name in estimate.profiles:
         words += ["--profile", name]
     for column, name in {c: n for d in estimate.logs.drives for c, n in d.log.called.items()}.items():

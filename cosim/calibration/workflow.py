@@ -7,6 +7,7 @@ import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,7 @@ def fit(
     vary: Given | None = None,
     start: Given | None = None,
     sealed: Files = (),
+    per_log: Names = (),
     profile: Names = (),
     columns: Given | None = None,
     report: bool = True,
@@ -66,6 +68,7 @@ def fit(
             of the study, or those that the logs determine.
         start: Further value of the FMU, or first value of a parameter → value.
         sealed: Logs for the proof, which the estimate does not use.
+        per_log: Parameters with a value for each log, such as a load that changes between logs.
         profile: Parameters whose likelihood is profiled, for intervals that need not be symmetric.
         columns: Column of the logs → variable, or "time".
         report: Write report.html.
@@ -90,6 +93,7 @@ def fit(
         vary=texts(vary),
         start=texts(start),
         sealed=list(sealed),
+        per_log=list(per_log),
         profile=list(profile),
         columns=column_names(columns),
         limits=limits,
@@ -130,7 +134,7 @@ def fit(
             assert estimate.likelihood is not None
             varied, x = {p.name for p in chosen}, estimate.likelihood.best.x
             horizon = estimate.logs.horizon or FREE_RUN
-            first = {p.name: p.start for p in chosen if not p.per_log}
+            first = {p.name: p.start for p in chosen if not p.is_start}
             every = [estimate.likelihood.values(x, k) for k in range(len(opened))]
             own = [{n: v for n, v in each.items() if n in varied} for each in every]
             proved = [prove(opened, [first] * len(opened), own, horizon, sealed=False)]
@@ -250,13 +254,17 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any],
     def choose() -> list[Parameter]:
         numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
         offered = candidates(description, numbers)
+        own = read_vary(description, offered, request.per_log, lambda n, text: request.fault(("per_log",), text))
         if request.vary:
-            return read_vary(description, offered, request.vary, lambda n, text: request.fault(("vary", n), text))
-        chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
-        if not chosen:
-            message = "has no parameter to estimate: no floating-point parameter with a start value may be set"
-            raise InputError.at(fmu, f"{message} before a run")
-        return chosen
+            chosen = read_vary(description, offered, request.vary, lambda n, text: request.fault(("vary", n), text))
+        else:
+            every = (p for p in offered.values() if not p.is_start and p.name not in given)
+            chosen = [p for p in every if p.low <= p.start <= p.high]
+            if not chosen:
+                message = "has no parameter to estimate: no floating-point parameter with a start value may be set"
+                raise InputError.at(fmu, f"{message} before a run")
+        named = {p.name: p for p in (*own, *chosen)}
+        return [replace(p, per_log=True) if n in {o.name for o in own} else p for n, p in named.items()]
 
     def read(path: Path) -> Log:
         return log_of_fmu(path, fmu, request.columns, alone=len(paths) == 1)

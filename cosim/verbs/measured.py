@@ -78,6 +78,7 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
             identifiable ones).
         start (NAME=VALUE): Further value of the FMU, or first value of a parameter.
         sealed (LOG): Log for the proof, not used by the estimate.
+        per_log (--per-log NAME): Parameter with a value for each log, such as a load that changes between logs.
         profile (NAME): Parameter whose likelihood is profiled, for an interval that need not be symmetric.
         columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
 
@@ -99,6 +100,8 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
         unit, interval = p["unit"], " … ".join(amount(end, p["unit"], 4) for end in p["ci95"] or ())
         rows.append((name, amount(p["start"], unit, 4), amount(p["value"], unit, 5), interval, p["status"]))
     say(*table(("parameter", "before", "estimate", "95 % interval", "status"), rows))
+    own = [(e["name"], Path(e["log"]).name, amount(e["value"], e["unit"], 5)) for e in fitted.record["per_log"]]
+    say(*(table(("parameter", "log", "estimate"), own) if own else []))
     for name, p in fitted.record["parameters"].items():
         if p["profile"]:
             ends = ("open" if end is None else amount(end, p["unit"], 4) for end in p["profile"]["ci95"])
