@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.core.units import factor
 from cosim.files import csv_source
+from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.logs import MOVING, fly, measured, times, write_log
@@ -91,6 +93,79 @@ def test_the_way_a_program_ends_its_lines_does_not_matter(tmp_path: Path) -> Non
     assert a.outputs["psi"].tolist() == b.outputs["psi"].tolist()
 
 
+def spreadsheet(path: Path, text: str) -> Path:
+    """Write a CSV text as an Excel file."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    header, *rows = text.splitlines()
+    book.active.append(header.split(","))
+    for row in rows:
+        time, *cells = row.split(",")
+        since = datetime.timedelta(seconds=float(time))
+        begin = datetime.datetime(2026, 3, 1, 12)
+        book.active.append([begin + since, *map(float, cells)])
+    book.save(path)
+    return path
+
+
+PLAIN = HEADER + "\n" + ROWS
+TIMED = [line.partition(",") for line in ROWS.splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        (PLAIN, 0),
+        (PLAIN.replace(",", ";"), 1),
+        (PLAIN.replace(",", "\t"), 1),
+        (PLAIN.replace(",", "|"), 1),
+        ("\ufeff" + PLAIN.replace(",", ";").replace(".", ","), 1),
+        (PLAIN.replace(",", "\t").replace(".", ","), 1),
+        ("\n".join(";".join(f'"{cell}"' for cell in line.split(",")) for line in PLAIN.replace(".", "·").splitlines())
+         .replace("·", ",") + "\n", 1),
+        ("," + HEADER + "\n" + "".join(f"{k},{line}\n" for k, line in enumerate(ROWS.splitlines())), 1),
+        (HEADER.replace("time", "Zeit [s]") + "\n" + ROWS, 1),
+        (HEADER.replace("time", "timestamp [ms]") + "\n" + ROWS.replace("0.02,", "20,").replace("0.04,", "40,"), 1),
+        (HEADER.replace("time", "t") + "\n" + ROWS, 1),
+        (HEADER.replace("time", "stamp") + "\n" + ROWS, 1),  # the first that increases
+        (HEADER + "\n" + "".join(f"2026-03-01T12:00:{t:0>5},{rest}\n" for t, _, rest in TIMED), 1),
+        (HEADER + "\n" + "".join(f"01.03.2026 12:00:{t:0>5},{rest}\n" for t, _, rest in TIMED), 1),
+        (HEADER + "\n" + "".join(f"2026-03-01 12:00:{t:0>5}+01:00,{rest}\n" for t, _, rest in TIMED), 1),
+    ],
+)  # fmt: skip
+def test_logs_are_read_as_people_have_them(tmp_path: Path, text: str, count: int) -> None:
+    wanted, log = read(tmp_path / "plain.csv", PLAIN), read(tmp_path / "a.csv", text)
+    assert log.time.tolist() == pytest.approx(wanted.time.tolist(), abs=1e-9)
+    for name in wanted.inputs:
+        assert log.inputs[name].tolist() == wanted.inputs[name].tolist()
+    for name in wanted.outputs:
+        assert log.outputs[name].tolist() == wanted.outputs[name].tolist()
+    assert len(log.assumed) == count
+    assert sum(f.kind == "assumed" for f in gate(log)) == count
+
+
+def test_a_sheet_of_excel_is_a_log_and_several_tables_are_refused(tmp_path: Path) -> None:
+    wanted = read(tmp_path / "plain.csv", PLAIN)
+    path = spreadsheet(tmp_path / "a.xlsx", PLAIN)
+    log = read_log(path, INPUTS, OUTPUTS)
+    assert log.time.tolist() == pytest.approx(wanted.time.tolist(), abs=1e-6)
+    assert log.outputs["psi"].tolist() == wanted.outputs["psi"].tolist()
+    assert len(log.assumed) == 1
+    openpyxl = pytest.importorskip("openpyxl")
+    for several in ("sheet", "below"):
+        book = openpyxl.load_workbook(path)
+        if several == "sheet":
+            book.create_sheet("other").append(["x"])
+        else:
+            book.active["A8"] = "x"
+        book.save(tmp_path / f"{several}.xlsx")
+        with pytest.raises(InputError):
+            read_log(tmp_path / f"{several}.xlsx", INPUTS, OUTPUTS)
+    (tmp_path / "torn.xlsx").write_bytes(path.read_bytes()[:900])
+    with pytest.raises(InputError):
+        read_log(tmp_path / "torn.xlsx", INPUTS, OUTPUTS)
+
+
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -102,7 +177,8 @@ def test_the_way_a_program_ends_its_lines_does_not_matter(tmp_path: Path) -> Non
         (HEADER.replace(",tilt_left", "") + "\n0,6,6,0,0,0\n1,6,6,0,0,0\n", ":1:1"),
         (HEADER.replace("psi,psi_dot", "spsi,psidot") + "\n" + ROWS, ":1:1"),
         (HEADER.replace("psi_dot", "psi") + "\n" + ROWS, ":1:7"),
-        (HEADER.replace("time", "tiem") + "\n" + ROWS, ":1:1"),
+        (HEADER.replace("time", "tiem") + "\n" + ROWS.replace("0.04,", "0.01,"), ":1:1"),
+        (HEADER.replace("time", "t").replace("psi,", "zeit,") + "\n" + ROWS, ":1:6"),
         (HEADER.replace("psi_dot", "psi_dot [m]") + "\n" + ROWS, ":1:7"),
         (HEADER.replace("time", "time [V]") + "\n" + ROWS, ":1:1"),
         (HEADER + "\n" + ROWS.replace("0.04,", "0.02,"), ":4:1"),
@@ -119,7 +195,9 @@ def test_the_way_a_program_ends_its_lines_does_not_matter(tmp_path: Path) -> Non
         (HEADER + "\n" + ROWS + "1e300,6.4,6.4,0.1,0.1,0,0\n", ":5:1"),
         (HEADER + "\n0,6,6,0,0,1,nan\n0.1,6,6,0,0,1,\n", ":1:7"),
         (HEADER.replace(",psi,psi_dot", "") + "\n0,6,6,0,0\n1,6,6,0,0\n", ":1:1"),
-        ((HEADER + "\n" + ROWS).replace(",", ";"), ":1:1"),
+        ((HEADER + "\n" + ROWS + "1.000,06,6,6,0,0,0,0\n").replace(",", ";").replace("1.000;06", "1.000,06"), ":5:1"),
+        ((HEADER + "\n" + ROWS).replace(",", ";").replace("0.02;", "0.02,"), ":3:1"),
+        ((HEADER + "\n" + ROWS).replace(",", "  "), ":1:1"),
         ((HEADER + "\n" + ROWS).encode("utf-16"), ":1:1"),
         ((HEADER + "\n" + ROWS).encode() + b"0.06,6,6,0,0,\xff,0\n", ":5:1"),
     ],

@@ -51,7 +51,6 @@ def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("time|u|y\n0|1|2\n1|2|3\n", "cells are separated by vertical bars"),
         ("time  u  y\n0  1  2\n1  2  3\n", "cells are separated by blanks"),
         ("0,1,2\n1,2,3\n2,3,4\n", "the file has no header: write the names of the columns into the first line"),
         ("time,u\n0,6_3\n1,2\n", ':2:2: "6_3" in column u is no number'),

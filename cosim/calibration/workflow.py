@@ -158,6 +158,7 @@ def fit(
             raise stop
         hold_stops()
         record = write_record(request, estimate, parts, fixed, time.monotonic() - begin)
+        record.notes += [f"{log.path.name}: {text}" for log in read for text in log.assumed]
         if request.unused:
             unused = f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"
             record.warnings.insert(0, unused)

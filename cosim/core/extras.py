@@ -14,6 +14,7 @@ EXTRAS = {  # library → extra that installs it
     "SALib": "sweep",
     "distributed": "dask",
     "h5py": "hdf5",
+    "openpyxl": "excel",
     "pandas": "sweep",
     "ziglang": "native",
 }

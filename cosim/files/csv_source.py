@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from array import array
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,10 +16,12 @@ from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError
 from cosim.core.text import counted
 from cosim.files.files import atomic_write, open_bytes
-from cosim.files.table import SHOWN_FAULTS, Column, Source, Table, number_of, split_heading
+from cosim.files.table import DECIMAL_COMMA, Column, Source, Table, number_of, split_heading
 
 MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
 CHUNK = 1000  # rows written at a time
+THOUSANDS = re.compile(r"(?<![\d.,])\d{1,3}(?:[.'’ ]\d{3})+,\d+|(?<![\d.,])\d{1,3}(?:,\d{3})+\.\d+")
+NO_DECIMAL = re.compile(r"(?<!\d),|,(?!\d)")  # a comma that is no decimal comma
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 
 
@@ -41,16 +44,20 @@ class Csv(Source):
         message = ""
         if any("\0" in cell for cell in header):
             message = "is a binary file, or text of another encoding; save it as plain CSV, UTF-8"
-        elif mark:
-            message = f"cells are separated by {SEPARATORS[mark]}; separate them with commas, decimals with a point"
+        elif mark == " ":
+            message = "cells are separated by blanks; separate them with commas, semicolons or tabs"
         if message:
             raise InputError([Fault(path, line, 1, message)])
+        assumed: tuple[str, ...] = ()
+        if mark:
+            content, decimals = _with_commas(path, content, mark, line)
+            assumed = (f"cells are separated by {SEPARATORS[mark]}{decimals}",)
         headings = [split_heading(cell, names) for cell in header]
         if header and not text and (columns := _numbers(content, line, headings)) is not None:
-            return Table(columns, range(line + 1, line + 1 + len(columns[0].values)), line)
+            return Table(columns, range(line + 1, line + 1 + len(columns[0].values)), line, assumed=assumed)
         faults, by_column, lines = _texts(path, content, len(header), line)
-        columns = [_column(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)]
-        return Table(columns, lines, line, faults)
+        columns = [cells_of(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)]
+        return Table(columns, lines, line, faults, assumed)
 
     def column_names(self, path: Path) -> list[str]:
         """Return the names in the header."""
@@ -103,6 +110,32 @@ def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
     return header, line, ""
 
 
+def _with_commas(path: Path, content: bytes, mark: str, header: int) -> tuple[bytes, str]:
+    """Return a file with cells separated by commas and decimals by points, and what that says of its decimals.
+
+    Raises:
+        InputError: A number has separators of thousands.
+    """
+    text = content.decode("utf-8-sig", errors="surrogateescape")
+    head, body = "", text
+    for _ in range(header):
+        line, end, body = body.partition("\n")
+        head += line + end
+    if (found := THOUSANDS.search(body)) is not None:
+        line_of = header + 1 + body[: found.start()].count("\n")
+        message = f"{found[0].strip()} has a separator of thousands; write numbers without one"
+        raise InputError([Fault(path, line_of, 1, message)])
+    has_comma = any(DECIMAL_COMMA.fullmatch(cell.strip()) for cell in re.split(f"[\n{re.escape(mark)}]", body))
+    if '"' not in body and not (has_comma and NO_DECIMAL.search(body)) and (has_comma or "," not in body):
+        body = body.replace(",", ".").replace(mark, ",")
+    else:
+        rows, written = csv.reader(io.StringIO(body, newline=""), delimiter=mark), io.StringIO()
+        cells = ([c.replace(",", ".") if DECIMAL_COMMA.fullmatch(c.strip()) else c for c in row] for row in rows)
+        csv.writer(written, lineterminator="\n").writerows(cells)
+        body = written.getvalue()
+    return (head + body).encode(errors="surrogateescape"), ", decimals have a comma" if has_comma else ""
+
+
 # -- all cells at once ----------------------------------------------------------------------------
 
 
@@ -134,13 +167,13 @@ def _numbers(content: bytes, header: int, headings: Sequence[tuple[str, str]]) -
         columns = [Column(*pair, column) for pair, column in zip(headings, values, strict=True)]
         if digits:  # Only their text shows whether they are integers.
             for k, column in zip(digits, read(digits, string()).columns, strict=True):
-                columns[k] = _column(*headings[k], column.to_pylist(), is_text=False)
+                columns[k] = cells_of(*headings[k], column.to_pylist(), is_text=False)
     except ArrowInvalid:  # a cell without a number, or a row of another length
         return None
     return columns
 
 
-def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Column:
+def cells_of(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Column:
     """Return a column of cells: integers, doubles, or texts if a cell is no number."""
     numbers = [] if is_text else [number_of(cell) for cell in cells]
     if is_text or None in numbers:
@@ -166,7 +199,7 @@ def _texts(
         header: Line of the header, whose cells are `width`.
     """
     faults: list[Fault] = []
-    misfits = 0
+    misfits = list[tuple[int, int]]()  # lines and numbers of cells
     lines, rows = array("q"), list[list[str]]()
     try:
         text = content.decode("utf-8-sig")
@@ -183,19 +216,16 @@ def _texts(
                 lines.append(reader.line_num)
                 rows.append(row)
                 continue
-            misfits += 1
-            if misfits > SHOWN_FAULTS:
-                continue
-            cure = "delete the row, or leave cells empty where nothing was measured"
-            if len(row) == 2 * width:
-                cure = "is each number cut in two by a decimal comma? Write a point"
-            message = f"has {counted(len(row), 'cell')}, the header {width}; {cure}"
-            faults.append(Fault(path, reader.line_num, 1, message))
+            misfits.append((reader.line_num, len(row)))
     except csv.Error as error:
         faults.append(Fault(path, reader.line_num, 1, f"is not CSV: {error}"))
-    if misfits > SHOWN_FAULTS:
-        further = counted(misfits - SHOWN_FAULTS, "further row")
-        faults.append(Fault(path, 0, 0, f"faults in {further}; correct the first ones"))
+    if misfits:
+        line, count = misfits[0]
+        cure = "delete the row, or leave cells empty where nothing was measured"
+        if count == 2 * width:
+            cure = "is each number cut in two by a decimal comma? Write a point"
+        further = f" ({counted(len(misfits) - 1, 'further row')} likewise)" if len(misfits) > 1 else ""
+        faults.append(Fault(path, line, 1, f"has {counted(count, 'cell')}, the header {width}; {cure}{further}"))
     if not width and not faults:
         faults.append(Fault(path, 1, 1, "is empty; the first line names the columns"))
     return faults, [*zip(*rows, strict=True)] if rows else [()] * width, lines

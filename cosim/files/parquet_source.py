@@ -113,6 +113,7 @@ def _order(schema: Any) -> list[int]:
 
 
 def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
+    import pyarrow as pa
     from pyarrow import types
 
     if types.is_dictionary(column.type):
@@ -124,6 +125,9 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
         return Column(name, unit, values, is_text=not is_whole)
     if types.is_binary(kind) or types.is_large_binary(kind) or types.is_fixed_size_binary(kind):
         return Column(name, unit, [(value or b"").hex() for value in column.to_pylist()], is_text=True)
+    if types.is_timestamp(kind):
+        column = column.cast(pa.timestamp("us", kind.tz), safe=False)
+        return Column(name, unit, ["" if value is None else value.isoformat() for value in column.to_pylist()])
     if is_whole and not column.null_count:
         return Column(name, unit, plain_numbers(column.to_numpy()))
     if not (is_whole or types.is_floating(kind) or types.is_null(kind)):

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,18 @@ OWN = (
     "cosim.files.parquet_source:PARQUET",
     "cosim.files.matrix_sources:MAT",
     "cosim.files.matrix_sources:HDF5",
+    "cosim.files.excel_source:EXCEL",
 )
 HEAD = 64  # bytes examined to detect a format
-SHOWN_FAULTS = 5  # faults of cells that are shown for a file; the rest are counted
+SHOWN_FAULTS = 20  # faults that are shown for a file; the rest are counted
 MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square a double holds
 FLOAT_RESOLUTION_S = 1e-6  # spacing of doubles from which equal times are due to their size
+TIMES = {  # other usual names of the time
+    *("t", "timestamp", "time stamp", "time_stamp", "datetime", "date time", "date", "elapsed", "seconds"),
+    *("zeit", "zeitstempel", "datum", "temps", "tiempo", "tempo", "tijd"),
+}
+INDICES = ("", "index", "unnamed: 0", "row", "nr", "no")  # names of a column that numbers the rows
+DAY_FIRST = re.compile(r"\d\d\.\d\d\.\d{4}")  # 24.12.2026 18:00:00
 INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # end of a name like p.e[1]; a unit follows a blank or is not numeric
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
@@ -83,15 +91,15 @@ class Table:
         lines: Line of each row; empty in formats without lines.
         header: Line of the header; 0 in formats without lines.
         faults: Faults after which rows are missing.
-        first: Name of the first column in the file, and `spoiled`: names of columns with a cell without a finite
-            number that were left out; set by `read_table`.
+        assumed: What was assumed to read the file, in words.
+        spoiled: Names of columns with a cell without a finite number that were left out; set by `read_table`.
     """
 
     columns: Sequence[Column] = ()
     lines: Sequence[int] = ()
     header: int = 0
     faults: Sequence[Fault] = ()
-    first: str = ""
+    assumed: tuple[str, ...] = ()
     spoiled: Sequence[str] = ()
 
     @property
@@ -174,7 +182,7 @@ class Source:
 
 
 class Faults:
-    """Faults of a file: all faults of its header, and the first ones of its cells.
+    """Faults of a file; those of one kind in many cells of a column are one, at the first cell.
 
     Attributes:
         header: Line of the header.
@@ -185,8 +193,6 @@ class Faults:
         self.path, self.header = path, 0
         self.items: list[Fault] = []
         self.faulty: set[int] = set()
-        self._cells: list[Fault] = []
-        self._count = 0
 
     def note(self, line: int, cell: int, message: str) -> None:
         """Note a fault; line and cell count from 1, 0 means the file."""
@@ -200,18 +206,15 @@ class Faults:
         """
         if len(rows):
             self.faulty.add(cell)
-        self._count += len(rows)
-        self._cells += [Fault(self.path, lines[row], cell, message(row)) for row in rows[:SHOWN_FAULTS].tolist()]
+            further = f" ({counted(len(rows) - 1, 'further cell')} of this column likewise)" if len(rows) > 1 else ""
+            self.note(lines[rows[0]], cell, f"{message(int(rows[0]))}{further}")
 
     def raise_any(self) -> None:
         """Raise InputError if any fault was noted."""
-        of_rows = [fault for fault in self.items if fault.line > self.header]
-        whole = [fault for fault in self.items if fault.line <= self.header]
-        shown = sorted([*of_rows, *self._cells], key=lambda fault: (fault.line, fault.column))[:SHOWN_FAULTS]
-        more = len(of_rows) + self._count - len(shown)
-        if more:
-            whole.append(Fault(self.path, 0, 0, f"faults in {counted(more, 'further cell')}; correct the first ones"))
-        refuse([*whole, *shown])
+        items = sorted(self.items, key=lambda fault: (fault.line, fault.column))
+        if (more := len(items) - SHOWN_FAULTS) > 0:
+            items = [*items[:SHOWN_FAULTS], Fault(self.path, 0, 0, f"{counted(more, 'further fault')} below")]
+        refuse(items)
 
 
 # -- reading --------------------------------------------------------------------------------------
@@ -242,7 +245,7 @@ def read_table(
     description: str,
     *,
     names: Container[str] = (),
-    times: Collection[str] = (),
+    times: Collection[str] | None = None,
     jumps: bool = False,
 ) -> Table | None:
     """Return the columns that a caller wants, as numbers in the wanted units, and note all faults.
@@ -251,27 +254,30 @@ def read_table(
         choose: Function from a column to its use; None skips the column, perhaps with a fault.
         description: Description of the columns after time, for messages on empty files.
         names: Known names, whose brackets are not units.
-        times: Alternative names of the first column.
+        times: Names that the user gave to the time, in a table in which it may have any place and name; None: it is the
+            first column, `time`.
         jumps: Whether equal times are allowed, which are a jump.
 
     Returns:
-        None if the file has no header that can be read. If the first column is no time, which is a fault, the rest
-        follows without it.
+        None if the file has no header that can be read. If no column is the time, which is a fault, the rest follows
+        without it.
     """
     table = read_source(faults, names)
     if not table.columns:
         if not faults.items:
             faults.note(0, 0, f"has no columns; the first line of a CSV names them: time, then {description}")
         return None
-    first = table.columns[0].name
-    has_time = first in times or is_time(first)
+    table = replace(table, columns=[replace(column, cell=k) for k, column in enumerate(table.columns, 1)])
+    if times is not None:
+        table = _time_first(table, faults, times)
+    has_time = is_time(table.columns[0].name)
     if not has_time:
         note_wrong_first(faults, table)
     uses: dict[str, tuple[Use, Column]] = {}
-    for cell, column in enumerate(table.columns, 1):
-        if not has_time and (cell == 1 or is_time(column.name)):
+    for place, column in enumerate(table.columns):
+        if not has_time and (not place or is_time(column.name)):
             continue
-        column = replace(column, cell=cell, name="time" if cell == 1 else column.name)
+        column, cell = replace(column, name=column.name if place else "time"), column.cell
         if column.name in uses:
             before = uses[column.name][1].cell
             faults.note(table.header, cell, f'column "{column.name}" stands twice, first as column {before}; keep one')
@@ -287,7 +293,89 @@ def read_table(
             spoiled.append(use.name)
         else:
             columns.append(replace(column, name=use.name, values=values))
-    return replace(table, columns=columns, lines=table.row_lines, first=first, spoiled=spoiled)
+    return replace(table, columns=columns, lines=table.row_lines, spoiled=spoiled)
+
+
+def _time_first(table: Table, faults: Faults, named: Collection[str]) -> Table:
+    """Return a table with the time as first column, in seconds if it holds dates.
+
+    The time is the column that the user names, else `time`, else one with another usual name, else the first with
+    increasing numbers. Columns without a name that number the rows are left out.
+    """
+    columns = [c for c in table.columns if not (c.name.casefold() in INDICES and _counts_rows(c))]
+    assumed = list(table.assumed)
+    exact = [c for c in columns if c.name in named] or [c for c in columns if is_time(c.name)]
+    usual = [c for c in columns if c.name.casefold() in TIMES]
+    if named and not exact:
+        (wanted, *_), known = named, [c.name for c in columns]
+        message = f'has no column "{wanted}"{did_you_mean(wanted, known)} (it is to be the time)'
+        faults.note(table.header, 1, message)
+    if not exact and len(usual) > 1:
+        names = ", ".join(c.name for c in usual)
+        message = f"{names} may each be the time; say which is, as --column {usual[0].name}=time"
+        faults.note(table.header, usual[1].cell, message)
+    time = next(iter([*exact, *usual, *(c for c in columns if number_of(c.name) is None and _increases(c))]), None)
+    if time is None:
+        return replace(table, columns=columns or table.columns)
+    if time.name not in named and not (is_time(time.name) and time.cell == 1):
+        assumed.append(f"the time is column {time.cell}, {written_heading(time)}")
+    values = time.values
+    if not time.numeric and not time.fault and (found := _seconds_of_dates(time, table, faults)) is not None:
+        values, begin = found
+        assumed.append(f"times count from {begin.isoformat(sep=' ')}")
+    first = replace(time, name="time", values=values)
+    return replace(table, columns=[first, *(c for c in columns if c is not time)], assumed=tuple(assumed))
+
+
+def written_heading(column: Column) -> str:
+    """Return name and unit of a column as in a header."""
+    return f"{column.name} [{column.unit}]" if column.unit else column.name
+
+
+def _counts_rows(column: Column) -> bool:
+    """Return whether a column has the whole numbers of its rows."""
+    values = column.values
+    return isinstance(values, np.ndarray) and values.dtype.kind in "iu" and bool(np.all(np.diff(values) == 1))
+
+
+def _increases(column: Column) -> bool:
+    """Return whether a column holds increasing numbers or dates."""
+    values = column.values
+    if column.fault or len(values) < 2:
+        return False
+    if not isinstance(values, np.ndarray):
+        return all(date_of(text) is not None for text in values[:2])
+    return bool(np.all(np.diff(values.astype(np.float64)) > 0.0))
+
+
+def date_of(text: Any) -> datetime | None:
+    """Return a point in time: one of a spreadsheet, ISO 8601, or day.month.year with a time of day; None for others."""
+    if isinstance(text, datetime):
+        return text
+    cell = str(text).strip()
+    if DAY_FIRST.match(cell):
+        day, month, year = cell[:2], cell[3:5], cell[6:10]
+        cell = f"{year}-{month}-{day}{cell[10:]}"
+    with suppress(ValueError):
+        return datetime.fromisoformat(cell) if len(cell) > len("2026-01-01") else None
+    return None
+
+
+def _seconds_of_dates(column: Column, table: Table, faults: Faults) -> tuple[Array, datetime] | None:
+    """Return seconds since the first row, and that; None if the first cell is no date. Other cells are faults."""
+    dates = [date_of(text) for text in column.values]
+    begin = next(iter(dates), None)
+    if begin is None:
+        return None
+    has_zone = begin.tzinfo is not None
+    good = np.array([d is not None and (d.tzinfo is not None) == has_zone for d in dates])
+    seconds = [(d - begin).total_seconds() if is_good and d else 0.0 for d, is_good in zip(dates, good, strict=True)]
+
+    def message(row: int) -> str:
+        return f'"{str(column.values[row]).strip()[:40]}" is no time stamp like {str(column.values[0]).strip()[:40]}'
+
+    faults.note_cells(np.flatnonzero(~good), table.row_lines, column.cell, message)
+    return np.where(good, seconds, np.nan), begin
 
 
 def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps: bool = False) -> Array | None:
@@ -324,11 +412,12 @@ def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps:
             return f'"{text}" in column {use.name} has a decimal comma: write a point'
         return f'"{text}" in column {use.name} is {"not finite" if infinite[row] else "no number"}; {cure}'
 
-    faults.note_cells(np.flatnonzero(wrong | infinite | missing), lines, cell, message)
+    for kind in (wrong, infinite, missing):
+        faults.note_cells(np.flatnonzero(kind), lines, cell, message)
     values[infinite] = np.nan
     scaled: Array = values * use.factor
     if use.name == "time":
-        _check_times(scaled, lines, faults, jumps=jumps)
+        _check_times(scaled, lines, cell, faults, jumps=jumps)
         return scaled
     return scaled + use.offset if use.offset else scaled  # Without offset, a negative zero keeps its sign.
 
@@ -343,11 +432,11 @@ def number_of(text: str) -> float | None:
         return None
 
 
-def _check_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: bool) -> None:
+def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *, jumps: bool) -> None:
     """Note times that are too large or do not increase."""
     cure = "too large to count differences of times; write seconds, or leave the row out"
     large = np.abs(time) > MOST_TIME
-    faults.note_cells(np.flatnonzero(large), lines, 1, lambda row: f"time is {time[row]:g} s, {cure}")
+    faults.note_cells(np.flatnonzero(large), lines, cell, lambda row: f"time is {time[row]:g} s, {cure}")
     rows = np.flatnonzero(np.isfinite(time) & ~large)
     steps = np.diff(time[rows])
     late = np.flatnonzero(steps < 0.0 if jumps else steps <= 0.0) + 1
@@ -359,7 +448,7 @@ def _check_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: bo
             cure = f"doubles of this size are {spacing:.2g} s apart: subtract the first time from all before writing"
         return f"time {time[row]:g} s does not increase, {before[row]:g} s stands before it; {cure}"
 
-    faults.note_cells(rows[late], lines, 1, message)
+    faults.note_cells(rows[late], lines, cell, message)
 
 
 def note_wrong_first(faults: Faults, table: Table) -> None:

@@ -58,6 +58,7 @@ def gate(
         findings += input_unit_findings(log, starts, traits.bounds if traits else {})
     if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
         findings = [f for f in findings if f.kind != "scale"]
+    findings += [Finding("note", "assumed", "", text) for text in log.assumed]
     findings += [Finding("warning", "undeclared", name, text) for name, text in log.undeclared.items()]
     for name, hint in log.unread.items():
         if hint:

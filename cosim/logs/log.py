@@ -53,6 +53,7 @@ class Log:
         units: Name → unit of the model, else the header's unit in SI.
         written: Name → unit in the header, "" without one.
         undeclared: Signal without a unit in the model, but with one in the header → message.
+        assumed: What was assumed to read the file, in words.
         step: Usual time between rows [s], see `usual_step`.
         unwrapped: Angle → times of removed jumps by a turn [s].
         header: Line of the column names in the file.
@@ -73,6 +74,7 @@ class Log:
     called: Mapping[str, str] = field(default_factory=dict)
     undeclared: Mapping[str, str] = field(default_factory=dict)
     cells: Mapping[str, int] = field(default_factory=dict)  # column in the header by signal, from 1
+    assumed: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -164,7 +166,7 @@ def read_log(
 
     def use(column: Column) -> Use | None:
         """Return the conversion of a column to the model's unit, None for unread columns."""
-        is_time, name = column.cell == 1, columns.get(column.name, column.name)
+        is_time, name = column.name == "time", columns.get(column.name, column.name)
         written = name if declare else column.name
         cells.setdefault(written, column.cell)
         if declare and not is_time:
@@ -231,6 +233,7 @@ def read_log(
         dict(columns),
         undeclared,
         {column.name: column.cell for column in table.columns},
+        table.assumed,
     )
 
 
@@ -249,10 +252,8 @@ def _check_header(
     line, signals = table.header, {**inputs, **outputs}
     for column, name in renamings.items():
         if name == "time":
-            if column != table.first:
-                message = f'"{column}" is to be the time, which is the first column, "{table.first}"'
-                faults.note(line, 1, message)
-        elif name not in signals:
+            continue
+        if name not in signals:
             cure, names = did_you_mean(name, signals), name_list(signals)
             faults.note(line, 1, f'"{column}" is to be {name}, which the model does not have{cure} (it has {names})')
         elif column not in cells and (alone or name not in table):

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
-from cosim.core.messages import with_prefix
+from cosim.core.messages import Note, with_prefix
 from cosim.core.registry import BASE
 from cosim.core.text import counted, did_you_mean, plain
 from cosim.core.units import has_unit, read_quantity
@@ -396,6 +396,7 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
+        warnings += [Note(f"{name}: {text}") for text in log.assumed]
         if count := len(parts) - len(usable):
             warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
         logs += usable if part == "estimation" else []

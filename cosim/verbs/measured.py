@@ -45,7 +45,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     assert replayed.folder is not None  # a command writes
     comparison, place, page = replayed.comparison, replayed.folder, replayed.folder / "report.html"
     for finding in comparison.findings:
-        if finding.severity == "warning":
+        if finding.severity == "warning" or finding.kind == "assumed":
             echo(finding.line, err=True)
     say(verdict(comparison))
     rows = []
