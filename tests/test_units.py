@@ -46,6 +46,16 @@ def test_a_unit_is_what_its_symbols_make(written: str, exponents: dict[str, int]
     assert unit.factor == pytest.approx(size, rel=1e-15)  # one or two roundings
 
 
+@pytest.mark.parametrize("one", ["rpm", "U/min", "1/min", "min-1", "rev/min"])
+@pytest.mark.parametrize("other", ["rpm", "U/min", "1/min", "min-1", "rev/min"])
+def test_turns_per_minute_are_one_unit_however_they_are_written(one: str, other: str) -> None:
+    assert factor(one, other) == pytest.approx(1.0, rel=1e-12)
+    assert factor(one, "rad/s") == pytest.approx(math.pi / 30.0, rel=1e-12)
+    assert factor("rad/s", one) == pytest.approx(30.0 / math.pi, rel=1e-12)
+    assert factor("1/s", "rad/s") is None
+    assert factor("1/min", "Hz") == pytest.approx(1.0 / 60.0)
+
+
 @pytest.mark.parametrize(
     ("one", "other"),
     [

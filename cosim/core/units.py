@@ -32,7 +32,7 @@ TABLE = """
 m: m mm=1e-3 cm=1e-2 km=1e3 um=1e-6 µm=1e-6 in=0.0254
 s: s ms=1e-3 us=1e-6 µs=1e-6 ns=1e-9 min=60 h=3600
 kg: kg g=1e-3 mg=1e-6 t=1e3
-rad: deg=0.017453292519943295 °=0.017453292519943295 rad mrad=1e-3 rev=6.283185307179586
+rad: deg=0.017453292519943295 °=0.017453292519943295 rad mrad=1e-3 rev=6.283185307179586 U=6.283185307179586
 rad/s: rpm=0.10471975511965977
 1/s: Hz kHz=1e3 MHz=1e6
 kg.m/s2: N mN=1e-3 kN=1e3 gf=0.00980665 kgf=9.80665
@@ -61,6 +61,7 @@ TOKEN = re.compile(r"(1|%|°[CF]?|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # A unit that begins with a digit (1/min) needs a blank before it.
 QUANTITY = re.compile(rf"({NUMBER})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
+PER_TIME, ROTATION = {"s": -1}, {"rad": 1, "s": -1}  # `1/min` of a speed of rotation counts turns, as rpm does
 NO_DEFINITIONS: Mapping[str, Sequence[float]] = MappingProxyType({})
 AMBIGUOUS = "may be gram or standard gravity", "; write kg, or m/s2"  # of g
 STANDARD_GRAVITY = 9.80665  # [m/s²]
@@ -155,7 +156,14 @@ def conversion(
     )
     if written == "g" and there is not None and there.exponents == {"m": 1, "s": -2}:
         return Conversion(STANDARD_GRAVITY / there.factor)  # of an accelerometer: standard gravity, never gram
-    if here is None or there is None or here.exponents != there.exponents:
+    if here is None or there is None:
+        return None
+    if sorted((here.exponents, there.exponents), key=len) == [PER_TIME, ROTATION]:
+        (per_time,) = (unit for unit in (here, there) if unit.exponents == PER_TIME)
+        if not math.isclose(per_time.factor, 1.0 / 60.0):
+            return None
+        return Conversion((2.0 * math.pi if here is per_time else 0.5 / math.pi) * here.factor / there.factor)
+    if here.exponents != there.exponents:
         return None
     offset = 0.0 if difference else (here.offset - there.offset) / there.factor
     return Conversion(here.factor / there.factor, offset)
