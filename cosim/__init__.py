@@ -20,6 +20,10 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     if name == "__all__":
         return list(_functions())
+    if name == "__version__":
+        from cosim.core.version import __version__
+
+        return __version__
     if name.startswith("_") or (place := _functions().get(name)) is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from cosim.core.notebook import shows_progress

@@ -43,6 +43,7 @@ CASES = {  # verb → its words, and a file that it writes
     "gc": ("--yes", ""),
     "graph": ("run.yaml", "run.svg"),
     "schema": ("scenario", ""),
+    "doctor": ("tank.fmu", ""),
     "linearize": ("tank.py:Tank --at level=1,inflow=0.02", "results/Tank-linear/0001/linear.json"),
     "consistency": ("--runs 2 --steps 100 --no-report", "results/consistency/0001/consistency.json"),
     "sweep": ("sweep.yaml --workers 1 --force", "results/areas/0001/sweep.json"),

@@ -44,6 +44,7 @@ GROUPS = {  # groups and verbs in the order of `cosim -h`: name → module of it
         "open": ("results", ""),
         "view": ("results", ""),
         "gc": ("results", ""),
+        "doctor": ("checks", ""),
         "linearize": ("checks", "cosim.linearization.workflow:linearize"),
     },
     "Measured data": {

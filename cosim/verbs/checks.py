@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from cosim.simulation.report.system_diagram import Graph
 
 
+LIBRARIES = ("fmpy", "numpy", "scipy", "control", "pyarrow", "sympy", "pythonfmu")  # whose versions are shown
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
 MOST_LINES = 200  # printed without --json
 SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
@@ -444,6 +446,47 @@ def linearize_command(*, open: bool = False, json: bool = False, **given: Any) -
     report = f"; report: {page}" if page.is_file() else ""
     say(f"linear model: {given['out'] / 'linear.json'}, linear.mat, linear.py{report}")
     show(page, open)
+
+
+def doctor_command(fmus: list[ModelName] | None = None, *, json: bool = False) -> None:
+    """Show what this installation can do: versions, compiler, extras, and whether FMUs run on this machine.
+
+    Args:
+        fmus ([FMU]): FMUs whose platforms are compared with this machine.
+
+    Example: cosim doctor motor.fmu
+    """
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
+    from importlib.util import find_spec
+
+    from cosim.blocks.summary import platforms_of
+    from cosim.core.extras import EXTRAS, install_command
+    from cosim.core.version import __version__
+    from cosim.fmi.description import no_library, platform_of, read_description
+    from cosim.fmi.native.compiler import compiler, cure, this_platform
+
+    versions = {"cosim": __version__, "Python": platform.python_version()}
+    for name in LIBRARIES:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    here, command = this_platform(), compiler()
+    libraries = {name: find_spec(name) is not None for name in EXTRAS}
+    machine = {"system": platform.platform(), "platform": here.name if here else platform.machine()}
+    fmus_here = dict[str, str]()
+    for fmu in fmus or ():
+        description, platforms = read_description(Path(fmu)), platforms_of(Path(fmu))
+        name = platform_of(description)
+        fmus_here[fmu] = "" if name in platforms else no_library(name, platforms)
+    if json:
+        say_json({"versions": versions, **machine, "compiler": command, "libraries": libraries, "fmus": fmus_here})
+    say(*table(("", "version"), [*versions.items()]))
+    say(*(f"{name}: {value}" for name, value in machine.items()))
+    without = f"none; {cure('refine')}"
+    say(f"C compiler: {shlex.join(command) if command else without}")
+    for name, is_there in libraries.items():
+        say(f"{name}: {'installed' if is_there else f'not installed; {install_command(EXTRAS[name])}'}")
+    say(*(f"{fmu}: {reason or 'runs on this machine'}" for fmu, reason in fmus_here.items()))
 
 
 def schema_command(kind: str) -> None:
