@@ -95,7 +95,11 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     stochastic = tuple(names.index(n) for n in random)
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
-    symbols, shaping, local = body.symbols, body.shaping, [(s.factor, s.shape, s.stages, s.slopes) for s in shapes]
+    symbols, shaping, local = (
+        body.symbols,
+        body.shaping,
+        [(s.factor, s.shape, s.sums, s.value, s.slopes) for s in shapes],
+    )
     library = _library_inputs(body)
     key = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time, library])
     key += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
@@ -207,12 +211,12 @@ def _print_functions(
     (f, g), (stochastic, x) = expressions, random
     functions = {
         "deriv": f,
-        "jacobian": [_slope(f[i], xj, shapes) for i in stochastic for xj in x],
+        "jacobian": _slopes([f[i] for i in stochastic], x, shapes),
         "measure": g,
-        "measure_jacobian": [_slope(e, xj, shapes) for e in g for xj in x],
+        "measure_jacobian": _slopes(g, x, shapes),
     }
     if stiff:
-        functions["state_jacobian"] = [_slope(e, xj, shapes) for e in f for xj in body.symbols.state]
+        functions["state_jacobian"] = _slopes(f, body.symbols.state, shapes)
     stages = _stages(shapes)
     texts = [body.function(C(), name, e, stages) for name, e in functions.items()]
     return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
@@ -246,16 +250,22 @@ def _stages(shapes: Sequence[LocalShape]) -> list[dict[Any, Any]]:
     return [dict(chain.from_iterable(s.items() for s in stage)) for stage in stages]
 
 
-def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:
-    """Return the derivative of an expression by a state, including its paths through local shapes."""
+def _slopes(rows: Sequence[Any], states: Sequence[Any], shapes: Sequence[LocalShape]) -> list[Any]:
+    """Return the derivative of each row by each state, including paths through local shapes."""
     import sympy
 
-    slope = sympy.diff(expression, by)
-    for s in shapes:
-        if by in s.slopes:
-            of_factor, of_shape = s.slopes[by]
-            slope += sympy.diff(expression, s.factor) * of_factor + sympy.diff(expression, s.shape) * of_shape
-    return slope
+    slopes = []
+    for row in rows:
+        symbols = row.free_symbols
+        through = [(sympy.diff(row, s.factor), sympy.diff(row, s.shape), s.slopes) for s in shapes]
+        for by in states:
+            slope = sympy.diff(row, by) if by in symbols else sympy.Integer(0)
+            for by_factor, by_shape, inner in through:
+                if by in inner:
+                    of_factor, of_shape = inner[by]
+                    slope += by_factor * of_factor + by_shape * of_shape
+            slopes.append(slope)
+    return slopes
 
 
 def _add_sensor_errors(body: Body, model: Model) -> None:

@@ -109,14 +109,25 @@ class LocalShape:
 
     Attributes:
         terms: Contribution to each equation, and to each reading.
+        over, bend: Symbols of ζ and of the derivative of the shape by ζ.
+        sums: Symbol of ζ and of the factor → expression.
+        value: Expression of the shape.
         slopes: Symbol of a signal → derivatives of factor and shape.
     """
 
     factor: Any
     shape: Any
+    over: Any
+    bend: Any
     terms: tuple[Any, ...]
-    stages: tuple[dict[Any, Any], ...]
+    sums: dict[Any, Any]
+    value: Any
     slopes: dict[Any, tuple[Any, Any]]
+
+    @property
+    def stages(self) -> tuple[dict[Any, Any], ...]:
+        """Return the stages computed first; derived here because printing alone needs the derivative of the shape."""
+        return self.sums, {self.shape: self.value, self.bend: self.value.diff(self.over)}
 
 
 def local_shape(
@@ -136,7 +147,7 @@ def local_shape(
     weights = {role: {z: number(f"{LOCAL}.{slot}.{role}.{n}") for n, z in signals.items()} for role in ROLES}
 
     def slope(role: str, x: Any) -> Any:
-        return sum(w * sympy.diff(z, x) for z, w in weights[role].items())
+        return sum(w * sympy.diff(z, x) for z, w in weights[role].items() if x in z.free_symbols)
 
     over, factor, shape, bend = map(symbol, ("over", "factor", "shape", "bend"))
     value = number(f"{LOCAL}.{slot}.rise") * rise(over)
@@ -146,11 +157,11 @@ def local_shape(
     return LocalShape(
         factor,
         shape,
+        over,
+        bend,
         tuple(number(f"{LOCAL}.{slot}.to.{name}") * factor * shape for name in equations),
-        (
-            {over: number(f"{LOCAL}.{slot}.of.1") + sums["of"], factor: number(f"{LOCAL}.{slot}.by.1") + sums["by"]},
-            {shape: value, bend: sympy.diff(value, over)},
-        ),
+        {over: number(f"{LOCAL}.{slot}.of.1") + sums["of"], factor: number(f"{LOCAL}.{slot}.by.1") + sums["by"]},
+        value,
         {x: (slope("by", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
     )
 

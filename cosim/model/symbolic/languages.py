@@ -211,6 +211,7 @@ def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> 
             users.setdefault(symbol, []).append(line)
     needs: dict[Any, set[int] | None] = {None: None}  # symbol of a subexpression → terms that need it; None for always
     constants: dict[frozenset[int], dict[Any, Any]] = {}  # by dormant terms
+    remaining: dict[tuple[Any, frozenset[int]], set[Any]] = {}  # symbols of an expression while terms are dormant
 
     def vanishes(symbol: Any, e: Any, dormant: frozenset[int]) -> bool:
         """Return True if an expression no longer contains a symbol while some terms are dormant."""
@@ -219,7 +220,9 @@ def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> 
             for name, line in lines:
                 if name is not None and (value := line.xreplace(known)).is_Number:
                     known[name] = value
-        return symbol not in e.xreplace(constants[dormant]).free_symbols
+        if (e, dormant) not in remaining:
+            remaining[e, dormant] = e.xreplace(constants[dormant]).free_symbols
+        return symbol not in remaining[e, dormant]
 
     def terms_through(target: Any, e: Any, symbol: Any) -> set[int] | None:
         """Return the terms that need a symbol in a line; None if it is always needed."""
