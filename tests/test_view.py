@@ -186,7 +186,7 @@ def test_a_changed_table_is_converted_again_and_old_conversions_are_removed(
         ("time,x\n0,1\n,2\n", "results.csv"),
         ("time,x\n", "results.csv"),
         ("x,y\n0,1\n", "results.csv"),
-        ("time;x\n0;1\n", "results.csv"),
+        ("time  x\n0  1\n", "results.csv"),
         ("", "results.csv"),
     ],
 )

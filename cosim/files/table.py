@@ -306,7 +306,7 @@ def _time_first(table: Table, faults: Faults, named: Collection[str]) -> Table:
     assumed = list(table.assumed)
     exact = [c for c in columns if c.name in named] or [c for c in columns if is_time(c.name)]
     usual = [c for c in columns if c.name.casefold() in TIMES]
-    if named and not exact:
+    if named and not any(c.name in named for c in columns):
         (wanted, *_), known = named, [c.name for c in columns]
         message = f'has no column "{wanted}"{did_you_mean(wanted, known)} (it is to be the time)'
         faults.note(table.header, 1, message)

@@ -460,10 +460,10 @@ def doctor_command(fmus: list[ModelName] | None = None, *, json: bool = False) -
     from importlib.metadata import PackageNotFoundError, version
     from importlib.util import find_spec
 
-    from cosim.blocks.summary import platforms_of
+    from cosim.blocks.summary import summaries
     from cosim.core.extras import EXTRAS, install_command
     from cosim.core.version import __version__
-    from cosim.fmi.description import no_library, platform_of, read_description
+    from cosim.fmi.description import no_library
     from cosim.fmi.native.compiler import compiler, cure, this_platform
 
     versions = {"cosim": __version__, "Python": platform.python_version()}
@@ -474,10 +474,9 @@ def doctor_command(fmus: list[ModelName] | None = None, *, json: bool = False) -
     libraries = {name: find_spec(name) is not None for name in EXTRAS}
     machine = {"system": platform.platform(), "platform": here.name if here else platform.machine()}
     fmus_here = dict[str, str]()
-    for fmu in fmus or ():
-        description, platforms = read_description(Path(fmu)), platforms_of(Path(fmu))
-        name = platform_of(description)
-        fmus_here[fmu] = "" if name in platforms else no_library(name, platforms)
+    for fmu in summaries([Path(name) for name in fmus or ()]):
+        name = here.folder(int(fmu.fmi_version[0])) if here else platform.machine()
+        fmus_here[fmu.file] = "" if name in fmu.platforms else no_library(name, fmu.platforms)
     if json:
         say_json({"versions": versions, **machine, "compiler": command, "libraries": libraries, "fmus": fmus_here})
     say(*table(("", "version"), [*versions.items()]))
