@@ -178,6 +178,7 @@ def test_a_sheet_of_excel_is_a_log_and_several_tables_are_refused(tmp_path: Path
         (HEADER.replace("psi,psi_dot", "spsi,psidot") + "\n" + ROWS, ":1:1"),
         (HEADER.replace("psi_dot", "psi") + "\n" + ROWS, ":1:7"),
         (HEADER.replace("time", "tiem") + "\n" + ROWS.replace("0.04,", "0.01,"), ":1:1"),
+        (HEADER.replace("time", "x") + "\n0,1,6,0,0,0,0\n0,2,6,0,0,0,0\n0,3,6,0,0,0,0\n", ":1:1"),  # an input increases
         (HEADER.replace("time", "t").replace("psi,", "zeit,") + "\n" + ROWS, ":1:6"),
         (HEADER.replace("psi_dot", "psi_dot [m]") + "\n" + ROWS, ":1:7"),
         (HEADER.replace("time", "time [V]") + "\n" + ROWS, ":1:1"),

@@ -21,7 +21,9 @@ class ProfileEntry(BaseModel):
     deviance: list[Finite] = Field(
         description="2·(max ln L − ln L), scaled for residuals that are not white; 3.84 at the ends of ci95"
     )
-    ci95: tuple[Finite | None, Finite | None] = Field(description="null: no end within the bounds or where it runs")
+    ci95: tuple[Finite | None, Finite | None] = Field(
+        description="null: the deviance stays below 3.84 up to the bound, or the FMU fails before"
+    )
 
 
 class ParameterEntry(BaseModel):

@@ -56,7 +56,7 @@ def deliver(
         load: Function that returns a drive of an FMU over that log, as a context.
 
     Returns:
-        How it was made, `copied`, `wrapped` or `` if there is none, and why it is not copied, or why there is none.
+        How it was made, "copied", "wrapped" or "" if there is none; why it is not copied, or why there is none.
     """
     wanted, reason = drive.run(0, drive.log.rows - 1, {**start, **values}), ""
     span = np.maximum(np.ptp(wanted, axis=0) + 1e-300, np.abs(wanted).max(axis=0))

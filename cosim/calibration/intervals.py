@@ -4,7 +4,7 @@ The estimate is θ̂ = θ + A⁻¹·Σ_t K_t'·e_t with K = J/σ², A = J'·J/σ
 autoregression e = ε/a(q), so that Σ K'·e = Σ K̃'·ε, where K̃ is K filtered backwards by 1/a. The sandwich
 A⁻¹·(Σ K̃'·S·K̃)·A⁻¹ with the covariance S of ε needs no white residuals.
 
-A profile is the deviance 2·(ln L − max ln L) over one parameter, with all others estimated anew at each value. Its
+A profile is the deviance 2·(max ln L − ln L) over one parameter, with all others estimated anew at each value. Its
 interval is not symmetric where the model is not linear in the parameter.
 """
 

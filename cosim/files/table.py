@@ -42,7 +42,7 @@ TIMES = {  # other usual names of the time
     *("t", "timestamp", "time stamp", "time_stamp", "datetime", "date time", "date", "elapsed", "seconds"),
     *("zeit", "zeitstempel", "datum", "temps", "tiempo", "tempo", "tijd"),
 }
-INDICES = ("", "index", "unnamed: 0", "row", "nr", "no")  # names of a column that numbers the rows
+NAMELESS = ("", "unnamed: 0")  # headings of a column without a name, as pandas writes and reads its index
 DAY_FIRST = re.compile(r"\d\d\.\d\d\.\d{4}")  # 24.12.2026 18:00:00
 INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # end of a name like p.e[1]; a unit follows a blank or is not numeric
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
@@ -269,7 +269,7 @@ def read_table(
         return None
     table = replace(table, columns=[replace(column, cell=k) for k, column in enumerate(table.columns, 1)])
     if times is not None:
-        table = _time_first(table, faults, times)
+        table = _time_first(table, faults, times, names)
     has_time = is_time(table.columns[0].name)
     if not has_time:
         note_wrong_first(faults, table)
@@ -296,16 +296,18 @@ def read_table(
     return replace(table, columns=columns, lines=table.row_lines, spoiled=spoiled)
 
 
-def _time_first(table: Table, faults: Faults, named: Collection[str]) -> Table:
+def _time_first(table: Table, faults: Faults, named: Collection[str], signals: Container[str]) -> Table:
     """Return a table with the time as first column, in seconds if it holds dates.
 
     The time is the column that the user names, else `time`, else one with another usual name, else the first with
-    increasing numbers. Columns without a name that number the rows are left out.
+    increasing numbers; the last two are no signals of the model. A column without a name that numbers the rows is left
+    out.
     """
-    columns = [c for c in table.columns if not (c.name.casefold() in INDICES and _counts_rows(c))]
+    columns = [c for c in table.columns if not (c.name.casefold() in NAMELESS and _counts_rows(c))]
     assumed = list(table.assumed)
     exact = [c for c in columns if c.name in named] or [c for c in columns if is_time(c.name)]
-    usual = [c for c in columns if c.name.casefold() in TIMES]
+    others = [c for c in columns if c.name not in signals]
+    usual = [c for c in others if c.name.casefold() in TIMES]
     if named and not any(c.name in named for c in columns):
         (wanted, *_), known = named, [c.name for c in columns]
         message = f'has no column "{wanted}"{did_you_mean(wanted, known)} (it is to be the time)'
@@ -314,22 +316,17 @@ def _time_first(table: Table, faults: Faults, named: Collection[str]) -> Table:
         names = ", ".join(c.name for c in usual)
         message = f"{names} may each be the time; say which is, as --column {usual[0].name}=time"
         faults.note(table.header, usual[1].cell, message)
-    time = next(iter([*exact, *usual, *(c for c in columns if number_of(c.name) is None and _increases(c))]), None)
+    time = next(iter([*exact, *usual, *(c for c in others if number_of(c.name) is None and _increases(c))]), None)
     if time is None:
         return replace(table, columns=columns or table.columns)
     if time.name not in named and not (is_time(time.name) and time.cell == 1):
-        assumed.append(f"the time is column {time.cell}, {written_heading(time)}")
+        assumed.append(f"the time is column {time.cell}, {time.name}{f' [{time.unit}]' if time.unit else ''}")
     values = time.values
     if not time.numeric and not time.fault and (found := _seconds_of_dates(time, table, faults)) is not None:
         values, begin = found
         assumed.append(f"times count from {begin.isoformat(sep=' ')}")
     first = replace(time, name="time", values=values)
     return replace(table, columns=[first, *(c for c in columns if c is not time)], assumed=tuple(assumed))
-
-
-def written_heading(column: Column) -> str:
-    """Return name and unit of a column as in a header."""
-    return f"{column.name} [{column.unit}]" if column.unit else column.name
 
 
 def _counts_rows(column: Column) -> bool:

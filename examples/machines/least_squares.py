@@ -38,7 +38,7 @@ def tanks(p: Array, x: Array, u: float) -> Sequence[Array]:
 
 
 def tanks_full(p: Array, x: Array, u: float) -> Sequence[Array]:
-    """Two tanks that overflow: the upper one partly into the lower one, the lower one at 10 V."""
+    """Two tanks in series. A part of what the upper tank spills reaches the lower one, which overflows at 10 V."""
     full, share = p[4:]
     upper, lower = tanks(p, x, u)
     over = np.where(x[0] >= full, np.maximum(upper, 0.0), 0.0)

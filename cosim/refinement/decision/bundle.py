@@ -76,7 +76,7 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
         gradients=np.stack([np.bincount(block, row, len(logs)) for row in moved], axis=1)
         if count
         else np.zeros((len(logs), 0)),
-        informations=project.T @ informations @ project,  # of a log too never negative
+        informations=project.T @ informations @ project,  # positive semidefinite for each log
         logs=logs,
         among=math.prod(c.among for c in h.candidates),
     )
