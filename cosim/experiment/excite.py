@@ -20,7 +20,7 @@ from cosim.core import registry
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
-from cosim.core.text import counted, join_names
+from cosim.core.text import counted, join_names, showing
 from cosim.estimation.posing import build_problem, coarsen
 from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
@@ -212,7 +212,8 @@ def excite(
         if report:
             from cosim.experiment.report import page
 
-            write_text(place / REPORT, page(excitation, place / "excitation.yaml"))
+            with showing({"display": question.subject.display}):
+                write_text(place / REPORT, page(excitation, place / "excitation.yaml"))
         return excitation
 
 

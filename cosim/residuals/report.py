@@ -10,7 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
+from cosim.core.text import (
+    MISSING,
+    amount,
+    counted,
+    display,
+    displayed,
+    percent,
+    plain,
+    shown_unit,
+    size,
+    split_sentence,
+)
 from cosim.core.version import __version__
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
@@ -120,9 +131,10 @@ def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
     label = "model, free run" if horizon == FREE_RUN else f"model, restarted every {horizon_name(horizon)}"
     panels = []
     for name, measured in log.outputs.items():
-        unit, factor = display(log.units[name])
-        traces = [Trace("measured", measured * factor, "estimate"), Trace(label, outputs[name] * factor, "true")]
-        panels.append(Panel(name, unit or "1", traces))
+        unit = log.units[name]
+        pairs = ("measured", measured, "estimate"), (label, outputs[name], "true")
+        traces = [Trace(text, displayed(values, unit), style) for text, values, style in pairs]
+        panels.append(Panel(name, shown_unit(unit) or "1", traces))
     return panels
 
 

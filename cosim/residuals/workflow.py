@@ -19,7 +19,7 @@ from cosim.core.errors import DiskFull, SimulationError, Terminated, stop_error
 from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, column_names, texts
-from cosim.core.text import as_yaml, join_names
+from cosim.core.text import as_yaml, join_names, showing
 from cosim.files.files import (
     FilePath,
     check_writable,
@@ -42,6 +42,7 @@ from cosim.files.folders import (
 from cosim.files.results import Results, rows_name
 from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import ANSWER, folder_of
+from cosim.fmi.description import display_units, read_description
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
@@ -118,6 +119,7 @@ def replay(
             worker.start()  # The worker starts while files are read.
         scratch = stack.enter_context(temporary_folder("replay"))
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
+        stack.enter_context(showing({"display": display_units([read_description(driven)])}))
         names = read_column_names(column_names(columns), path)
         comparison = write_replay(
             place,
@@ -199,6 +201,7 @@ def write_replay(
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
             content = {"schema_version": SCHEMA_VERSION, **sources, "sentence": verdict(comparison), "units": units}
+            content["display"] = display_units([drive.description])
             write_json(folder / REPLAY, content, indent=1)
             if proposed and not claimed and not all(c.is_explained for c in comparison.channels):
                 write_text(folder / NEXT_STUDY, proposed)

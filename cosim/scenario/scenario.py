@@ -364,6 +364,8 @@ class Scenario(Part):
     limits:      limits on time and memory of a run
     checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` goes on
     pace:        simulated seconds per second: 1 for real time; by default as fast as possible
+    display:     unit → unit in which reports, tables and charts show it; by default the display unit of the FMUs.
+        Files keep declared units
     """
 
     name: str
@@ -395,6 +397,7 @@ class Scenario(Part):
     limits: Limits | None = None
     checkpoint: PositiveSeconds | None = None
     pace: Positive | None = None
+    display: dict[str, str] = Field(default_factory=dict)
 
     @property
     def control(self) -> StepControl | None:

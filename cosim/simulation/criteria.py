@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, far_beyond
+from cosim.core.text import append_unit, display
 from cosim.core.times import roundings
 from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
@@ -59,8 +60,9 @@ def sentence(outcome: dict[str, Any]) -> str:
     """Return the sentence on a criterion for the terminal."""
     verdict = "met" if outcome["met"] else "MISSED"
     sizes = math.inf if outcome["value"] is None else outcome["value"], outcome["max"]
+    unit, factor = display(outcome["unit"])
     for digits in range(DIGITS, MOST_DIGITS):
-        value, limit = (f"{size:.{digits}g} {outcome['unit']}".rstrip() for size in sizes)
+        value, limit = (append_unit(f"{size * factor:.{digits}g}", unit) for size in sizes)
         if value != limit:
             break
     value = "never" if outcome["value"] is None else value

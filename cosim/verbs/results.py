@@ -115,6 +115,8 @@ def compare_command(
     """
     from cosim.comparison.differences import Compared
     from cosim.comparison.several import compare as compare_runs
+    from cosim.comparison.several import displays
+    from cosim.core.text import showing
 
     if absolute and tolerance is None:
         tolerance = 0.0
@@ -130,10 +132,12 @@ def compare_command(
     )
     if isinstance(comparison, Compared):
         warn(*comparison.a.warnings, *comparison.b.warnings)
-        lines = _lines(comparison)
+        with showing(*displays(comparison)):
+            lines = _lines(comparison)
     else:
         warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
-        lines = _lines_of_several(comparison)
+        with showing(*displays(comparison)):
+            lines = _lines_of_several(comparison)
     if json:
         say_json(comparison.as_json())
     say(lines[0], met=comparison.same if comparison.judged else None)

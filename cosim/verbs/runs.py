@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.core.errors import CriterionMissed
 from cosim.core.settings import Port
+from cosim.core.text import displayed, showing, shown_unit
 from cosim.files.folders import NUMBERED
 from cosim.verbs.cli import OUTPUT, echo, live_page, progress_bar, say, say_json, show, table, warn
 
@@ -69,6 +70,8 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     assert run.folder is not None  # a command writes
     rows, warnings, timings = rows_in(run.folder), run.manifest["warnings"], run.manifest["timings"]
     warn(*warnings)
+    with showing(run.manifest):
+        sentences = [(sentence(criterion), criterion["met"]) for criterion in run.criteria]
     if OUTPUT.as_json:
         say_json(
             {
@@ -85,8 +88,8 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
             }
         )
     say(*lines)
-    for criterion in run.criteria:
-        say(sentence(criterion), met=criterion["met"])
+    for text, met in sentences:
+        say(text, met=met)
     if OUTPUT.verbose:
         speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
         order = f"order: {', '.join(run.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}"
@@ -96,7 +99,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
         say(f"report:  {run.report}")
         show(run.report, opens)
     if run.missed:
-        details = ": " + "; ".join(map(sentence, run.missed)) if OUTPUT.quiet or OUTPUT.as_json else ""
+        details = ": " + "; ".join(text for text, met in sentences if not met) if OUTPUT.quiet or OUTPUT.as_json else ""
         raise CriterionMissed(f"{len(run.missed)} of {len(run.criteria)} criteria missed{details}")
 
 
@@ -123,11 +126,13 @@ def simulate_command(*, open: bool = False, json: bool = False, **given: Any) ->
         made = simulate(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
     lines, results = [f"scenario: {made.folder}/scenario.yaml (change it, and `cosim run` it)"], made.results
     shown = results.columns[:MAX_PRINTED] if len(made) else ()
-    rows = [
-        (f"  {name}", made.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max())))
-        for name in shown
-        for v in [results[name]]
-    ]
+    rows = []
+    with showing(made.manifest):
+        for name in shown:
+            unit = made.units.get(name, "")
+            values = displayed(results[name], unit)
+            ends = values[0], values[-1], values.min(), values.max()
+            rows.append((f"  {name}", shown_unit(unit), *(f"{x:.6g}" for x in ends)))
     lines += table(("  signal", "unit", "first", "last", "least", "largest"), rows) if len(made) else []
     if shown and len(results.columns) > MAX_PRINTED:
         lines.append(f"  … and {len(results.columns) - MAX_PRINTED} more signals")

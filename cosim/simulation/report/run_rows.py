@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -97,8 +98,8 @@ def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
     if noise:
         unit = run.unit(target) or run.unit(str(link.get("from")))
         variance, bias = number(noise.get("variance"), 0.0), number(noise.get("bias"), 0.0)
-        parts += [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit)}"] if variance > 0 else []
-        parts += [f"bias {amount(bias, unit)}"] if bias else []
+        parts += [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit, difference=True)}"] if variance > 0 else []
+        parts += [f"bias {amount(bias, unit, difference=True)}"] if bias else []
         parts += [f"{key} {value}" for key, value in noise.items() if key not in ("variance", "bias")]
         parts = [", ".join(parts) or "none"]
     return [*parts, *(fault_text(fault) for fault in faults_on(run, [target]))]
@@ -306,14 +307,15 @@ def criteria(run: Run) -> list[dict[str, Any]]:
         if target is not None:
             parts.append(f"to {target if isinstance(target, str) else amount(number(target), own_unit, None)}")
         if "band" in entry:
-            parts.append(f"within ±{amount(number(entry['band']), own_unit, None)}")
+            parts.append(f"within ±{amount(number(entry['band']), own_unit, None, difference=True)}")
         parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
         if abs(value) < NEGLIGIBLE * bound:
             value = 0.0
-        text = amount(value, unit) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
+        figure = partial(amount, unit=unit, difference=True)
+        text = figure(value) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
         rest = bound - value
-        margin = f"{amount(abs(rest), unit)} {'left' if rest >= 0 else 'over'}" if math.isfinite(rest) else ""
-        allowed = f"≤ {amount(bound, unit, None)}" if math.isfinite(bound) else ""
+        margin = f"{figure(abs(rest))} {'left' if rest >= 0 else 'over'}" if math.isfinite(rest) else ""
+        allowed = f"≤ {figure(bound, digits=None)}" if math.isfinite(bound) else ""
         rows.append({"title": " ".join(parts), "value": text, "allowed": allowed, "margin": margin, "met": met})
     return rows
 
