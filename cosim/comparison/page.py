@@ -27,6 +27,7 @@ from cosim.files.run_inputs import input_text
 from cosim.report.charts import Charts
 from cosim.report.panels import Panel, Trace, axis_unit
 from cosim.report.template import render
+from cosim.simulation.criteria import is_difference
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 MAX_PLOTTED = 24  # signals on the page of two runs, those with the largest differences
@@ -160,7 +161,7 @@ def _difference_cell(d: Difference | None) -> tuple[str, str, bool]:
 
 
 def _criterion_limit(entry: Mapping[str, Any]) -> str:
-    return amount(float(entry.get("max", np.nan)), str(entry.get("unit") or ""), difference=True)
+    return amount(float(entry.get("max", np.nan)), str(entry.get("unit") or ""), difference=is_difference(entry))
 
 
 def _criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool) -> tuple[str, str]:
@@ -171,5 +172,9 @@ def _criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool) -> tuple[st
     if entry is None:
         return "not asked", ""
     value = entry.get("value")
-    text = "never" if value is None else amount(float(value), str(entry.get("unit") or ""), difference=True)
+    text = (
+        "never"
+        if value is None
+        else amount(float(value), str(entry.get("unit") or ""), difference=is_difference(entry))
+    )
     return f"{text} of {_criterion_limit(entry)}" if limit else text, "good" if entry.get("met") else "bad"

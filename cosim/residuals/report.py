@@ -78,7 +78,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         provenance.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
     measured = [f"{n} ({percent(float(np.isfinite(v).mean()))})" for n, v in log.outputs.items()]
     provenance.append(Row("Measured", ", ".join(measured), "share of the rows"))
-    words = [] if passing else ["--plant", str(drive.fmu)]
+    words = [] if passing else ["--fmu", str(drive.fmu)]
     for name, value in drive.given.items():
         words += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
     for column, name in log.called.items():

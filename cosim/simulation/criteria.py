@@ -7,12 +7,13 @@ the signal's own unit, or in seconds.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from cosim.core.arrays import Array, far_beyond
-from cosim.core.text import append_unit, display
+from cosim.core.text import append_unit, display, displayed, shown_unit
 from cosim.core.times import roundings
 from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
@@ -59,8 +60,10 @@ def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
 def sentence(outcome: dict[str, Any]) -> str:
     """Return the sentence on a criterion for the terminal."""
     verdict = "met" if outcome["met"] else "MISSED"
-    sizes = math.inf if outcome["value"] is None else outcome["value"], outcome["max"]
+    sizes = [math.inf if outcome["value"] is None else outcome["value"], outcome["max"]]
     unit, factor = display(outcome["unit"])
+    if not is_difference(outcome):
+        unit, factor, sizes = shown_unit(outcome["unit"]), 1.0, [displayed(size, outcome["unit"]) for size in sizes]
     for digits in range(DIGITS, MOST_DIGITS):
         value, limit = (append_unit(f"{size * factor:.{digits}g}", unit) for size in sizes)
         if value != limit:
@@ -70,6 +73,11 @@ def sentence(outcome: dict[str, Any]) -> str:
     return (
         f"{verdict}: {outcome['kind'].replace('_', ' ')} of {outcome['of']}{window} is {value}, at most {limit} allowed"
     )
+
+
+def is_difference(outcome: Mapping[str, Any]) -> bool:
+    """Return whether a figure of merit is a difference, as all but a peak without a target."""
+    return outcome.get("kind") != "peak" or bool(outcome.get("to"))
 
 
 def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:

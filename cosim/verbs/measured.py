@@ -33,7 +33,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
         start (NAME=VALUE): Start value or parameter of the FMU, for example angle=12deg.
         columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
 
-    Example: cosim replay log.csv --plant motor.fmu --column speed=w
+    Example: cosim replay log.csv --fmu motor.fmu --column speed=w
     """
     from cosim.core.text import plain, showing, size
     from cosim.files.folders import replay_record

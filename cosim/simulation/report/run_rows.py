@@ -14,6 +14,7 @@ from cosim.blocks.coupling import algorithms
 from cosim.core.text import amount, counted, join_names, plain
 from cosim.files.yaml_file import short
 from cosim.report.html_tables import Badge, Row
+from cosim.simulation.criteria import is_difference
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
@@ -311,10 +312,14 @@ def criteria(run: Run) -> list[dict[str, Any]]:
         parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
         if abs(value) < NEGLIGIBLE * bound:
             value = 0.0
-        figure = partial(amount, unit=unit, difference=True)
+        figure = partial(amount, unit=unit, difference=is_difference(entry))
         text = figure(value) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
         rest = bound - value
-        margin = f"{figure(abs(rest))} {'left' if rest >= 0 else 'over'}" if math.isfinite(rest) else ""
+        margin = (
+            f"{amount(abs(rest), unit, difference=True)} {'left' if rest >= 0 else 'over'}"
+            if math.isfinite(rest)
+            else ""
+        )
         allowed = f"≤ {figure(bound, digits=None)}" if math.isfinite(bound) else ""
         rows.append({"title": " ".join(parts), "value": text, "allowed": allowed, "margin": margin, "met": met})
     return rows
