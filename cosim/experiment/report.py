@@ -46,7 +46,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
         limit = question.limits.get(name)
         edges = () if limit is None else tuple(float(displayed(values[0] + x, unit)) for x in (-limit, limit))
         panels.append(Panel(name, shown_unit(unit) or "1", traces, None, edges, "limit" if edges else ""))
-    rows = []
+    separates, rows = min(excitation.apart.values()) >= MIN_SEPARATION, []
     for pair in pairs[:MAX_PAIRS]:
         distances = excitation.apart[pair], excitation.usual[pair]
         widths = [round(100.0 * min(1.0, d / largest), 2) if math.isfinite(d) else 100.0 for d in distances]
@@ -57,7 +57,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
         {
             "name": f"Excitation of {question.loaded.model.title}",
             "outcome": excitation.headline,
-            "tone": "good" if min(excitation.apart.values()) >= MIN_SEPARATION else "bad",
+            "tone": "warn" if excitation.excess > 1.0 else "good" if separates else "bad",
             "badges": [
                 Badge(f"{plain(seconds)} s"),
                 Badge(counted(len(question.rivals), "rival")),

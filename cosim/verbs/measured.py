@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.core.errors import InputError
+from cosim.core.errors import CriterionMissed, InputError
 from cosim.core.settings import Files, Port, Values
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, name_of, name_of_file, new_run
@@ -262,4 +262,6 @@ def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     show(place / "report.html", open)
     if json:
         apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in choice.apart.items()]
-        say_json({"apart": apart, "warning": "; ".join(choice.warnings), **files, **pages})
+        say_json({"apart": apart, "warning": "; ".join(choice.warnings), "excess": choice.excess, **files, **pages})
+    if choice.excess > 1.0:
+        raise CriterionMissed("the planned input exceeds a limit if a rival is true")
