@@ -21,13 +21,12 @@ from cosim.comparison.differences import (
 )
 from cosim.comparison.several import ComparedRuns
 from cosim.core.arrays import Array, far_beyond
-from cosim.core.text import amount, counted, display, displayed, some
+from cosim.core.text import amount, counted, display, displayed, is_difference, some
 from cosim.core.version import __version__
 from cosim.files.run_inputs import input_text
 from cosim.report.charts import Charts
 from cosim.report.panels import Panel, Trace, axis_unit
 from cosim.report.template import render
-from cosim.simulation.criteria import is_difference
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 MAX_PLOTTED = 24  # signals on the page of two runs, those with the largest differences

@@ -63,6 +63,11 @@ def append_unit(number: str, unit: str) -> str:
     return f"{number}{'' if unit.startswith('°') and not TEMPERATURE.match(unit) else chr(0xA0)}{unit}"
 
 
+def is_difference(criterion: Mapping[str, Any]) -> bool:
+    """Return whether a figure of merit is a difference, as all but a peak without a target."""
+    return criterion.get("kind") != "peak" or bool(criterion.get("to"))
+
+
 def length(value: float) -> str:
     """Return a distance [m] in a readable unit."""
     size = abs(value)

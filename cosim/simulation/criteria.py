@@ -7,13 +7,12 @@ the signal's own unit, or in seconds.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from cosim.core.arrays import Array, far_beyond
-from cosim.core.text import append_unit, display, displayed, shown_unit
+from cosim.core.text import append_unit, display, displayed, is_difference, shown_unit
 from cosim.core.times import roundings
 from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
@@ -73,11 +72,6 @@ def sentence(outcome: dict[str, Any]) -> str:
     return (
         f"{verdict}: {outcome['kind'].replace('_', ' ')} of {outcome['of']}{window} is {value}, at most {limit} allowed"
     )
-
-
-def is_difference(outcome: Mapping[str, Any]) -> bool:
-    """Return whether a figure of merit is a difference, as all but a peak without a target."""
-    return outcome.get("kind") != "peak" or bool(outcome.get("to"))
 
 
 def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:

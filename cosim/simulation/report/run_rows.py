@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.coupling import algorithms
-from cosim.core.text import amount, counted, join_names, plain
+from cosim.core.text import amount, counted, is_difference, join_names, plain
 from cosim.files.yaml_file import short
 from cosim.report.html_tables import Badge, Row
-from cosim.simulation.criteria import is_difference
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
