@@ -38,7 +38,7 @@ def test_runs_are_sorted_by_a_criterion_and_missed_ones_first_by_outcome(
         )
     assert [entry["number"] for entry in _listed()] == [1, 2, 3]
     assert [entry["number"] for entry in _listed("--sort", "peak of r.y")] == [2, 3, 1]
-    assert [entry["number"] for entry in _listed("--sort", "outcome")][0] == 1
+    assert _listed("--sort", "outcome")[0]["number"] == 1
     values = [entry["criteria"][0]["value"] for entry in _listed("--sort", "name")]  # type: ignore[index]
     assert values == [1.0, 2.0, 3.0]
     with pytest.raises(InputError) as error:

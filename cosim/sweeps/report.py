@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.core.text import append_unit, counted, display, percent, plain, some, written
+from cosim.core.text import append_unit, counted, display, displayed, percent, plain, shown_unit, some, written
 from cosim.core.version import __version__
 from cosim.files.kinds import shell_path
 from cosim.report.charts import Charts, Plot
@@ -28,7 +28,7 @@ MOST_POINTS = 2000  # runs in a scatter plot
 MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
 NEVER = "never"
 MOST_LISTED = 10  # runs farthest from meeting a criterion
-MARK = 0.004  # width of the mark at what chance reaches
+MARK = 0.012  # width of the mark at what chance reaches
 
 
 def page(swept: Swept) -> str:
@@ -181,10 +181,11 @@ def _factor(swept: Swept, factor: Factor) -> Mapping[str, str]:
 
 
 def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
-    unit, factor = display(record["units"].get(name, ""))
+    own = record["units"].get(name, "")
+    unit = shown_unit(own)
     if not values.size or values.shape[1] != len(record["times"]):  # no run is complete
         return Panel(name, unit or "1", ())
-    q = np.quantile(values, QUANTILES, axis=0) * factor
+    q = displayed(np.quantile(values, QUANTILES, axis=0), own)
     traces = (Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"))
     return Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
 

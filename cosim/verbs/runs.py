@@ -20,6 +20,7 @@ MAX_PRINTED = 12  # signals whose values are printed
 
 def run_command(
     *,
+    case: int | None = None,
     coupling_error: bool = False,
     live: bool = False,
     port: Port | None = None,
@@ -36,6 +37,7 @@ def run_command(
             run.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the scenario).
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
+        case (N): Run of a sweep to simulate by itself, by its number in the sweep's table.
         coupling_error: Run again with half the step and print the largest change of each output.
 
     Example: cosim run scenario.yaml --set noise=off --seed 7
@@ -43,6 +45,12 @@ def run_command(
     from cosim.simulation.workflow import overrides_of, run
 
     given["out"] = given["out"] or NUMBERED
+    if case is not None:
+        from cosim.sweeps.reading import case_of
+
+        given["scenario"], settings, seed = case_of(Path(given["scenario"]), case)
+        given["set"] = [*settings, *(given["set"] or ())]
+        given["seed"] = seed if given["seed"] is None else given["seed"]
     title = Path(given["scenario"]).stem
     with progress_bar() as progress, live_page("LiveRun", title, live=live, port=port) as page:
         observers = () if page is None else (page,)

@@ -141,7 +141,9 @@ def component_rows(run: Run) -> list[dict[str, str]]:
     for name, component in run.components.items():
         kind = fmi_kind(mapping(fmus.get(name)))
         hidden = {"start", "fmu", "block", "sha256", *(("interface",) if kind else ())}
-        chosen = {key: setting for key, setting in component.items() if setting != {} and setting is not False}
+        chosen = {
+            key: setting for key, setting in component.items() if setting not in ({}, []) and setting is not False
+        }
         settings = []
         for key, value in {**chosen, **mapping(component.get("start"))}.items():
             if key not in hidden:
