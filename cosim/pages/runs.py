@@ -101,6 +101,14 @@ class ViewedRun:
         self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
         return rows
 
+    @property
+    def judged(self) -> list[tuple[str, str]]:
+        """Return the signals of the criteria, each with its target, "" for a number."""
+        criteria = self.record.get("criteria")
+        entries = [c for c in criteria if isinstance(c, dict)] if isinstance(criteria, list) else []
+        pairs = ((str(c.get("of")), c.get("to")) for c in entries)
+        return [*dict.fromkeys((of, to if isinstance(to, str) else "") for of, to in pairs)]
+
     def _with_new_rows(self, rows: Store) -> Store:
         """Add the rows that a run under way has made since; raise OSError if it has ended."""
         about = json.loads(self.place.file.read_text(encoding="utf-8"))

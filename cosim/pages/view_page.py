@@ -111,7 +111,8 @@ class Viewer:
                 sets.append(signals)
             first, last = run.rows.span()
             place = {"name": run.place.name, "label": run.place.label, "file": str(run.place.file)}
-            about = {"set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last}
+            about: dict[str, Any] = {"set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last}
+            about["judged"] = run.judged
             runs.append({**place, **about, "derived": self._derivations.of_run(number)})
         layouts = self._layouts.read() if self._layouts is not None else {}
         return Json({"runs": runs, "sets": sets, "layouts": layouts, "notes": self._notes})
