@@ -90,7 +90,7 @@ class ViewedRun:
         rows = open_rows(self.place.file, columns, progress)
         if self.place.entry is not None and not self._due:
             self.place.entry.check_current()
-        self.notes = [*warnings_on(folder)]
+        self.notes = [*warnings_on(folder), *map(Note, rows.assumed)]
         for names, text in (
             (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),
             (rows.inexact, "read as the nearest double"),

@@ -19,6 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.core.errors import refuse
+from cosim.core.messages import Note
 from cosim.core.text import DisplayUnits, did_you_mean
 from cosim.core.units import alternatives, conversion
 from cosim.fmi.description import display_units
@@ -165,7 +166,8 @@ def build_system(file: ScenarioFile) -> System:
             diagnosis.warnings.append(f"{name} has no inputs and outputs, so nothing of it is recorded; {cure}")
     refuse(diagnosis.faults)
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
-    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
+    assumed = chain.from_iterable(map(Note, c.assumed) for c in components.values() if isinstance(c, SourceBlock))
+    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes, *assumed
     scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
         **scheduled,

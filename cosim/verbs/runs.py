@@ -121,6 +121,7 @@ def simulate_command(*, open: bool = False, json: bool = False, **given: Any) ->
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the FMU).
         set (NAME=VALUE): Value of a parameter or input, for example angle=12deg.
         input (FILE): CSV file with time and columns named as inputs; each row holds until the next.
+        columns (--column COLUMN=INPUT): Input that a column of --input drives, for example volts=voltage.
         interpolation (held|linear): Values of --input between two rows.
         stop (TIME): End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
         step (TIME): Communication step, for example 0.02 or 20ms (default: that of the FMU).
