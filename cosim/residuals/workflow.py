@@ -123,10 +123,11 @@ def replay(
         scratch = stack.enter_context(temporary_folder("replay"))
         names = read_column_names(column_names(columns), path)
         driven = Path(fmu) if fmu else _plant_of(path, names, scratch)
+        measured = log_of_fmu(path, driven, names)
         stack.enter_context(showing({"display": display_units([read_description(driven)])}))
         comparison = write_replay(
             place,
-            log_of_fmu(path, driven, names),
+            measured,
             driven,
             given=start_values(driven, values),
             report=report and out is not None,

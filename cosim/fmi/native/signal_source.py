@@ -103,6 +103,6 @@ def _build(name: str, about: Description, lines: Sequence[str], file: str, path:
     inputs = sum(port.causality == "input" for port in about.ports)
     sizes = {"VARIABLES": len(about.ports), "INPUTS": inputs, "OUTPUTS": len(about.ports) - inputs, "TEXTS": texts}
     sizes |= dict.fromkeys(("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE"), 0)
-    parts = {each: part(each) for each in (file, "steps_only.c")}
+    parts = {each: part(each) for each in (file, "stateless.c", "steps_only.c")}
     identifier = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return build_native(Native(identifier, about, "\n".join([variables, *lines, ""]), sizes, parts, TEXT), path).path
