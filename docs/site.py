@@ -35,7 +35,7 @@ REPORTS: tuple[tuple[str, str], ...] = (  # name of the page, "" for none; comma
     ("failed", "run tanks.yaml --set components.Tank.start.area=0 --out results/failed"),
     ("", f"run tanks.yaml {TANKS[1]} --out results/firm"),
     ("compare", "compare results/two-fmus results/firm --out results/compare"),
-    ("replay", "replay examples/tanks/e1.csv --plant build/Tank.fmu --out results/replay"),
+    ("replay", "replay examples/tanks/e1.csv --fmu build/Tank.fmu --out results/replay"),
     ("refine", "refine examples/tanks/study.yaml --out results/refine"),
     ("identify", "identify examples/bench/protocol.yaml --out results/identify"),
     ("sweep", "sweep examples/hovercraft/sweep.yaml --out results/sweep"),

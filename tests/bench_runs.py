@@ -12,15 +12,11 @@ from cosim.core.errors import refuse
 from cosim.model import Stepper
 from cosim.model.namespaces import arrays
 from plant.bench import CHANNELS, Bench
-from plant.identification.cells import calibrate
 from plant.identification.checks import planned_faults
-from plant.identification.estimates import Result
 from plant.identification.protocol import Protocol
 from plant.identification.protocol import read_protocol as read_file
-from plant.identification.recordings import Recording, load_runs, runs_of
-from plant.identification.workflow import analyse
+from plant.identification.recordings import Recording
 
-LANES = 1000  # simultaneous runs
 Play = Callable[[Sequence[Recording]], list[Recording]]
 
 
@@ -41,10 +37,7 @@ def play_plain(bench: Bench) -> Play:
             groups.setdefault(key, []).append(k)
         recordings: dict[int, Recording] = {}
         for group in groups.values():
-            for first in range(0, len(group), LANES):
-                chosen = group[first : first + LANES]
-                for k, recording in zip(chosen, _play_lanes(bench, [runs[k] for k in chosen]), strict=True):
-                    recordings[k] = recording
+            recordings |= zip(group, _play_lanes(bench, [runs[k] for k in group]), strict=True)
         return [recordings[k] for k in range(len(runs))]
 
     return play
@@ -74,25 +67,3 @@ def _play_lanes(bench: Bench, runs: Sequence[Recording]) -> list[Recording]:
         replace(run, volts=dict(zip(CHANNELS, np.ascontiguousarray(volts[:, :, j].T), strict=True)))
         for j, run in enumerate(runs)
     ]
-
-
-def simulate_seeds(protocol: Protocol, play: Play, seeds: Sequence[int]) -> list[list[Result]]:
-    """Return whole protocols, one per seed, from plain functions without figures; equal runs share a simulation."""
-    names = [name for name, _ in protocol.file.tests.named_tests()]
-    loads = _play_groups(play, [load_runs(protocol, seed) for seed in seeds])
-    tests = _play_groups(play, [{name: runs_of(protocol, name, seed) for name in names} for seed in seeds])
-    outcomes = []
-    for hung, recordings in zip(loads, tests, strict=True):
-        cells = calibrate(protocol, hung)
-        outcomes.append(analyse(protocol, cells, recordings))
-    return outcomes
-
-
-def _play_groups(play: Play, groups: Sequence[dict[str, list[Recording]]]) -> list[dict[str, list[Recording]]]:
-    """Return the recordings of each group by name; equal names of all groups are simulated together."""
-    recordings: list[dict[str, list[Recording]]] = [{} for _ in groups]
-    for name in groups[0]:
-        batch = iter(play([run for group in groups for run in group[name]]))
-        for group, own in zip(groups, recordings, strict=True):
-            own[name] = [next(batch) for _ in group[name]]
-    return recordings

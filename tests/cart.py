@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import zipfile
 from pathlib import Path
 
 from pythonfmu.builder import FmuBuilder
@@ -37,28 +36,18 @@ class Cart(Fmi2Slave):
 '''
 
 
-def cart_fmu(folder: Path, starts: int = 2, variable_step: bool = True) -> Path:
-    """Build the cart; its initial outputs follow the start values when initialization ends."""
-    script = folder / f"cart_{starts}.py"  # one process keeps one module of a name
-    script.write_text(CART.replace("{starts}", str(starts)))
-    path, modules = list(sys.path), set(sys.modules)
+def built(script: Path, fmu: Path, **options: bool) -> Path:
+    """Build an FMU of a script, and forget its module: one process keeps one of a name."""
+    path = list(sys.path)
     try:
-        fmu = Path(FmuBuilder.build_FMU(script, folder / "Cart.fmu"))
+        return Path(FmuBuilder.build_FMU(script, fmu, **options))
     finally:
         sys.path[:] = path
-        for module in set(sys.modules) - modules & {script.stem}:
-            del sys.modules[module]
-    return fmu if variable_step else with_equal_steps(fmu)
+        sys.modules.pop(script.stem, None)
 
 
-def with_equal_steps(fmu: Path) -> Path:
-    """Return the same FMU with a declaration that it accepts equal steps only."""
-    with zipfile.ZipFile(fmu) as archive:
-        files = {name: archive.read(name) for name in archive.namelist()}
-    flag = b'canHandleVariableCommunicationStepSize="true"'
-    assert flag in files["modelDescription.xml"]
-    files["modelDescription.xml"] = files["modelDescription.xml"].replace(flag, flag.replace(b"true", b"false"))
-    with zipfile.ZipFile(fmu, "w") as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return fmu
+def cart_fmu(folder: Path, starts: int = 2, variable_step: bool = True) -> Path:
+    """Build the cart; its initial outputs follow the start values when initialization ends."""
+    script = folder / f"cart_{starts}.py"
+    script.write_text(CART.replace("{starts}", str(starts)))
+    return built(script, folder / "Cart.fmu", canHandleVariableCommunicationStepSize=variable_step)

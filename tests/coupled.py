@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import platform
 import re
-import subprocess
-import tempfile
 import zipfile
-from functools import cache
 from pathlib import Path
 
-import pytest
-
-from cosim.fmi.native.compiler import compiler
+from tests.compiled import library
 from tests.corpus.inputs import FMU_SOURCES
 
 LINEAR, LOOP_A, LOOP_B, SQUARE, CHASSIS, WHEEL = range(6)
@@ -21,19 +15,6 @@ TRUCK = {  # a quarter of a truck over a bump of 0.1 m and 0.1 s; chassis, wheel
     CHASSIS: {"p0": 400.0},
     WHEEL: {"p0": 40.0, "p1": 150e3, "p2": 15e3, "p3": 1e3, "p4": 0.1, "p5": 0.1},
 }
-
-
-@cache
-def library(law: int) -> Path:
-    """Return the library compiled for this machine; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="coupled-")) / "coupled.so"
-    source = FMU_SOURCES / "coupled.c"
-    options = ["-O1", "-w", "-shared", "-fPIC", f"-DLAW={law}"]
-    subprocess.run([*command, *options, "-o", str(made), str(source), "-lm"], check=True)
-    return made
 
 
 def without_dependencies(path: Path) -> Path:
@@ -57,16 +38,8 @@ def coupled_fmu(
     saves: bool = True,
     exchange: bool = False,
     variable_step: bool = True,
-    dependent: tuple[int, ...] | None = None,
 ) -> Path:
-    """Build an FMU.
-
-    Args:
-        declares: Whether it declares dependencies.
-        dependent: Outputs that depend on all inputs; None for those of the law.
-    """
-    if dependent is None:
-        dependent = () if law == CHASSIS else (0,)
+    """Build an FMU; unless its law is that of a chassis, its first output depends on all inputs."""
     inputs, outputs = INPUTS[law], OUTPUTS[law]
 
     def scalar(name: str, reference: int, attributes: str, real: str = "") -> str:
@@ -81,11 +54,10 @@ def coupled_fmu(
     variables += scalar("tries", 13, 'causality="local"') + scalar("steps", 14, 'causality="local"')
     variables += "".join(scalar(f"x{k}", 15 + k, 'causality="local" variability="continuous"') for k in range(4))
     ends = " ".join(str(k + 1) for k in range(inputs))
+    dependencies = [ends if k == 0 and law != CHASSIS else "" for k in range(outputs)]
     unknowns = "".join(
-        f'<Unknown index="{inputs + k + 1}"'
-        + (f' dependencies="{ends if k in dependent else ""}"' if declares else "")
-        + "/>"
-        for k in range(outputs)
+        f'<Unknown index="{inputs + k + 1}"' + (f' dependencies="{text}"/>' if declares else "/>")
+        for k, text in enumerate(dependencies)
     )
     flags = f'canGetAndSetFMUstate="{str(saves).lower()}" providesDirectionalDerivative="{str(slopes).lower()}"'
     steps = f'canHandleVariableCommunicationStepSize="{str(variable_step).lower()}"'
@@ -101,5 +73,5 @@ def coupled_fmu(
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
-        archive.write(library(law), "binaries/linux64/coupled.so")
+        archive.write(library(FMU_SOURCES / "coupled.c", f"-DLAW={law}"), "binaries/linux64/coupled.so")
     return path

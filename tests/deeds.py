@@ -14,6 +14,7 @@ import pytest
 from cosim.fmi.native.compiler import compiler
 
 SOURCE = Path(__file__).with_name("deeds.c")
+LINUX = ("Linux", "x86_64")
 PLATFORM = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib")}.get(platform.system())
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="deeds" guid="{{deeds}}" generationTool="tests">
@@ -31,35 +32,30 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 @cache
-def library() -> Path:
-    """Return the library compiled for this machine; skip the test without a compiler."""
+def compiled(source: Path, *options: str, elsewhere: bool = False) -> Path:
+    """Return the library of a source file, for Linux or elsewhere too; skip the test without a compiler."""
     command = compiler()
-    if command is None or PLATFORM is None:
+    if command is None or PLATFORM is None or not (elsewhere or (platform.system(), platform.machine()) == LINUX):
         pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="deeds-")) / f"deeds{PLATFORM[1]}"
-    flags = ["-O0", "-w", "-shared", "-fPIC"]
+    made = Path(tempfile.mkdtemp(prefix="compiled-")) / source.with_suffix(PLATFORM[1]).name
     # without -lm: some exporters leave libm to the host
-    subprocess.run([*command, *flags, "-o", str(made), str(SOURCE), "-ldl"], check=True)
+    subprocess.run([*command, "-w", "-shared", "-fPIC", *options, "-o", str(made), str(source), "-ldl"], check=True)
     return made
 
 
 def description(signals: int) -> str:
     """With `signals` inputs and outputs; only outputs from the second on follow inputs, later."""
-    lines, outputs = [], []
-    for k in range(signals):
-        lines.append(f'    <ScalarVariable name="u{k}" valueReference="{k}" causality="input"><Real start="0"/>')
-        lines.append("    </ScalarVariable>")
-    for k in range(signals):
-        lines.append(f'    <ScalarVariable name="y{k}" valueReference="{10 + k}" causality="output"><Real/>')
-        lines.append("    </ScalarVariable>")
-        outputs.append(f'    <Unknown index="{signals + k + 1}" dependencies=""/>')
+    line = '    <ScalarVariable name="{}{}" valueReference="{}" causality="{}"><Real{}/></ScalarVariable>'
+    lines = [line.format("u", k, k, "input", ' start="0"') for k in range(signals)]
+    lines += [line.format("y", k, 10 + k, "output", "") for k in range(signals)]
+    outputs = [f'    <Unknown index="{signals + k + 1}" dependencies=""/>' for k in range(signals)]
     return DESCRIPTION.format(variables="\n".join(lines), outputs="\n".join(outputs))
 
 
 def deeds_fmu(path: Path, call: str = "none", deed: str = "none", at: int = 1, signals: int = 2) -> Path:
     """Return an FMU that does `deed` at the n-th `call`, or at every call for n = 0."""
+    binary = compiled(SOURCE, "-O0", elsewhere=True)
     assert PLATFORM is not None
-    binary = library()
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description(signals))
         archive.writestr("resources/deed.txt", f"{call} {deed} {at}\n")

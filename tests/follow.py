@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import platform
-import subprocess
-import tempfile
 import zipfile
-from functools import cache
 from pathlib import Path
 
-import pytest
-
-from cosim.fmi.native.compiler import compiler
+from tests.compiled import library
 
 WAYS = {
     "cs": '<CoSimulation modelIdentifier="follow" canHandleVariableCommunicationStepSize="true" {saves}/>',
@@ -45,18 +39,6 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-@cache
-def library() -> Path:
-    """Return the library compiled for this machine; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="follow-")) / "follow.so"
-    source = Path(__file__).with_name("follow.c")
-    subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source)], check=True)
-    return made
-
-
 def follow_fmu(
     path: Path, way: str = "cs", follows: str = "declared", *, saves: bool = True, whole: bool = False
 ) -> Path:
@@ -80,5 +62,5 @@ def follow_fmu(
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
-        archive.write(library(), "binaries/linux64/follow.so")
+        archive.write(library(Path(__file__).with_name("follow.c")), "binaries/linux64/follow.so")
     return path

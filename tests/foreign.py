@@ -15,31 +15,31 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 import zipfile
-from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import fmpy
+
+from cosim.master.master import StoppedRun, simulate
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.system.system import build_system
 
 MOST_STEPS = 1000
 LIMIT, FMPY_LIMIT = 100, 20  # s, each
 NEAR = 1e-9
 PLATFORMS = ("binaries/linux64/", "binaries/x86_64-linux/")
+WAYS = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
 
 
-def fmus_in(folders: list[Path]) -> list[Path]:
-    """Return FMUs with a library for Linux, without duplicates."""
-    seen: set[str] = set()
-    found = []
-    for path in sorted(p for folder in folders for p in folder.rglob("*.fmu")):
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        if digest in seen or not zipfile.is_zipfile(path):
-            continue
-        seen.add(digest)
+def fmus_in(folders: list[Path]) -> dict[str, Path]:
+    """Return FMUs with a library for Linux by their SHA-256."""
+    found: dict[str, Path] = {}
+    for path in sorted(p for folder in folders for p in folder.rglob("*.fmu") if zipfile.is_zipfile(p)):
         with zipfile.ZipFile(path) as archive:
             if any(name.startswith(PLATFORMS) and not name.endswith("/") for name in archive.namelist()):
-                found.append(path)
+                found.setdefault(hashlib.sha256(path.read_bytes()).hexdigest(), path)
     return found
 
 
@@ -50,202 +50,113 @@ def plan(description: Any) -> tuple[float, float, int]:
     stop = getattr(experiment, "stopTime", None)
     stop = start + 1.0 if stop is None else float(stop)
     step = getattr(cosimulation, "fixedInternalStepSize", None) or getattr(experiment, "stepSize", None)
-    step = (stop - start) / 500 if not step else float(step)
+    step = float(step or (stop - start) / 500)
     return start, step, min(MOST_STEPS, max(1, math.floor((stop - start) / step + 1e-9)))
 
 
 def one(path: Path, way: str) -> dict[str, Any]:
     """Simulate an FMU with both programs and compare; called in a separate process."""
-    import fmpy
-
-    found: dict[str, Any] = {"fmu": path.name, "way": way, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    found: dict[str, Any] = {}
+    reference, start, step, steps = None, 0.0, 0.01, 100
     try:
         description = fmpy.read_model_description(str(path), validate=False)
-        found["tool"], found["fmi"] = (description.generationTool or "?"), description.fmiVersion
+        found |= {"tool": description.generationTool or "?", "fmi": description.fmiVersion}
         start, step, steps = plan(description)
+        reference = fmpys(path, way, description, start, step, steps)
+        if len(reference) > steps + 1:
+            raise RuntimeError("stands still at a step that is discarded")
+        steps = len(reference) - 1  # of a slow one: what it came to
+        found["fmpy"] = "runs"
     except Exception as error:
-        description, start, step, steps = None, 0.0, 0.01, 100
-        found["fmpy"] = f"fails: {error}"
-    reference = None
-    if description is not None:
-        try:
-            began = time.monotonic()
-            reference = fmpys(path, way, description, start, step, steps)
-            found["fmpy"], found["rows"] = "runs", len(reference)
-            if time.monotonic() - began > FMPY_LIMIT and len(reference) <= steps:
-                steps = len(reference) - 1  # a slow one: what it came to
-            if len(reference) > steps + 1:
-                found["fmpy"], reference = "fails: stands still at a step that is discarded", None
-        except Exception as error:
-            found["fmpy"] = f"fails: {error}"
+        reference, found["fmpy"] = None, f"fails: {error}"
     try:
-        recorded = [] if reference is None else list(reference.dtype.names[1:])
-        results = ours(path, way, start, step, steps, recorded)
-        found["cosim"], found["rows_cosim"] = "runs", len(results.time)
+        results = ours(path, way, start, step, steps, [] if reference is None else reference.dtype.names[1:])
+        found["cosim"] = "runs"
     except Exception as error:
-        found["cosim"] = f"fails: {error}"
-        return found
-    if reference is None:
-        return found
-    found |= compared(lambda name: columns_of(results, name), results.time, reference, step)
-    if found["difference"] > NEAR:
-        again = fmpys(path, way, description, start, step, steps)
-        itself = compared(lambda name: [again[name]], again["time"], reference, step)
-        found["itself"] = itself["difference"]
-    return found
+        return found | {"cosim": f"fails: {error}"}
+    return found if reference is None else found | {"difference": difference(results, reference, step)}
 
 
 def fmpys(path: Path, way: str, description: Any, start: float, step: float, steps: int) -> Any:
     """Results of FMPy."""
-    import fmpy
-
     return fmpy.simulate_fmu(
-        str(path),
-        validate=False,
-        fmi_type="CoSimulation" if way == "co-simulation" else "ModelExchange",
-        start_time=start,
-        stop_time=start + step * steps,
-        output_interval=step,
-        record_events=False,
-        timeout=FMPY_LIMIT,
+        str(path), validate=False, fmi_type=WAYS[way], start_time=start, stop_time=start + step * steps,
+        output_interval=step, record_events=False, timeout=FMPY_LIMIT,
         **({} if description.fmiVersion == "1.0" else {"logger": lambda *_: None}),
-    )
+    )  # fmt: skip
 
 
-def columns_of(results: Any, name: str) -> list[Any]:
-    """Return the columns of a variable: one for a scalar, one per element for an array."""
-    if f"x.{name}" in results.exact:
-        return [results.exact[f"x.{name}"]]
-    exact = [column for key, column in results.exact.items() if key.startswith(f"x.{name}[")]
-    columns = [c for c in results.columns if c == f"x.{name}"]
-    return exact or [results[c] for c in columns or results.columns if c in columns or c.startswith(f"x.{name}[")]
-
-
-def compared(columns: Any, times: Any, reference: Any, step: float) -> dict[str, Any]:
-    """Return the largest |a − b| / max(1, |b|) of all columns recorded by FMPy, at common times."""
-    worst, where, count, missing = 0.0, "", 0, []
-    at = {round(t / step * 1e6): k for k, t in enumerate(times.tolist())}
-    last = {round(t / step * 1e6): k for k, t in enumerate(reference["time"].tolist())}  # of several rows the last
-    shared = sorted(at.keys() & last.keys())
-    for name in reference.dtype.names[1:]:
-        values, wanted = columns(name), reference[name].reshape(len(reference), -1)
-        if len(values) != wanted.shape[1]:
-            missing.append(name)
-            continue
-        for value, column in zip(values, wanted.T, strict=True):
-            count += 1
-            for k in shared:
-                b, a = column[last[k]].item(), value[at[k]]
-                if a == b or (a != a and b != b):
-                    continue
-                difference = abs(float(a) - float(b)) / max(1.0, abs(float(b)))
-                if not difference <= worst:
-                    worst, where = difference, f"{name} at {times[at[k]]:g} s"
-    return {"difference": worst, "where": where, "compared": count, "shared": len(shared), "missing": missing}
-
-
-def ours(path: Path, way: str, start: float, step: float, steps: int, recorded: Sequence[str] = ()) -> Any:
+def ours(path: Path, way: str, start: float, step: float, steps: int, recorded: Any) -> Any:
     """Results of `cosim` for the FMU alone."""
-    from cosim.master.master import StoppedRun, simulate
-    from cosim.scenario.scenario_file import ScenarioFile
-    from cosim.system.system import build_system
-
     scenario = {
-        "name": "alone",
-        "start_time": start,
-        "duration": step * steps,
-        "step": step,
-        "record": [f"x.{name}" for name in recorded],
-        "components": {"x": {"fmu": str(path), "interface": way}},
-    }
+        "name": "alone", "start_time": start, "duration": step * steps, "step": step,
+        "record": [f"x.{name}" for name in recorded], "components": {"x": {"fmu": str(path), "interface": way}},
+    }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "alone.yaml"
+        file = Path(folder) / "alone.json"
         file.write_text(json.dumps(scenario))
         read = ScenarioFile(file)
-        system = build_system(read)
         try:
-            return simulate(system, read.scenario.steps, step)
+            return simulate(build_system(read), read.scenario.steps, step)
         except StoppedRun as stopped:
             raise RuntimeError(str(stopped.error)) from None
 
 
+def difference(results: Any, reference: Any, step: float) -> float:
+    """Return the largest |a − b| / max(1, |b|) of all columns recorded by FMPy, at common times."""
+    worst = 0.0
+    at = {round(t / step * 1e6): k for k, t in enumerate(results.time.tolist())}
+    last = {round(t / step * 1e6): k for k, t in enumerate(reference["time"].tolist())}  # of several rows the last
+    shared = sorted(at.keys() & last.keys())
+    for name in reference.dtype.names[1:]:
+        columns = [*results.exact, *(column for column in results.columns if column not in results.exact)]
+        columns = [c for c in columns if c == f"x.{name}" or c.startswith(f"x.{name}[")]  # a scalar, or elements
+        wanted = reference[name].reshape(len(reference), -1)
+        if len(columns) != wanted.shape[1]:
+            return math.inf
+        for column, of_fmpy in zip(columns, wanted.T, strict=True):
+            values = results.exact[column] if column in results.exact else results[column]
+            for k in shared:
+                a, b = values[at[k]], of_fmpy[last[k]].item()
+                if a != b and (a == a or b == b):
+                    off = abs(float(a) - float(b)) / max(1.0, abs(float(b)))
+                    worst = off if not off <= worst else worst
+    return worst
+
+
 def measured(path: Path, way: str) -> dict[str, Any]:
     """Return the result of `one` from a separate process."""
-    found: dict[str, Any] = {"fmu": path.name, "way": way}
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "answer.json"
         command = [sys.executable, "-m", "tests.foreign", "--one", str(path.resolve()), way, str(answer)]
         try:
-            done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=LIMIT
-            )
-            if answer.is_file():
-                found |= json.loads(answer.read_text())
-            else:
-                found["fmpy"] = found["cosim"] = f"process ended with {done.returncode}"
-            if done.returncode:
-                found["exit"] = done.returncode
+            done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=LIMIT)
+            why = f"process ended with {done.returncode}"
         except subprocess.TimeoutExpired:
-            found["fmpy"] = found["cosim"] = f"not done in {LIMIT} s"
-    return found
+            why = f"not done in {LIMIT} s"
+        found = json.loads(answer.read_text()) if answer.is_file() else {"fmpy": why, "cosim": why}
+    return {"way": way, **found}
 
 
 def ways_of(path: Path) -> list[str]:
     """Return the interfaces of the FMU according to its description."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            text = archive.read("modelDescription.xml").decode("utf-8", "replace")
-    except (KeyError, zipfile.BadZipFile):
-        return []
+    with zipfile.ZipFile(path) as archive:
+        text = archive.read("modelDescription.xml").decode("utf-8", "replace")
     if re.search(r"fmiVersion\s*=\s*.1\.0", text):  # which has an element for co-simulation alone
         return ["co-simulation" if "<Implementation" in text else "model-exchange"]
-    known = (("co-simulation", "<CoSimulation"), ("model-exchange", "<ModelExchange"))
-    return [way for way, tag in known if tag in text] or ["co-simulation"]
+    return [way for way, tag in WAYS.items() if f"<{tag}" in text] or ["co-simulation"]
 
 
-def page(rows: list[dict[str, Any]]) -> str:
-    """Return the table with a row per FMU; docs/foreign-fmus.md has the sums by tool."""
-    lines = ["| FMU | made by | FMI | co-simulation | model exchange |", "|---|---|---|---|---|"]
-    fmus: dict[str, dict[str, dict[str, Any]]] = {}
-    for row in rows:
-        fmus.setdefault(row["fmu"] + row.get("sha256", ""), {})[row["way"]] = row
-    for each in fmus.values():
-        first = next(iter(each.values()))
-        name = first["fmu"].removesuffix(".fmu").rpartition("resources_")[2].rpartition("fmus_")[2].replace("|", "/")
-        tool = " ".join(first.get("tool", "?").split())[:34]
-        cells = (_outcome(each.get(way)) for way in ("co-simulation", "model-exchange"))
-        lines.append(
-            f"| {name} {first.get('sha256', '')[:6]} | {tool} | {first.get('fmi', '?')} | {' | '.join(cells)} |"
-        )
-    return "\n".join(lines)
-
-
-def _outcome(row: dict[str, Any] | None) -> str:
+def outcome(row: dict[str, Any] | None) -> str:
+    """Return the text of a table cell."""
     if row is None:
         return "–"
-    runs, reference = row.get("cosim") == "runs", row.get("fmpy") == "runs"
-    if runs and reference:
-        itself = f", FMPy from itself {row['itself']:.0e}" if row.get("itself") else ""
-        return "equal" if row["difference"] == 0 else f"{row['difference']:.0e}{itself}"
-    if runs:
+    if "difference" in row:
+        return "equal" if row["difference"] == 0 else f"{row['difference']:.0e}"
+    if row["cosim"] == "runs":
         return "runs, FMPy does not"
-    why = re.sub(r"\S+\.yaml:\d+:\d+: |\S*/\S*/|\S+\.fmu |\|", "", str(row.get("cosim", "?")).removeprefix("fails: "))
-    return f"{'refused' if not reference else 'LOST'}: {' '.join(why.split())[:140]}"
-
-
-def summary(rows: list[dict[str, Any]]) -> str:
-    """Return the number of FMUs that run, and their largest differences."""
-    both = [r for r in rows if r.get("fmpy") == "runs"]
-    ran = [r for r in both if r.get("cosim") == "runs"]
-    lines = [
-        f"{len({r['fmu'] + r.get('sha256', '') for r in rows})} FMUs, {len(rows)} runs; FMPy runs {len(both)}, "
-        f"of these cosim {len(ran)}; cosim runs {sum(r.get('cosim') == 'runs' for r in rows)} in all."
-    ]
-    for way in ("co-simulation", "model-exchange"):
-        part = [r["difference"] for r in ran if r["way"] == way]
-        equal, near = sum(d == 0 for d in part), sum(d <= NEAR for d in part)
-        lines.append(f"{way}: {len(part)} compared, {equal} equal bit for bit, {near} within 1e-9·max(1, |b|).")
-    return "\n".join(lines)
+    why = re.sub(r"\S+\.json:\d+:\d+: |\S*/\S*/|\S+\.fmu |\|", "", row["cosim"].removeprefix("fails: "))
+    return f"{'LOST' if row['fmpy'] == 'runs' else 'refused'}: {' '.join(why.split())[:140]}"
 
 
 def main() -> int:
@@ -257,12 +168,21 @@ def main() -> int:
         path, way, answer = given.one
         Path(answer).write_text(json.dumps(one(Path(path), way)))
         return 0
-    rows = []
-    for path in fmus_in(given.folders):
-        rows += [measured(path, way) for way in ways_of(path)]
-        print(path.name, file=sys.stderr, flush=True)
-    print(f"{page(rows)}\n\nFMPy {version('fmpy')}, Python {sys.version.split()[0]}, {sys.platform}\n{summary(rows)}")
-    return int(any(r.get("fmpy") == "runs" and r.get("cosim") != "runs" for r in rows))
+    print("| FMU | made by | FMI | co-simulation | model exchange |", "|---|---|---|---|---|", sep="\n")
+    rows: list[dict[str, Any]] = []
+    for digest, fmu in fmus_in(given.folders).items():
+        runs = {way: measured(fmu, way) for way in ways_of(fmu)}
+        rows += runs.values()
+        first = rows[-1]
+        cells = [f"{fmu.stem} {digest[:6]}", first.get("tool", "?")[:34], first.get("fmi", "?")]
+        cells += [outcome(runs.get(way)) for way in WAYS]
+        print("|", " | ".join(" ".join(cell.replace("|", "/").split()) for cell in cells), "|", flush=True)
+    print(f"\nFMPy {version('fmpy')}, Python {sys.version.split()[0]}, {sys.platform}; {len(rows)} runs")
+    for way in WAYS:
+        part = [row["difference"] for row in rows if row["way"] == way and "difference" in row]
+        equal, near = sum(d == 0 for d in part), sum(d <= NEAR for d in part)
+        print(f"{way}: {len(part)} compared, {equal} equal bit for bit, {near} within 1e-9·max(1, |b|).")
+    return int(any(row["fmpy"] == "runs" != row["cosim"] for row in rows))
 
 
 if __name__ == "__main__":

@@ -82,9 +82,9 @@ def in_process(module: str) -> Callable[[dict[str, Any]], np.ndarray]:
 
 def reason(text: str) -> str:
     """Return the line of a host's output with the reason of a failure, without paths."""
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith(" ")]  # those are code
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith(" ")] or [""]  # those are code
     telling = [line for line in lines if re.search(r"error|undefined|fail|could not|fatal", line, re.IGNORECASE)]
-    line = (telling or lines or [""])[0 if telling else -1]
+    line = telling[0] if telling else lines[-1]
     return " ".join(re.sub(r"\S*/(?=[^/\s]+)", "", line).replace("|", "/").split())[:110]
 
 
@@ -97,21 +97,19 @@ def checker() -> str | None:
 def checker_rows(job: dict[str, Any]) -> np.ndarray:
     """Rows of the compliance checker: a host of C without Python. Inputs come from a file."""
     ((name, fmu),) = job["fmus"].items()
-    inputs = job["start"][name]
+    inputs, steps, stop = job["start"][name], job["steps"], job["step"] * job["steps"]
     with tempfile.TemporaryDirectory() as folder:
         given, made, said = (Path(folder) / n for n in ("in.csv", "out.csv", "log"))
         row = ",".join(map(repr, inputs.values()))
         names = ",".join(f'"{n}"' for n in inputs)
-        given.write_text(f'"time",{names}\n0,{row}\n{job["steps"] * job["step"]},{row}\n')
-        command = [str(checker()), "-k", "cs", "-n", "0", "-h", repr(job["step"])]
-        command += ["-s", repr(job["step"] * job["steps"]), "-i", str(given), "-o", str(made), "-e", str(said), fmu]
-        subprocess.run(command, capture_output=True, timeout=LIMIT, check=False)
+        given.write_text(f'"time",{names}\n0,{row}\n{stop},{row}\n')
+        command = f"{checker()} -k cs -n 0 -h {job['step']!r} -s {stop!r} -i {given} -o {made} -e {said} {fmu}"
+        subprocess.run(command.split(), capture_output=True, timeout=LIMIT, check=False)
         with made.open() as stream:
-            rows = list(csv.DictReader(stream))
-        if len(rows) <= job["steps"]:
+            rows = list(csv.DictReader(stream))[: steps + 1]
+        if len(rows) <= steps:
             raise Refused(reason(said.read_text(errors="replace")))
-    columns = [column.partition(".")[2] for column in job["columns"]]
-    return np.array([[float(row[column]) for column in columns] for row in rows[: job["steps"] + 1]])
+    return np.array([[float(row[column.partition(".")[2]]) for column in job["columns"]] for row in rows])
 
 
 def needs(package: str) -> Callable[[], str]:
@@ -136,14 +134,6 @@ HOSTS = (
 PACKAGES = {"FMPy": "fmpy", "libcosim": "libcosimpy", "ecos": "ecospy"}
 
 
-def shown_version(host: Host) -> str:
-    """A host's name with the version of its package."""
-    if host.name not in PACKAGES or host.missing():
-        return host.name
-    package = PACKAGES[host.name]
-    return f"{host.name} {version(package)}" if package == "fmpy" else f"{host.name} ({package} {version(package)})"
-
-
 @cache
 def ours(source: Path, faults: str = "[]") -> Any:
     """Results of a scenario or an SSP here."""
@@ -154,39 +144,31 @@ def ours(source: Path, faults: str = "[]") -> Any:
 
 def alone(fmu: Path, inputs: Mapping[str, float], host: Host, folder: Path) -> float:
     """How far a host is off with an FMU alone."""
-    file = folder / f"{fmu.parent.name}-{fmu.stem}.json"
-    start = dict(inputs)
-    components = {"x": {"fmu": str(fmu.resolve()), "start": start}}
-    content = {"name": "x", "duration": STEP * STEPS, "step": STEP, "algorithm": "jacobi", "components": components}
-    file.write_text(json.dumps(content))
+    file, start, fmus = folder / f"{fmu.parent.name}-{fmu.stem}.json", dict(inputs), {"x": str(fmu.resolve())}
+    content = {"name": "x", "duration": STEP * STEPS, "step": STEP, "algorithm": "jacobi"}
+    file.write_text(json.dumps(content | {"components": {"x": {"fmu": fmus["x"], "start": start}}}))
     results = ours(file)
     outputs = {f"x.{v.name}" for v in description_of(fmu).modelVariables if v.causality == "output"}
     columns = [c for c in results.columns if c in outputs]
-    job = {"fmus": {"x": str(fmu.resolve())}, "start": {"x": start}, "connections": [], "columns": columns}
-    return distance(results, host, {**job, "step": STEP, "steps": STEPS})
+    return distance(results, host, {"fmus": fmus, "start": {"x": start}, "connections": [], "columns": columns})
 
 
 def looped(ssp: Path, host: Host) -> float:
     """Return the distance of a host's results for an SSP; connected inputs are zero in FMPy's first step."""
-    results = ours(ssp)
     with tempfile.TemporaryDirectory() as folder:
         run(ssp, folder, [f"duration={STEP}", f"step={STEP}"], report=False)
         scenario = json.loads((Path(folder) / "system" / "scenario.json").read_text())
     fed = [connection["to"] for connection in scenario["connections"]]
-    if host.name == "FMPy":
-        none = [{"on": signal, "kind": "stuck", "value": 0, "from": 0, "to": 0} for signal in fed]
-        results = ours(ssp, json.dumps(none))
-    columns = [c for c in results.columns if c not in fed]
-    return distance(
-        results, host, {"ssp": str(ssp), "columns": columns, "step": STEP, "steps": STEPS, "parameters": "start"}
-    )
+    none = [{"on": signal, "kind": "stuck", "value": 0, "from": 0, "to": 0} for signal in fed]
+    results = ours(ssp, json.dumps(none if host.name == "FMPy" else []))
+    return distance(results, host, {"ssp": str(ssp), "columns": [c for c in results.columns if c not in fed]})
 
 
 def distance(results: Any, host: Host, job: dict[str, Any]) -> float:
     """Return the largest |a − b| / max(1, |b|) after row 0, which some hosts omit."""
     assert host.rows is not None
     try:
-        got = host.rows(job)
+        got = host.rows({**job, "step": STEP, "steps": STEPS})
     except subprocess.TimeoutExpired:
         raise Refused(f"not done in {LIMIT} s") from None
     want = np.column_stack([results[column] for column in job["columns"]])
@@ -194,10 +176,8 @@ def distance(results: Any, host: Host, job: dict[str, Any]) -> float:
     return float(np.max(np.abs(got[1:] - want[1:]) / np.maximum(1.0, np.abs(want[1:]))))
 
 
-def cell(attempt: Callable[[], float], why: str = "") -> str:
+def cell(attempt: Callable[[], float]) -> str:
     """Return the text of a table cell: the distance, or the reason for a missing result."""
-    if why:
-        return why
     try:
         off = attempt()
     except (Refused, CosimError) as error:
@@ -205,18 +185,16 @@ def cell(attempt: Callable[[], float], why: str = "") -> str:
     return "equal" if off == 0.0 else f"{off:.0e}" if off <= NEAR else f"**{off:.0e}**"
 
 
-def loops(folder: Path, made: Path) -> dict[str, Path | None]:
-    """Return the closed loop as an SSP for each available pair of FMUs; None for missing pairs."""
-    found: dict[str, Path | None] = {}
-    source = ROOT / "scenarios" / "manoeuvre.yaml"
-    for name, (plant, controller) in LOOPS.items():
-        found[name] = None
-        if (folder / plant).is_file() and (folder / controller).is_file():
-            files = {"plant": folder / plant, "controller": folder / controller}
-            overrides = [f"components.{c}.fmu={json.dumps(str(f.resolve()))}" for c, f in files.items()]
-            overrides += ["criteria={}", f"duration={STEP * STEPS}", f"step={STEP}"]
-            path = made / f"{name.replace(' ', '-')}.ssp"
-            found[name] = export_ssp(source, path, tuple(overrides)).path
+def loops(folder: Path, made: Path) -> list[Path | None]:
+    """Return the closed loop as an SSP for each pair of FMUs; None for those that are not there."""
+    found: list[Path | None] = []
+    for number, pair in enumerate(LOOPS.values()):
+        files = {name: (folder / file).resolve() for name, file in zip(("plant", "controller"), pair, strict=True)}
+        overrides = [f"components.{name}.fmu={json.dumps(str(file))}" for name, file in files.items()]
+        overrides += ["criteria={}", f"duration={STEP * STEPS}", f"step={STEP}"]
+        is_there = all(file.is_file() for file in files.values())
+        source, path = ROOT / "scenarios" / "manoeuvre.yaml", made / f"{number}.ssp"
+        found.append(export_ssp(source, path, tuple(overrides)).path if is_there else None)
     return found
 
 
@@ -225,20 +203,24 @@ def table(folder: Path) -> str:
     columns = [*FMUS, *LOOPS]
     lines = [f"| host | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
     with tempfile.TemporaryDirectory() as name:
-        made = Path(name)
-        ssps = loops(folder, made)
+        ssps = loops(folder, Path(name))
         for host in HOSTS:
-            cells: list[str] = []
-            missing = host.missing()
-            for file, inputs in FMUS.values():
-                there = (folder / file).is_file()
-                cells.append(cell(partial(alone, folder / file, inputs, host, made), missing if there else "not built"))
-            for ssp in ssps.values():
-                why = missing or ("" if host.ssps else "reads no SSP")
-                cells.append("not built" if ssp is None else cell(partial(looped, ssp, host), why))
-            if missing:
-                cells = [missing, *[""] * (len(columns) - 1)]
-            lines.append(f"| {shown_version(host)} | {' | '.join(cells)} |")
+            if host.missing():
+                lines.append(f"| {host.name} | {host.missing()} |" + " |" * (len(columns) - 1))
+                continue
+            cells = [
+                cell(partial(alone, folder / file, inputs, host, Path(name)))
+                if (folder / file).is_file()
+                else "not built"
+                for file, inputs in FMUS.values()
+            ]
+            for ssp in ssps:
+                there = "not built" if ssp is None else "" if host.ssps else "reads no SSP"
+                cells.append(there or cell(partial(looped, ssp, host)))
+            package = PACKAGES.get(host.name)
+            shown = f"{host.name} ({package} {version(package)})" if package else host.name
+            shown = shown.replace("(fmpy ", "").removesuffix(")") if package == "fmpy" else shown
+            lines.append(f"| {shown} | {' | '.join(cells)} |")
             print(lines[-1], file=sys.stderr, flush=True)
     return "\n".join(lines)
 

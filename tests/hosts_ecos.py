@@ -4,41 +4,31 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Any
 
 from ecospy import EcosSimulation, EcosSimulationStructure
 from ecospy.lib import EcosLib
 
 
-def rows_of(simulation: EcosSimulation, job: dict[str, Any], parameters: str | None) -> list[list[float]]:
-    """Rows of a simulation, from its initialization on."""
-    if not simulation.init(parameter_set=parameters):
-        raise SystemExit(EcosLib.get_last_error())
-    columns = [column.replace(".", "::", 1) for column in job["columns"]]
-    rows = [[simulation.get_real(c) for c in columns]]
-    for _ in range(job["steps"]):
-        simulation.step(1)
-        rows.append([simulation.get_real(c) for c in columns])
-    simulation.terminate()
-    return rows
-
-
 def main() -> None:
     job = json.load(sys.stdin)
     EcosLib.set_log_level("err")
-    if "ssp" in job:
-        with EcosSimulation(ssp_path=job["ssp"], step_size=job["step"]) as simulation:
-            json.dump(rows_of(simulation, job, job["parameters"]), sys.stdout)
-        return
+    columns, rows = [column.replace(".", "::", 1) for column in job["columns"]], []
     with EcosSimulationStructure() as structure:
-        for name, path in job["fmus"].items():
+        for name, path in job.get("fmus", {}).items():
             structure.add_model(name, path)
-        for source, target in job["connections"]:
+        for source, target in job.get("connections", []):
             structure.make_real_connection(source.replace(".", "::", 1), target.replace(".", "::", 1))
-        starts = {f"{name}::{key}": v for name, values in job["start"].items() for key, v in values.items()}
+        starts = {f"{name}::{key}": v for name, values in job.get("start", {}).items() for key, v in values.items()}
         structure.add_parameter_set("start", starts)
-        with EcosSimulation(structure=structure, step_size=job["step"]) as simulation:
-            rows = rows_of(simulation, job, "start")
+        of = {"ssp_path": job["ssp"]} if "ssp" in job else {"structure": structure}
+        with EcosSimulation(**of, step_size=job["step"]) as simulation:
+            if not simulation.init(parameter_set="start"):
+                raise SystemExit(EcosLib.get_last_error())
+            for k in range(job["steps"] + 1):
+                if k:
+                    simulation.step(1)
+                rows.append([simulation.get_real(column) for column in columns])
+            simulation.terminate()
     json.dump(rows, sys.stdout)
 
 

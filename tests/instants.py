@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import platform
-import subprocess
-import tempfile
 import zipfile
-from functools import cache
 from pathlib import Path
 
-import pytest
-
-from cosim.fmi.native.compiler import compiler
+from tests import compiled
 from tests.corpus.inputs import FMU_SOURCES
 
 HEAD = '<fmiModelDescription fmiVersion="3.0" modelName="instants" instantiationToken="g">'
@@ -56,16 +50,9 @@ OUTPUTS = {2: "1", 5: "", 12: "", 21: "", 22: "", 23: "20", 26: "", 27: "", 28: 
 CONSTANT = 'intervalVariability="constant" intervalDecimal="0.1"'
 
 
-@cache
 def library() -> Path:
     """Return the library compiled for this machine; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="instants-")) / "instants.so"
-    source = FMU_SOURCES / "instants.c"
-    subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source), "-lm"], check=True)
-    return made
+    return compiled.library(FMU_SOURCES / "instants.c")
 
 
 def instants_fmu(

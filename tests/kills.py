@@ -15,7 +15,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -36,113 +35,72 @@ class Killed:
     """
 
     def __init__(self, folder: Path, *, python: bool) -> None:
-        self.folder = folder
+        self.folder, self.part, self.whole = folder, folder / "part", folder / "whole"
         folder.mkdir()
         scenario = walker_scenario(
             folder, python=python, duration=0.01 * STEPS, pause=PAUSE, checkpoint="15 ms"
         )  # fmt: skip
-        self.begin = [str(scenario), "--out", str(folder / "part"), "--force"]
-        self.resume = [str(folder / "part"), "--resume"]
-        command = self.command([str(scenario), "--out", str(folder / "whole")])
-        assert command.wait(LONGEST) == 0, self._said(command)
+        self.begin, self.resume = [str(scenario), "--out", str(self.part), "--force"], [str(self.part), "--resume"]
+        assert self.command([str(scenario), "--out", str(self.whole)]).wait(LONGEST) == 0
 
     @staticmethod
     def command(arguments: list[str]) -> subprocess.Popen[bytes]:
         """Return the command, begun."""
-        words = [sys.executable, "-m", "cosim", "run", *arguments, "--no-report", "--json", "-q"]
+        words = [sys.executable, "-m", "cosim", "run", *arguments, "--no-report", "-q"]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        return subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     def faults(self, kills: int, rng: random.Random, counts: Counter[str]) -> list[str]:
         """Kill a run so many times, let it end, and return what is wrong with its files."""
-        part = self.folder / "part"
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(self.part, ignore_errors=True)
         arguments = self.begin
         for _ in range(kills):
-            process = self.command(arguments)
-            self._kill(process, rng, counts)
-            code, said = process.poll(), self._said(process)
-            if code == 2 and not self._is_finished():
-                counts["nothing to resume"] += 1
-                arguments = self.begin
-                continue
-            if code in (0, 2):
-                counts["ended before"] += 1
-            elif code not in (-signal.SIGKILL, 4):
-                return [f"exit {code}: {said}"]
-            arguments = self.resume
-        return self._end(arguments)
-
-    def _is_finished(self) -> bool:
-        try:
-            status: str = json.loads((self.folder / "part" / "manifest.json").read_text())["status"]
-        except (OSError, ValueError):
-            return False
-        return status == "ok"
-
-    def _end(self, arguments: list[str]) -> list[str]:
-        part = self.folder / "part"
-        for _ in range(2):
-            process = self.command(arguments)
-            code, said = process.wait(LONGEST), self._said(process)
+            code = self._kill(self.command(arguments), rng, counts)
             arguments = self.begin if code == 2 and not self._is_finished() else self.resume
-        if code and not (code == 2 and self._is_finished()):
-            return [f"exit {code}: {said}"]
-        return self._differences(part)
+            if code in (0, 2):
+                counts["ended before" if arguments is self.resume else "nothing to resume"] += 1
+            elif code not in (-signal.SIGKILL, 4):
+                return [f"exit {code}"]
+        for _ in range(2):
+            code = self.command(arguments).wait(LONGEST)
+            arguments = self.begin if code == 2 and not self._is_finished() else self.resume
+        return [] if code == 0 or (code == 2 and self._is_finished()) else [f"exit {code}"]
 
-    def _differences(self, part: Path) -> list[str]:
-        found = []
-        whole = self.folder / "whole"
-        if (part / "results.csv").read_bytes() != (whole / "results.csv").read_bytes():
-            found.append("results.csv differs")
-        manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (part, whole)]
+    def differences(self) -> list[str]:
+        """Return what differs in the files of the run and of one that was not killed."""
+        manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (self.part, self.whole)]
         for manifest in manifests:
             del manifest["timings"]
-        keys = [key for key in {**manifests[0], **manifests[1]} if manifests[0].get(key) != manifests[1].get(key)]
-        found += [f"manifest.json differs in {', '.join(keys)}"] if keys else []
-        names = sorted(path.relative_to(part).as_posix() for path in part.rglob("*") if path.is_file())
+        found = ["manifest.json differs"] if manifests[0] != manifests[1] else []
+        if (self.part / "results.csv").read_bytes() != (self.whole / "results.csv").read_bytes():
+            found.append("results.csv differs")
+        names = sorted(path.relative_to(self.part).as_posix() for path in self.part.rglob("*") if path.is_file())
         if names != ["checkpoint/run.json", "checkpoint/state", "manifest.json", "results.csv"]:
             found.append(f"files: {names}")
         return found
 
-    @staticmethod
-    def _said(process: subprocess.Popen[bytes]) -> dict[str, str]:
-        assert process.stdout is not None
-        with process.stdout as stream, suppress(ValueError):
-            return json.loads(stream.read())  # type: ignore[no-any-return]
-        return {}
+    def _is_finished(self) -> bool:
+        with suppress(OSError, ValueError):
+            return bool(json.loads((self.part / "manifest.json").read_text())["status"] == "ok")
+        return False
 
-    # -- kills ----------------------------------------------------------------------------------
-
-    def _kill(self, process: subprocess.Popen[bytes], rng: random.Random, counts: Counter[str]) -> None:
-        """Kill the command, its worker or both: at any time, between two steps, or while a checkpoint is written."""
-        moment, victims = rng.choice(("any", "step", "write")), rng.choice(("command", "worker", "both"))
-        state = self.folder / "part" / "checkpoint" / "state"
-        before = _changed(state)
-        if moment == "any":
-            self._wait(process, lambda: False, rng.uniform(0.0, 4.0))
-        else:
-            self._wait(process, lambda: _changed(state) != before, LONGEST)
-            self._wait(process, lambda: False, rng.uniform(0.0, 0.6e-6 * PAUSE * STEPS))
-        if moment == "write":
-            self._wait(process, lambda: any(state.parent.glob(".state.*")), LONGEST, pause=0.0)
-        if process.poll() is None:
-            counts[f"{victims} killed"] += 1
-        worker = _children(process.pid)
-        for pid in (*(worker if victims != "command" else ()), *([process.pid] if victims != "worker" else ())):
+    def _kill(self, process: subprocess.Popen[bytes], rng: random.Random, counts: Counter[str]) -> int:
+        """Kill the command, its worker or both: at any time of a run, or some time after a checkpoint."""
+        victims, checkpoint = rng.choice(("command", "worker", "both")), self.part / "checkpoint"
+        before, end = _changed(checkpoint), time.monotonic() + LONGEST
+        while rng.random() < 0.999 and _changed(checkpoint) == before and time.monotonic() < end:
+            time.sleep(0.002)
+        end = time.monotonic() + rng.uniform(0.0, 0.6e-6 * PAUSE * STEPS)
+        while process.poll() is None and time.monotonic() < end:
+            time.sleep(0.002)
+        counts[f"{victims} killed"] += process.poll() is None
+        worker = _children(process.pid) if victims != "command" else []
+        for pid in [*worker, process.pid] if victims != "worker" else worker:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        process.wait(LONGEST)
-        time.sleep(0.02)
-        counts["in a write"] += any(state.parent.glob(".state.*"))
-
-    @staticmethod
-    def _wait(
-        process: subprocess.Popen[bytes], is_due: Callable[[], bool], longest: float, pause: float = 0.002
-    ) -> None:
-        end = time.monotonic() + longest
-        while time.monotonic() < end and process.poll() is None and not is_due():
-            time.sleep(pause)
+        code = process.wait(LONGEST)
+        counts["in a write"] += any(checkpoint.glob(".state.*"))
+        return code
 
 
 def _changed(path: Path) -> int:
@@ -157,29 +115,22 @@ def _children(pid: int) -> list[int]:
     return []
 
 
-def kill_runs(folder: Path, count: int, seed: int = SEED) -> tuple[Counter[str], list[str]]:
-    """Kill runs so many times; return the counts and all faults."""
-    rng, counts, wrong = random.Random(seed), Counter[str](), list[str]()
-    killed = [Killed(folder / name, python=name == "python") for name in ("c", "python")]
-    left = count
-    while left > 0:
-        kills = min(left, rng.randint(1, MOST_KILLS))
-        left -= kills
-        number = counts["runs"]
-        faults = killed[number % 2].faults(kills, rng, counts)
-        counts["runs"] += 1
-        for fault in faults:
-            wrong.append(f"run {number}, {kills} kills: {fault}")
-            print(wrong[-1], file=sys.stderr, flush=True)
-    return counts, wrong
-
-
 def main(count: int) -> int:
     """Kill runs so many times and return the number of faults."""
+    rng, counts, wrong = random.Random(SEED), Counter[str](), 0
     with tempfile.TemporaryDirectory(prefix="kills-") as folder:
-        counts, wrong = kill_runs(Path(folder), count)
-    print(json.dumps({"kills": count, "wrong": len(wrong), **dict(sorted(counts.items()))}))
-    return len(wrong)
+        killed = [Killed(Path(folder) / name, python=name == "python") for name in ("c", "python")]
+        left = count
+        while left > 0:
+            kills, number = min(left, rng.randint(1, MOST_KILLS)), counts["runs"]
+            left -= kills
+            run = killed[number % 2]
+            counts["runs"] += 1
+            for fault in run.faults(kills, rng, counts) or run.differences():
+                wrong += 1
+                print(f"run {number}, {kills} kills: {fault}", file=sys.stderr, flush=True)
+    print(json.dumps({"kills": count, "wrong": wrong, **dict(sorted(counts.items()))}))
+    return wrong
 
 
 if __name__ == "__main__":

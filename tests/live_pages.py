@@ -1,13 +1,17 @@
-"""Runs with a live page for tests: a slow scenario with variables of every kind, and the command in a process."""
+"""Pages for tests: a slow scenario with variables of every kind, a command with its page, and what a page answers."""
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
 
 from tests.deeds import deeds_fmu
 from tests.typed import typed_fmu
@@ -50,3 +54,17 @@ def live_command(*arguments: str | Path, folder: Path) -> Iterator[tuple[subproc
         finally:
             if process.poll() is None:
                 process.kill()
+
+
+def ask(url: str, content: Any = None, status: int = 200) -> Any:
+    """Return the answer of a page, which must have a status; with content, as JSON or in bytes, it is a POST."""
+    body = content if content is None or isinstance(content, bytes) else json.dumps(content).encode()
+    request = urllib.request.Request(url, body, {"Content-Type": "application/json"})
+    try:
+        answer = urllib.request.urlopen(request, timeout=20)
+    except HTTPError as refused:
+        answer = refused
+    with answer:
+        told = json.load(answer) if "json" in answer.headers["Content-Type"] else answer.read()
+        assert answer.status == status, told
+        return told

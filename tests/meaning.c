@@ -7,6 +7,8 @@
 typedef void *C;
 typedef unsigned int VR;
 enum { OK, WARNING, DISCARD, ERROR };
+#define FINE(name) int name() { return OK; }
+#define NONE(name) int name() { return ERROR; }
 
 #if FMI == 1 /* dx/dt = u - x, y = 2u, in co-simulation and model exchange */
 typedef struct { void *logger, *allocate, *release, *finished; } Callbacks;
@@ -89,6 +91,15 @@ int fmi2DoStep(C c, double t, double h, int no) {
     for (int k = 0; k < m->whole[SAYS]; k++) m->call->logger(m->call->environment, m->name, OK, "all", "%d at %g", k, t);
     return OK;
 }
+const char *fmi2GetTypesPlatform(void) { return "default"; }
+const char *fmi2GetVersion(void) { return "2.0"; }
+FINE(fmi2SetupExperiment) FINE(fmi2EnterInitializationMode) FINE(fmi2ExitInitializationMode) FINE(fmi2Terminate)
+FINE(fmi2Reset) FINE(fmi2SetDebugLogging)
+NONE(fmi2GetString) NONE(fmi2SetString) NONE(fmi2SetBoolean) NONE(fmi2GetFMUstate) NONE(fmi2SetFMUstate)
+NONE(fmi2FreeFMUstate) NONE(fmi2SerializedFMUstateSize) NONE(fmi2SerializeFMUstate) NONE(fmi2DeSerializeFMUstate)
+NONE(fmi2GetDirectionalDerivative) NONE(fmi2SetRealInputDerivatives) NONE(fmi2GetRealOutputDerivatives)
+NONE(fmi2CancelStep) NONE(fmi2GetStatus) NONE(fmi2GetRealStatus) NONE(fmi2GetIntegerStatus) NONE(fmi2GetBooleanStatus)
+NONE(fmi2GetStringStatus)
 
 #elif FMI == 3 /* each output, of an even reference, has the value of the input before it; inputs cannot be read */
 typedef struct { double real; int64_t whole; uint64_t natural; _Bool truth; char text[99]; uint8_t raw[99]; size_t size; } M;
@@ -122,6 +133,23 @@ int fmi3DoStep(C c, double t, double h, _Bool no, _Bool *e, _Bool *end, _Bool *e
     *e = *end = *early = 0; *last = t + h;
     return OK;
 }
+const char *fmi3GetVersion(void) { return "3.0"; }
+FINE(fmi3EnterEventMode) FINE(fmi3EnterInitializationMode) FINE(fmi3EnterStepMode) FINE(fmi3ExitInitializationMode)
+FINE(fmi3Reset) FINE(fmi3SetDebugLogging) FINE(fmi3Terminate)
+NONE(fmi3ActivateModelPartition) NONE(fmi3CompletedIntegratorStep) NONE(fmi3DeserializeFMUState)
+NONE(fmi3EnterConfigurationMode) NONE(fmi3EnterContinuousTimeMode) NONE(fmi3EvaluateDiscreteStates)
+NONE(fmi3ExitConfigurationMode) NONE(fmi3FreeFMUState) NONE(fmi3GetAdjointDerivative) NONE(fmi3GetClock)
+NONE(fmi3GetContinuousStateDerivatives) NONE(fmi3GetContinuousStates) NONE(fmi3GetDirectionalDerivative)
+NONE(fmi3GetEventIndicators) NONE(fmi3GetFMUState) NONE(fmi3GetFloat32) NONE(fmi3GetInt16) NONE(fmi3GetInt32)
+NONE(fmi3GetInt8) NONE(fmi3GetIntervalDecimal) NONE(fmi3GetIntervalFraction) NONE(fmi3GetNominalsOfContinuousStates)
+NONE(fmi3GetNumberOfContinuousStates) NONE(fmi3GetNumberOfEventIndicators) NONE(fmi3GetNumberOfVariableDependencies)
+NONE(fmi3GetOutputDerivatives) NONE(fmi3GetShiftDecimal) NONE(fmi3GetShiftFraction) NONE(fmi3GetUInt16)
+NONE(fmi3GetUInt32) NONE(fmi3GetUInt8) NONE(fmi3GetVariableDependencies) NONE(fmi3InstantiateModelExchange)
+NONE(fmi3InstantiateScheduledExecution) NONE(fmi3SerializeFMUState) NONE(fmi3SerializedFMUStateSize)
+NONE(fmi3SetClock) NONE(fmi3SetContinuousStates) NONE(fmi3SetFMUState) NONE(fmi3SetFloat32) NONE(fmi3SetInt16)
+NONE(fmi3SetInt32) NONE(fmi3SetInt8) NONE(fmi3SetIntervalDecimal) NONE(fmi3SetIntervalFraction)
+NONE(fmi3SetShiftDecimal) NONE(fmi3SetShiftFraction) NONE(fmi3SetTime) NONE(fmi3SetUInt16) NONE(fmi3SetUInt32)
+NONE(fmi3SetUInt8) NONE(fmi3UpdateDiscreteStates)
 
 #else /* a node of a bus: it sends two bytes each 0.3 s, and counts what arrives; clocked values only at their ticks */
 typedef struct { int receives, sends, evaluated, sent, arrived; double next; uint8_t raw[9]; size_t size; uint8_t out[2]; } M;
@@ -157,4 +185,22 @@ int fmi3DoStep(C c, double t, double h, _Bool no, _Bool *e, _Bool *end, _Bool *e
     *end = *early = 0; *last = t + h;
     return OK;
 }
+const char *fmi3GetVersion(void) { return "3.0"; }
+FINE(fmi3EnterEventMode) FINE(fmi3EnterInitializationMode) FINE(fmi3EnterStepMode) FINE(fmi3ExitInitializationMode)
+FINE(fmi3Reset) FINE(fmi3SetDebugLogging) FINE(fmi3Terminate)
+NONE(fmi3ActivateModelPartition) NONE(fmi3CompletedIntegratorStep) NONE(fmi3DeserializeFMUState)
+NONE(fmi3EnterConfigurationMode) NONE(fmi3EnterContinuousTimeMode) NONE(fmi3EvaluateDiscreteStates)
+NONE(fmi3ExitConfigurationMode) NONE(fmi3FreeFMUState) NONE(fmi3GetAdjointDerivative) NONE(fmi3GetBoolean)
+NONE(fmi3GetContinuousStateDerivatives) NONE(fmi3GetContinuousStates) NONE(fmi3GetDirectionalDerivative)
+NONE(fmi3GetEventIndicators) NONE(fmi3GetFMUState) NONE(fmi3GetFloat32) NONE(fmi3GetFloat64) NONE(fmi3GetInt16)
+NONE(fmi3GetInt64) NONE(fmi3GetInt8) NONE(fmi3GetIntervalDecimal) NONE(fmi3GetIntervalFraction)
+NONE(fmi3GetNominalsOfContinuousStates) NONE(fmi3GetNumberOfContinuousStates) NONE(fmi3GetNumberOfEventIndicators)
+NONE(fmi3GetNumberOfVariableDependencies) NONE(fmi3GetOutputDerivatives) NONE(fmi3GetShiftDecimal)
+NONE(fmi3GetShiftFraction) NONE(fmi3GetString) NONE(fmi3GetUInt16) NONE(fmi3GetUInt32) NONE(fmi3GetUInt64)
+NONE(fmi3GetUInt8) NONE(fmi3GetVariableDependencies) NONE(fmi3InstantiateModelExchange)
+NONE(fmi3InstantiateScheduledExecution) NONE(fmi3SerializeFMUState) NONE(fmi3SerializedFMUStateSize)
+NONE(fmi3SetBoolean) NONE(fmi3SetContinuousStates) NONE(fmi3SetFMUState) NONE(fmi3SetFloat32) NONE(fmi3SetFloat64)
+NONE(fmi3SetInt16) NONE(fmi3SetInt32) NONE(fmi3SetInt64) NONE(fmi3SetInt8) NONE(fmi3SetIntervalDecimal)
+NONE(fmi3SetIntervalFraction) NONE(fmi3SetShiftDecimal) NONE(fmi3SetShiftFraction) NONE(fmi3SetString)
+NONE(fmi3SetTime) NONE(fmi3SetUInt16) NONE(fmi3SetUInt32) NONE(fmi3SetUInt64) NONE(fmi3SetUInt8)
 #endif

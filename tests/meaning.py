@@ -2,29 +2,13 @@
 
 from __future__ import annotations
 
-import platform
-import re
-import subprocess
-import tempfile
 import zipfile
-from functools import cache
 from pathlib import Path
 
-import pytest
+from tests.deeds import compiled
 
-from cosim.fmi.native.compiler import compiler
-from tests.corpus.inputs import FMU_SOURCES
-
-HERE = Path(__file__).parent
-OPTIONAL2 = (
-    "GetString SetString SetBoolean GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize SerializeFMUstate "
-    "DeSerializeFMUstate GetDirectionalDerivative SetRealInputDerivatives GetRealOutputDerivatives CancelStep "
-    "GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus"
-)
-FINE2 = "SetupExperiment EnterInitializationMode ExitInitializationMode Terminate Reset SetDebugLogging"
-FINE3 = "EnterInitializationMode ExitInitializationMode Terminate Reset SetDebugLogging EnterEventMode EnterStepMode"
 ALIASES = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="1.0" modelName="m" modelIdentifier="meaning" guid="g" numberOfContinuousStates="STATES"
+<fmiModelDescription fmiVersion="1.0" modelName="m" modelIdentifier="meaning" guid="g" numberOfContinuousStates="1"
     numberOfEventIndicators="0">
   <DefaultExperiment startTime="0" stopTime="1"/>
   <ModelVariables>
@@ -40,12 +24,9 @@ ALIASES = """<?xml version="1.0" encoding="UTF-8"?>
     <ScalarVariable name="b" valueReference="0" causality="output"><Boolean/></ScalarVariable>
     <ScalarVariable name="not_b" valueReference="0" causality="input" alias="negatedAlias">
       <Boolean start="false"/></ScalarVariable>
-  </ModelVariables>INTERFACE
+  </ModelVariables>
 </fmiModelDescription>
 """
-ALONE1 = """
-  <Implementation><CoSimulation_StandAlone>
-    <Capabilities canHandleVariableCommunicationStepSize="true"/></CoSimulation_StandAlone></Implementation>"""
 UNITS = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="g">
   <CoSimulation modelIdentifier="meaning" canHandleVariableCommunicationStepSize="true"/>
@@ -111,53 +92,22 @@ NODE = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-@cache
-def _library(kind: int) -> Path:
-    """Return a library compiled for this machine; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
-    source = (HERE / "meaning.c").read_text()
-    if kind == 2:
-        source += 'const char *fmi2GetTypesPlatform(void) { return "default"; }\n'
-        source += 'const char *fmi2GetVersion(void) { return "2.0"; }\n'
-        source += "".join(f"int fmi2{name}() {{ return 0; }}\n" for name in FINE2.split())
-        source += "".join(f"int fmi2{name}() {{ return 3; }}\n" for name in OPTIONAL2.split())
-    elif kind > 2:
-        part = source.split("#elif FMI == 3")[1].split("#else")[kind - 3]
-        names = {*re.findall(r"fmi3\w+", (FMU_SOURCES / "typed3.c").read_text())} - {*re.findall(r"(fmi3\w+)\(", part)}
-        names -= {f"fmi3{verb}{type_}" for verb in ("Get", "Set") for type_ in re.findall(r"^BOTH\((\w+)", part, re.M)}
-        source += 'const char *fmi3GetVersion(void) { return "3.0"; }\n'
-        fine = {f"fmi3{name}" for name in FINE3.split()}
-        source += "".join(
-            f"int {n}() {{ return {0 if n in fine else 3}; }}\n" for n in sorted(names - {"fmi3GetVersion"})
-        )
-    folder = Path(tempfile.mkdtemp(prefix="meaning-"))
-    (folder / "meaning.c").write_text(source)
-    flags = ["-O1", "-w", "-shared", "-fPIC", f"-DFMI={kind}"]
-    subprocess.run([*command, *flags, "-o", str(folder / "meaning.so"), str(folder / "meaning.c")], check=True)
-    return folder / "meaning.so"
-
-
 def _fmu(path: Path, kind: int, description: str) -> Path:
+    library = compiled(Path(__file__).with_name("meaning.c"), "-O1", f"-DFMI={kind}")
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
-        archive.write(_library(kind), f"binaries/{'x86_64-linux' if kind > 2 else 'linux64'}/meaning.so")
+        archive.write(library, f"binaries/{'x86_64-linux' if kind > 2 else 'linux64'}/meaning.so")
     return path
 
 
-def alias_fmu(path: Path, *, exchange: bool = False) -> Path:
-    """Return an FMU of FMI 1.0 with negated aliases: y = 2u, dx/dt = u - x, for model exchange or co-simulation."""
-    text = ALIASES.replace("INTERFACE", "" if exchange else ALONE1)
-    return _fmu(path, 1, text.replace("STATES", "1" if exchange else "0"))
+def alias_fmu(path: Path) -> Path:
+    """Return an FMU of FMI 1.0 for model exchange with negated aliases: y = 2u, dx/dt = u - x."""
+    return _fmu(path, 1, ALIASES)
 
 
 def unit_fmu(path: Path, units: tuple[str, str] = ("", ""), definitions: str = "", **replaced: str) -> Path:
     """Return an FMU with y = gain·u in given units, and outputs that switch at multiples of `at` [s]."""
-    text = UNITS.replace(
-        "<UnitDefinitions>DEFINITIONS</UnitDefinitions>", f"<UnitDefinitions>{definitions}</UnitDefinitions>"
-    )
-    text = text.replace("<UnitDefinitions></UnitDefinitions>", "")
+    text = UNITS.replace("DEFINITIONS", definitions).replace("<UnitDefinitions></UnitDefinitions>", "")
     for mark, unit in zip(("UNIT_IN", "UNIT_OUT"), units, strict=True):
         text = text.replace(f' unit="{mark}"', f' unit="{unit}"' if unit else "")
     for old, new in replaced.items():

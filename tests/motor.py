@@ -101,17 +101,6 @@ def motor_log(
     return write_log(path, {"time": time, "voltage": voltage, "current": read[:, 0], "speed": read[:, 1]})
 
 
-def motor_study(folder: Path, step: float = 0.02, **changes: str) -> Path:
-    """Write motor.py with replaced texts, two estimation logs, and a study; return the study."""
-    model = motor_file(folder, **changes)
-    size = float(changes.get("inductance", "2.04e-3"))
-    for seed, name in enumerate(("a", "b")):
-        motor_log(folder / f"{name}.csv", seed, step, inductance=size)
-    path = folder / "study.yaml"
-    path.write_text(f"model: {model.name}:Motor\nlogs: {{estimation: [a.csv, b.csv]}}\n")
-    return path
-
-
 def motor_file(folder: Path, stated: str = "", inductance: str = "2.04e-3", integrator: str = "") -> Path:
     """Write motor.py with another inductance [H], and with a substep and an integrator if given; return its path."""
     folder.mkdir(parents=True, exist_ok=True)

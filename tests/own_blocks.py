@@ -6,12 +6,10 @@ from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequ
 from typing import Any
 
 from cosim.blocks.component import Signal, in_turn
-from cosim.isolation.rows import Rows
 from cosim.system.schedule import Stage
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
-Call = tuple[str, str, int]  # component, call, number that stands in `Rows.doing` meanwhile
 Law = Callable[[float, float, Sequence[float]], Sequence[float]]  # end of the step [s], its length [s], inputs
 
 
@@ -25,9 +23,8 @@ class Block:
     def __init__(self, name: str, inputs: Sequence[str], outputs: Sequence[str], law: Law, **options: Any) -> None:
         self.name, self.law = name, law
         self.inputs, self.outputs = tuple(map(Signal, inputs)), tuple(map(Signal, outputs))
-        self.direct: Mapping[str, Any] = options.get("direct", {})
         self.doing: MutableSequence[int] = [0]
-        self.calls: list[Call] = []
+        self.calls: list[tuple[str, str, int]] = []  # component, call, number that stands in `doing` meanwhile
         self.steps: list[tuple[float, float]] = []
         self.fails: tuple[str, int] | None = options.get("fails")  # call, and the how-manieth of its kind
         self.error: type[Exception] = options.get("error", RuntimeError)
@@ -35,14 +32,14 @@ class Block:
         self._at = 0.0, 0.0
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
-        return self.direct.get(name, False)
+        return False
 
     def bind(self, row: Any, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         self._row, self._first = row, first
 
     def open(self, start: float, stop: float) -> None:
         self._note("open")
-        self._at, self.span = (start, 0.0), (start, stop)
+        self._at = start, 0.0
 
     def start(self) -> None:
         self._note("start")
@@ -62,7 +59,7 @@ class Block:
         self._at = t + h, h
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        return in_turn(self, doing, first)
+        return in_turn(self, doing, first)  # type: ignore[arg-type]
 
     def close(self) -> None:
         self._note("close")
@@ -73,38 +70,13 @@ class Block:
             raise self.error(self.name, self._at[0], f"{call} failed")
 
 
-def system_of(
-    blocks: Sequence[Block],
-    wires: Mapping[str, str],
-    held: Collection[str] = (),
-    every: Mapping[str, int] | None = None,
-    start: float = 0.0,
-    **options: Any,
-) -> System:
-    """Return a system that steps blocks in order.
-
-    wires: target → source; held: targets with values of the step's start
-    """
-    columns = [f"{block.name}.{signal.name}" for block in blocks for signal in (*block.inputs, *block.outputs)]
-    place = {column: number for number, column in enumerate(columns)}
-    transfers = [Transfer(place[source], place[target], target) for target, source in wires.items()]
+def system_of(blocks: Sequence[Block], wires: Mapping[str, str], **options: Any) -> System:
+    """Return a system that steps blocks in order; wires: target → source."""
+    signals = {f"{block.name}.{signal.name}": signal for block in blocks for signal in (*block.inputs, *block.outputs)}
+    columns = tuple(signals)
+    transfers = [Transfer(columns.index(source), columns.index(target), target) for target, source in wires.items()]
     stages = tuple(
-        Stage(
-            block,  # type: ignore[arg-type]
-            tuple(t for t in transfers if t.name.partition(".")[0] == block.name and t.name not in held),
-            (every or {}).get(block.name, 1),
-        )
+        Stage(block, tuple(t for t in transfers if t.name.partition(".")[0] == block.name), 1)  # type: ignore[arg-type]
         for block in blocks
     )
-    later = tuple(t for t in transfers if t.name in held)
-    signals = {f"{b.name}.{s.name}": s for b in blocks for s in (*b.inputs, *b.outputs)}
-    units = dict.fromkeys(columns, "")
-    return System(stages, later, columns=tuple(columns), units=units, start=start, signals=signals, **options)
-
-
-def rows_for(system: System, steps: int) -> Rows:
-    """Return rows in memory, with a `doing` common to every block of a system."""
-    rows = Rows.in_memory(steps + 1, len(system.columns))
-    for stage in system.stages:
-        stage.component.doing = rows.doing  # type: ignore[attr-defined]
-    return rows
+    return System(stages, (), columns=columns, units=dict.fromkeys(columns, ""), start=0.0, signals=signals, **options)

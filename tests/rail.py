@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,35 +14,14 @@ MODEL = '''"""A mass on a rail, between a spring and a motor."""
 
 from dataclasses import dataclass
 
-from cosim.model import Bias, Delay, Effect, Equations, Latency, Model, Quantity, overrides, parameter
+from cosim.model import Effect, Equations, Latency, Model, Quantity, overrides, parameter
 
 
 class RailEffect(Effect):
-    """A force that the base model lacks, or a motor of its own dynamics."""
+    """A force that the base model lacks."""
 
     def force(self, m, x, v):
         return 0.0
-
-    def motor(self, m, u, states):
-        raise NotImplementedError
-
-
-@dataclass(frozen=True, kw_only=True)
-class Late(Delay, RailEffect):
-    name = "late_motor"
-    memory = (Quantity("force", "N", "force that acts until the delay has passed"),)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Soft(RailEffect):
-    name = "soft_motor"
-    equation = "f'' = w^2 (u - f) - 1.2 w f', f in place of u"
-    states = (Quantity("force", "N", "force"), Quantity("rate", "N/s", "its rate"))
-    frequency: float = parameter(0.0, unit="rad/s", bounds=(0, 100), neutral=0.0, typical=20.0, doc="w; 0 = off")
-
-    def motor(self, m, u, states):
-        w = self.frequency
-        return m.where(w > 0.0, states[0], u), (states[1], w * w * (u - states[0]) - 1.2 * w * states[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,27 +89,10 @@ class FarStop(RailEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BackStop(RailEffect):
-    name = "back_stop"
-    equation = "force k (-0.8 - x) beyond -0.8 m"
-    stiffness: float = parameter(0.0, unit="N/m", bounds=(0, 1e4), neutral=0.0, typical=100.0, doc="k")
-
-    def force(self, m, x, v):
-        return self.stiffness * m.maximum(0.0, -0.8 - x)
-
-
-@dataclass(frozen=True, kw_only=True)
 class CameraLate(Latency):
     name = "camera_late"
     output = "position"
     outputs = ("position",)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GyroBias(Bias):
-    name = "speed_bias"
-    output = "velocity"
-    value: float = parameter(0.0, unit="m/s", bounds=(-1, 1), neutral=0.0, typical=0.02, doc="bias")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,8 +103,8 @@ class Rail(Model):
     base_states = (Quantity("position", "m", "position"), Quantity("velocity", "m/s", "velocity"))
     inputs = (Quantity("force", "N", "force of the motor commanded"),)
     outputs = base_states
-    catalogue = (Late, Soft, Coulomb, Stribeck, Drag, Hardening, Slope, FarStop, BackStop)
-    sensors = (CameraLate, GyroBias)
+    catalogue = (Coulomb, Stribeck, Drag, Hardening, Slope, FarStop)
+    sensors = (CameraLate,)
     sensor_variance = {"position": 1e-6, "velocity": 1e-4}
     start_variance = {"position": 0.01, "velocity": 0.04}
     forced = ("velocity",)
@@ -155,86 +116,67 @@ class Rail(Model):
 
     def equations(self, m):
         forces = overrides(self.awake, "force", RailEffect)
-        motors = overrides(self.awake, "motor", RailEffect)
 
         def derivative(t, state, command):
-            x, v, *own = state
-            u, slopes = command[0], ()
-            for term in motors:
-                u, slopes = term.motor(m, u, tuple(own))
-            total = u - self.viscous * v - self.spring * x
+            x, v = state
+            total = command[0] - self.viscous * v - self.spring * x
             for term in forces:
                 total = total + term.force(m, x, v)
-            return v, total / self.mass, *slopes
+            return v, total / self.mass
 
-        return Equations(derivative, lambda t, state, command: tuple(state[:2]))
+        return Equations(derivative, lambda t, state, command: tuple(state))
 '''
-STEP, FINE = 0.02, 8
+STEP, FINE, ROWS = 0.02, 8, 600
 SHEET = {"mass": 2.0, "viscous": 4.0, "spring": 50.0}
+ABSENT = dict.fromkeys(("coulomb", "drag", "hardening", "slope", "sliding", "rest", "fades"), 0.0)
 NOISE = {"position": 1e-3, "velocity": 1e-2}
 Rows = np.ndarray
 Recorder = Callable[[Rows, Rows, np.random.Generator], Rows]  # of true readings and their rates [1/s]: what is written
-Pull = Callable[[float, float], float]  # of position and velocity
 
 
-def steps(rng: np.random.Generator, rows: int, size: float = 12.0) -> Rows:
+def steps(rng: np.random.Generator, size: float = 12.0) -> Rows:
     """Forces that change at irregular times."""
-    u, k = np.zeros(rows), 0
-    while k < rows:
+    u, k = np.zeros(ROWS), 0
+    while k < ROWS:
         lasting = int(rng.integers(8, 50))
         u[k : k + lasting] = rng.uniform(-size, size)
         k += lasting
     return u
 
 
-def moved(
-    u: Rows, numbers: Mapping[str, float] = SHEET, pull: Pull | None = None, push: Rows | None = None
-) -> tuple[Rows, Rows]:
-    """Position, velocity and their rates, a row each, by Runge-Kutta in eight parts of a row; `push` [N] is held."""
-    p = {
-        **SHEET,
-        **dict.fromkeys(("coulomb", "drag", "hardening", "slope", "sliding", "rest", "fades"), 0.0),
-        **numbers,
-    }
-    m, b, k, dry = (p[n] for n in ("mass", "viscous", "spring", "coulomb"))
-    late, w = round(p.get("late", 0.0) / STEP * FINE), p.get("soft", 0.0)
-    held = np.repeat(u, FINE)
-    held = np.concatenate([np.full(late, u[0]), held])[: held.size]
-    pushed = np.zeros(held.size) if push is None else np.repeat(push, FINE)
-
-    def rate(state: tuple[float, ...], given: float, beside: float) -> tuple[float, ...]:
-        x, v, f, df = state
-        acts = f if w else given
-        level = dry + p["sliding"] + (p["rest"] - p["sliding"]) * math.exp(-((v / 0.1) ** 2))
-        damping = b * (1.0 - p["fades"] * i / held.size)
-        total = acts + beside - damping * v - k * x - level * math.tanh(v / 0.02)
-        total += -p["drag"] * abs(v) * v - p["hardening"] * x**3 + p["slope"] + (pull(x, v) if pull else 0.0)
-        return v, total / m, df, w * w * (given - f) - 1.2 * w * df
-
-    def ahead(state: tuple[float, ...], slope: tuple[float, ...], h: float) -> tuple[float, ...]:
-        return tuple(a + h * s for a, s in zip(state, slope, strict=True))
-
-    i, h, state, states, rates = 0, STEP / FINE, (0.0, 0.0, 0.0, 0.0), [], []
-    for i, (given, beside) in enumerate(zip(held.tolist(), pushed.tolist(), strict=True)):
-        a = rate(state, given, beside)
-        if i % FINE == 0:
-            states.append(state[:2])
-            rates.append(a[:2])
-        c = rate(ahead(state, a, h / 2), given, beside)
-        d = rate(ahead(state, c, h / 2), given, beside)
-        e = rate(ahead(state, d, h), given, beside)
-        state = tuple(s + h / 6 * (q + 2 * r + 2 * t + z) for s, q, r, t, z in zip(state, a, c, d, e, strict=True))
-    return np.array(states), np.array(rates)
-
-
-def lasting(rng: np.random.Generator, rows: int, size: float, seconds: float = 1.0) -> Rows:
-    """A disturbance of this standard deviation, forgotten within so many seconds."""
-    keep = math.exp(-STEP / seconds)
-    pushed, now = np.empty(rows), size * rng.standard_normal()
-    for k in range(rows):
+def lasting(rng: np.random.Generator, size: float) -> Rows:
+    """A disturbance of this standard deviation, forgotten within a second."""
+    keep = math.exp(-STEP)
+    pushed, now = np.empty(ROWS), size * rng.standard_normal()
+    for k in range(ROWS):
         pushed[k] = now
         now = keep * now + size * math.sqrt(1.0 - keep * keep) * rng.standard_normal()
     return pushed
+
+
+def moved(u: Rows, numbers: Mapping[str, float]) -> tuple[Rows, Rows]:
+    """Position, velocity and their rates, a row each, by Runge-Kutta in eight parts of a row."""
+    p = {**ABSENT, **SHEET, **numbers}
+    held = np.repeat(u, FINE).tolist()
+
+    def rate(i: int, state: Rows) -> Rows:
+        x, v = state.tolist()
+        level = p["coulomb"] + p["sliding"] + (p["rest"] - p["sliding"]) * math.exp(-((v / 0.1) ** 2))
+        damping = p["viscous"] * (1.0 - p["fades"] * i / len(held))
+        total = held[i] - damping * v - p["spring"] * x - level * math.tanh(v / 0.02)
+        total += -p["drag"] * abs(v) * v - p["hardening"] * x**3 + p["slope"]
+        return np.array([v, total / p["mass"]])
+
+    h, state, rows = STEP / FINE, np.zeros(2), []
+    for i in range(len(held)):
+        a = rate(i, state)
+        if i % FINE == 0:
+            rows.append((state, a))
+        c = rate(i, state + h / 2 * a)
+        d = rate(i, state + h / 2 * c)
+        state = state + h / 6 * (a + 2 * c + 2 * d + rate(i, state + h * d))
+    states, rates = np.array(rows).swapaxes(0, 1)
+    return states, rates
 
 
 def white(true: Rows, rates: Rows, rng: np.random.Generator) -> Rows:
@@ -242,31 +184,22 @@ def white(true: Rows, rates: Rows, rng: np.random.Generator) -> Rows:
     return true + np.array(list(NOISE.values())) * rng.standard_normal(true.shape)
 
 
-def rail_log(
-    path: Path,
-    seed: int,
-    numbers: Mapping[str, float] = SHEET,
-    *,
-    seconds: float = 12.0,
-    recorder: Recorder = white,
-    pull: Pull | None = None,
-    push: float = 0.0,
+def rail_study(
+    folder: Path, numbers: Mapping[str, float], more: str = "", recorder: Recorder = white, push: float = 0.0
 ) -> Path:
-    """A log of a rail of these numbers, by a recorder, with a pull of its own and a lasting disturbance [N]."""
-    rng = np.random.default_rng(seed)
-    rows = round(seconds / STEP)
-    u = steps(rng, rows)
-    true, rates = moved(u, numbers, pull, lasting(rng, rows, push) if push else None)
-    read = recorder(true, rates, rng)
-    return write_log(path, {"time": STEP * np.arange(rows), "force": u, "position": read[:, 0], "velocity": read[:, 1]})
+    """Write rail.py, two estimation logs, a sealed log, by a recorder, and a study with further lines; return it.
 
-
-def rail_study(folder: Path, numbers: Mapping[str, float] = SHEET, more: str = "", seed: int = 0, **how: Any) -> Path:
-    """Write rail.py, two estimation logs, a sealed log and a study with further lines; return the study."""
+    Beside the motor acts a lasting disturbance of the size `push` [N], which is not logged.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rail.py").write_text(MODEL, encoding="utf-8")
-    for k, name in enumerate(("a", "b", "c")):
-        rail_log(folder / f"{name}.csv", 10 * seed + k, numbers, **how)
+    for seed, name in enumerate(("a", "b", "c")):
+        rng = np.random.default_rng(seed)
+        u = steps(rng)
+        acts = u + lasting(rng, push) if push else u
+        position, velocity = recorder(*moved(acts, numbers), rng).T
+        columns = {"time": STEP * np.arange(ROWS), "force": u, "position": position, "velocity": velocity}
+        write_log(folder / f"{name}.csv", columns)
     path = folder / "study.yaml"
     path.write_text(f"model: rail.py:Rail\nlogs: {{estimation: [a.csv, b.csv], validation: [c.csv]}}\n{more}")
     return path

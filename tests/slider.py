@@ -19,17 +19,6 @@ from tests.corpus.inputs import FMU_SOURCES
 from tests.logs import write_log
 
 FOLDERS = {2: "linux64", 3: "x86_64-linux"}
-CO_SIMULATION = '<CoSimulation modelIdentifier="slider" canHandleVariableCommunicationStepSize="true"/>'
-EXCHANGE = '<ModelExchange modelIdentifier="slider"/>'
-PARAMETERS = {  # name → value reference, start value, further attributes
-    "mass": (5, 1.0, 'unit="kg" min="0.01"'),
-    "gain": (6, 2.0, ""),
-    "damping": (7, 0.5, 'min="0"'),
-    "offset": (8, 0.0, ""),
-    "idle": (9, 3.0, ""),
-    "fragile": (10, 0.0, ""),
-    "velocity_start": (11, 0.0, ""),
-}
 TRUTH = {"mass": 1.6, "gain": 2.0, "damping": 0.8, "offset": 0.0}
 Array = NDArray[np.float64]
 
@@ -46,63 +35,10 @@ def library() -> Path:
     return made
 
 
-def description(version: int, exchange: bool) -> str:
-    """Return the model description."""
-    way = EXCHANGE if exchange else CO_SIMULATION
-    if version == 3:
-        head = '<fmiModelDescription fmiVersion="3.0" modelName="slider" instantiationToken="g">'
-        parameters = "".join(
-            f'<Float64 name="{n}" valueReference="{k}" causality="parameter" variability="fixed" start="{v}" {more}/>'
-            for n, (k, v, more) in PARAMETERS.items()
-        )
-        signals = (
-            '<Float64 name="force" valueReference="0" causality="input" start="0" unit="N"/>'
-            '<Float64 name="position" valueReference="1" causality="output" initial="exact" start="0" unit="m"/>'
-            '<Float64 name="velocity" valueReference="2" causality="output" unit="m/s"/>'
-            '<Float64 name="der(position)" valueReference="3" causality="local" derivative="1"/>'
-            '<Float64 name="der(velocity)" valueReference="4" causality="local" derivative="2"/>'
-        )
-        structure = (
-            '<Output valueReference="1"/><Output valueReference="2"/><ContinuousStateDerivative valueReference="3"/>'
-            '<ContinuousStateDerivative valueReference="4"/><InitialUnknown valueReference="2"/>'
-            '<InitialUnknown valueReference="3"/><InitialUnknown valueReference="4"/>'
-        )
-    else:
-        head = '<fmiModelDescription fmiVersion="2.0" modelName="slider" guid="g" numberOfEventIndicators="0">'
-
-        def scalar(name: str, reference: int, attributes: str, real: str) -> str:
-            head = f'<ScalarVariable name="{name}" valueReference="{reference}" {attributes}>'
-            return f"{head}<Real {real}/></ScalarVariable>"
-
-        signals = (
-            scalar("force", 0, 'causality="input"', 'start="0" unit="N"')
-            + scalar("position", 1, 'causality="output" initial="exact"', 'start="0" unit="m"')
-            + scalar("velocity", 2, 'causality="output"', 'unit="m/s"')
-            + scalar("der(position)", 3, 'causality="local"', 'derivative="2"')
-            + scalar("der(velocity)", 4, 'causality="local"', 'derivative="3"')
-        )
-        fixed = 'causality="parameter" variability="fixed"'
-        parameters = "\n".join(scalar(n, k, fixed, f'start="{v}" {more}') for n, (k, v, more) in PARAMETERS.items())
-        unknowns = '<Unknown index="3"/><Unknown index="4"/><Unknown index="5"/>'
-        structure = (
-            '<Outputs><Unknown index="2"/><Unknown index="3"/></Outputs><Derivatives><Unknown index="4"/>'
-            f'<Unknown index="5"/></Derivatives><InitialUnknowns>{unknowns}</InitialUnknowns>'
-        )
-    units = "".join(f'<Unit name="{n}"><BaseUnit {b}/></Unit>' for n, b in UNITS.items())
-    return (
-        f'<?xml version="1.0" encoding="UTF-8"?>\n{head}\n{way}\n<UnitDefinitions>{units}</UnitDefinitions>\n'
-        f"<ModelVariables>{signals}\n{parameters}\n</ModelVariables>\n<ModelStructure>{structure}</ModelStructure>\n"
-        "</fmiModelDescription>\n"
-    )
-
-
-UNITS = {"N": 'kg="1" m="1" s="-2"', "m": 'm="1"', "m/s": 'm="1" s="-1"', "kg": 'kg="1"'}
-
-
 def slider_fmu(path: Path, version: int = 2, *, exchange: bool = False, follow: bool = False) -> Path:
     """Build the FMU; with `follow` its library takes the start values of modelDescription.xml."""
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", description(version, exchange))
+        archive.write(FMU_SOURCES / f"slider{version}{'me' if exchange else 'cs'}.xml", "modelDescription.xml")
         archive.write(library(), f"binaries/{FOLDERS[version]}/slider.so")
         archive.writestr("documentation/license.txt", "free")
         archive.writestr("resources/follow" if follow else "resources/none", "")

@@ -12,6 +12,7 @@ from cosim.core.errors import InputError, TimedOut
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.refinement.study import read_study
 from tests.blind.fmu_build import WAYS, build
+from tests.cases import some
 from tests.test_refine_fmu import NOISE, RESISTANCE, run_motor, write_study
 
 STEPS = ("co_simulation",)
@@ -37,45 +38,23 @@ def fitted(folder: Path, fault: str, first: float = 1.0) -> float:
     return fit.values["resistance"]
 
 
-# -- fit ----------------------------------------------------------------------------------------------
-
-
-def test_parameters_that_are_forgotten_are_set_again(folder: Path) -> None:
-    assert fitted(folder, "forgets_parameters") == pytest.approx(RESISTANCE, rel=0.01)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("fault", ["idle_reset", "leaks", "counts", "clock", "working_directory", "crashes", "hangs"])
+@pytest.mark.parametrize(
+    "fault", some(["forgets_parameters", "idle_reset", "leaks", "counts", "clock", "crashes", "hangs"], every=7)
+)
 def test_a_misbehaving_fmu_is_fitted_all_the_same(folder: Path, fault: str) -> None:
     near = fault in {"crashes", "hangs"}  # it fails above 1.05 times the true value
-    assert fitted(folder, fault, RESISTANCE if near else 1.0) == pytest.approx(
-        RESISTANCE, rel=0.05
-    )  # of faults of 1 and 5 %
+    found = fitted(folder, fault, RESISTANCE if near else 1.0)
+    assert found == pytest.approx(RESISTANCE, rel=0.01 if fault == "forgets_parameters" else 0.05)  # faults of 1, 5 %
 
 
 def test_a_step_above_that_of_the_log_is_refused(folder: Path) -> None:
     with pytest.raises(InputError) as refused:
         fitted(folder, "hidden_own_step")
-    (fault,) = refused.value.faults
-    assert fault.exit_code == 2
-    assert "of about 0.05 s, above the 0.02 s of the logs" in fault.message
+    assert [fault.exit_code for fault in refused.value.faults] == [2]
     assert not (folder / "out_hidden_own_step" / "fit.json").exists()
-
-
-@pytest.mark.thorough
-def test_no_parameters_are_refused(folder: Path) -> None:
-    with pytest.raises(InputError, match="has no parameter to estimate"):
-        cosim.fit([folder / "a.csv"], motor(folder, "no_parameters"))
-
-
-# -- refine -------------------------------------------------------------------------------------------
-
-
-def test_a_step_above_that_of_the_logs_is_refused_without_model_exchange(folder: Path) -> None:
     with pytest.raises(InputError) as refused:
         read_study(write_study(folder, motor(folder, "hidden_own_step"), [folder / "a.csv"], noise=NOISE))
-    (fault,) = refused.value.faults
-    assert (fault.exit_code, fault.line) == (2, 1)
+    assert [(fault.exit_code, fault.line) for fault in refused.value.faults] == [(2, 1)]
 
 
 @pytest.mark.thorough
@@ -85,15 +64,11 @@ def test_a_step_above_that_of_the_logs_is_refused_without_model_exchange(folder:
         ("step_events", "co-simulation"),
         ("time_events", "co-simulation"),
         ("hidden_own_step", "model-exchange"),
-        ("no_parameters", "model-exchange"),
-        ("no_units", "model-exchange"),
         ("forgets_parameters", "model-exchange"),
-        ("working_directory", "model-exchange"),
     ],
 )
 def test_a_study_takes_the_interface_that_works(folder: Path, fault: str, way: str) -> None:
-    logs = [folder / "a.csv", folder / "b.csv"]
-    study = read_study(write_study(folder, motor(folder, fault, WAYS), logs, noise=NOISE))
+    study = read_study(write_study(folder, motor(folder, fault, WAYS), [folder / "a.csv"], noise=NOISE))
     assert isinstance(study.subject, FmuSubject)
     assert study.subject.structure.way == way
     assert any("steps of its own" in text for text in study.warnings) == (fault == "hidden_own_step")
@@ -110,18 +85,8 @@ def test_a_crash_costs_one_candidate_and_is_named_with_its_call(folder: Path, tm
     assert any("the FMU failed in" in w and "crashed" in w for w in refined.record["warnings"])
 
 
-@pytest.mark.thorough
-def test_logs_at_rest_show_nothing_and_hide_friction(folder: Path, tmp_path: Path) -> None:
-    logs = [run_motor(folder / f"still{k}.csv", k, size=0.0) for k in (1, 2)]
-    names = ["coulomb_at_speed", "gain_at_voltage", "bias_at_speed"]
-    fmu = build(folder / "sound.fmu", "dc_motor", ways=("model_exchange",))
-    refined = cosim.refine(write_study(folder, fmu, logs, noise=NOISE, candidates=names), tmp_path, report=False)
-    assert refined.effects == []
-    assert "coulomb_at_speed" in refined.record["hidden"]
-
-
 def test_the_time_limit_of_a_study_ends_its_search(folder: Path, tmp_path: Path) -> None:
-    fmu = build(folder / "sound.fmu", "dc_motor", ways=("model_exchange",))
+    fmu = motor(folder, "crashes", ("model_exchange",))
     file = write_study(folder, fmu, [folder / "a.csv"], noise=NOISE, limits={"total": "1 ms"})
     with pytest.raises(TimedOut, match=r"the limit of 0\.001 s \(limits: total\) is reached at"):
         cosim.refine(file, tmp_path / "out", report=False)

@@ -33,19 +33,10 @@ def after(bench: Bench, seconds: float, **inputs: float) -> dict[str, float]:
     return dict(zip((q.name for q in bench.outputs), outputs, strict=True))
 
 
-@pytest.fixture(scope="module")
-def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bench")
-    (folder / "bench.yaml").write_text("schema_version: 1\nmodel: bench\n")
-    (built,) = build(folder, str(folder / "bench.yaml"))
-    return built
-
-
-def test_the_fmu_of_the_bench_is_valid(fmu: Path) -> None:
+def test_the_fmu_of_the_bench_is_valid_and_reads_what_the_equations_read_as_arrays(tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_text("schema_version: 1\nmodel: bench\n")
+    (fmu,) = build(tmp_path, str(tmp_path / "bench.yaml"))
     assert validate_fmu(str(fmu)) == []
-
-
-def test_the_fmu_reads_what_the_equations_read_as_arrays(fmu: Path) -> None:
     time, rng = 0.02 * np.arange(150), np.random.default_rng(3)
     duty, servo = 5.0 + 0.01 * np.arange(150), 7.5 + np.sin(time)
     noise, height = 0.01 * rng.standard_normal((3, 150)), np.full(150, 0.095)
@@ -57,14 +48,10 @@ def test_the_fmu_reads_what_the_equations_read_as_arrays(fmu: Path) -> None:
 
 def test_the_servo_stops_within_its_dead_band_from_either_side() -> None:
     bench = Bench()
-    told = servo_angle(8.5, bench.servo_neutral, bench.servo_slope)
-    assert after(bench, 3.0, servo_duty=8.5)["tilt_actual"] == pytest.approx(
-        told - 0.5 * bench.servo_dead_band, abs=1e-9
-    )
-    told = servo_angle(6.5, bench.servo_neutral, bench.servo_slope)
-    assert after(bench, 3.0, servo_duty=6.5)["tilt_actual"] == pytest.approx(
-        told + 0.5 * bench.servo_dead_band, abs=1e-9
-    )
+    for duty, side in ((8.5, -0.5), (6.5, 0.5)):
+        told = servo_angle(duty, bench.servo_neutral, bench.servo_slope)
+        stopped = after(bench, 3.0, servo_duty=duty)["tilt_actual"]
+        assert stopped == pytest.approx(told + side * bench.servo_dead_band, abs=1e-9)
     within = bench.servo_neutral + 0.4 * bench.servo_dead_band / bench.servo_slope
     assert after(bench, 3.0, servo_duty=within)["tilt_actual"] == 0.0
 

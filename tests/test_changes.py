@@ -17,18 +17,21 @@ from cosim.core.errors import InputError, SimulationError
 from cosim.core.times import first_point
 from cosim.master.inbox import Control
 from cosim.master.observer import ObservedRun, Observer
+from cosim.simulation.run_signals import Run
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.typed import typed_fmu
 
 STEPS = 60
+Changes = Mapping[int, Mapping[str, Any]]
 
 
 class Changer(Observer):
-    """Sends changes, each when the rows have reached a number; ends the run at a number of rows."""
+    """Sends changes, each when the rows have reached a number."""
 
-    def __init__(self, changes: Mapping[int, Mapping[str, Any]], end: int = 1 << 60) -> None:
-        self._changes, self._end, self._count = dict(changes), end, 0
-        self.control: Control | None = None
+    control: Control
+
+    def __init__(self, changes: Changes) -> None:
+        self._changes, self._count = dict(changes), 0
         self.set: dict[str, Any] = {}
 
     def begin(self, run: ObservedRun) -> None:
@@ -37,23 +40,23 @@ class Changer(Observer):
         self._send()
 
     def _send(self) -> None:
-        assert self.control is not None
         for point in [point for point in self._changes if point <= self._count]:
             self.set |= self.control.set(self._changes.pop(point))
 
     def rows(self, time: Array, values: Array) -> bool:
         self._count += len(time)
         self._send()
-        return self._count >= self._end
+        return False
 
 
-def scenario(folder: Path, **more: Any) -> dict[str, Any]:
+def scenario(folder: Path, more: str = "") -> Path:
     """Two typed FMUs in a row, inputs of the first free, and an FMU that takes 20 ms a step."""
     typed_fmu(folder, units=("rpm", "rad/s"))
     deeds_fmu(folder / "slow.fmu", "DoStep", "slow", 0)
-    parts = {name: {"fmu": str(folder / "typed.fmu")} for name in "ab"} | {"slow": {"fmu": str(folder / "slow.fmu")}}
-    links = [{"from": "a.r_out", "to": "b.r_in"}]
-    return {"name": "typed", "duration": STEPS * 0.01, "step": 0.01, "components": parts, "connections": links, **more}
+    parts = "{a: {fmu: typed.fmu, start: {gain: 4}}, b: {fmu: typed.fmu}, slow: {fmu: slow.fmu}}"
+    text = f"name: typed\nduration: {STEPS * 0.01}\nstep: 0.01\ncomponents: {parts}\n"
+    (folder / "s.yaml").write_text(f"{text}connections: [{{from: a.r_out, to: b.r_in}}]\n{more}\n")
+    return folder / "s.yaml"
 
 
 def repeated(folder: Path) -> dict[str, Any]:
@@ -65,13 +68,14 @@ def repeated(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize("in_process", [False, True])
 def test_a_change_shows_in_the_rows_and_the_manifest_repeats_the_run(tmp_path: Path, in_process: bool) -> None:
-    given = scenario(tmp_path, events=[{"at": 0.005, "set": {"a.gain": 2}}])
+    given = scenario(tmp_path, "events: [{at: 0.005, set: {a.gain: 2}}]")
     changer = Changer({0: {"a.r_in": "10 rad/s", "b.gain": 3.0}, 20: {"a.r_in": 5, "a.s_in": "x"}})
     ran = cosim.run(given, tmp_path / "o", in_process=in_process, observers=[changer], report=False)
     assert changer.set == {"a.r_in": 5.0, "b.gain": 3.0, "a.s_in": "x"}
     changes = ran.manifest["changes"]
-    speed, (first, second) = ran["a.r_in"], (first_point(change["at"], 0.0, 0.01) for change in changes)
-    assert first == 0 < 20 <= second <= STEPS
+    speed, second = ran["a.r_in"], first_point(changes[1]["at"], 0.0, 0.01)
+    assert changes[0]["at"] == 0.0
+    assert 20 <= second <= STEPS
     assert changes[0]["set"] == {"a.r_in": pytest.approx(10 * 60 / (2 * np.pi)), "b.gain": 3.0}
     assert changes[1]["set"] == {"a.r_in": 5.0, "a.s_in": "x"}
     assert {*speed[:second]} == {changes[0]["set"]["a.r_in"]}
@@ -84,59 +88,52 @@ def test_a_change_shows_in_the_rows_and_the_manifest_repeats_the_run(tmp_path: P
     assert "changes" not in again
 
 
+def changed(given: Path, folder: Path, step: float, changes: Changes) -> tuple[Run, int]:
+    """Return a run with one change, which repeats to the byte, and the row of the change."""
+    ran = cosim.run(given, folder / "o", observers=[Changer(changes)], report=False)
+    (change,) = ran.manifest["changes"]
+    repeated(folder)
+    return ran, first_point(change["at"], 0.0, step)
+
+
 def test_a_change_in_the_loop_in_c_repeats_to_the_byte(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=STEPS * 0.1)
-    ran = cosim.run(path, tmp_path / "o", observers=[Changer({20: {"good.u0": 2.5}})], report=False)
+    ran, point = changed(path, tmp_path, 0.1, {20: {"good.u0": 2.5}})
     assert ran.manifest["loop"] == "C"
-    (change,) = ran.manifest["changes"]
-    point = first_point(change["at"], 0.0, 0.1)
     assert (*ran["good.u0"][point - 1 : point + 1],) == (0.0, 2.5)
-    repeated(tmp_path)
 
 
 def test_a_change_takes_precedence_over_an_event_at_the_same_point(tmp_path: Path) -> None:
-    given = scenario(tmp_path, events=[{"at": 0.01 * k, "set": {"a.r_in": k, "a.gain": 2}} for k in range(STEPS)])
-    ran = cosim.run(given, tmp_path / "o", observers=[Changer({9: {"a.r_in": -1}})], report=False)
-    (change,) = ran.manifest["changes"]
-    point = first_point(change["at"], 0.0, 0.01)
+    events = ", ".join(f"{{at: {0.01 * k:.2f}, set: {{a.r_in: {k}}}}}" for k in range(STEPS))
+    ran, point = changed(scenario(tmp_path, f"events: [{events}]"), tmp_path, 0.01, {9: {"a.r_in": -1}})
     assert (*ran["a.r_in"][point : point + 2],) == (-1, point + 1)
-    repeated(tmp_path)
 
 
-def test_wrong_changes_are_refused_with_every_reason_and_nothing_is_set(tmp_path: Path) -> None:
-    faults: list[InputError] = []
+WRONG = {
+    "a.r_in": "5 kg", "a.e_in": 3, "a.b_in": 1, "b.r_in": 1, "a.warn_at": 1, "a.none": 1, "c.x": 1,
+    "a.gain": float("nan"), "a.i_in": 1.5,
+}  # fmt: skip
+
+
+def test_what_can_be_changed_is_listed_and_wrong_changes_are_refused_with_every_reason(tmp_path: Path) -> None:
+    places, listed = list[str](), dict[str, Any]()
 
     class Wrong(Changer):
         def rows(self, time: Array, values: Array) -> bool:
-            assert self.control is not None
-            wrong = {
-                "a.r_in": "5 kg", "a.e_in": 3, "a.b_in": 1, "b.r_in": 1, "a.warn_at": 1, "a.none": 1, "c.x": 1,
-                "a.gain": float("nan"), "a.i_in": 1.5,
-            }  # fmt: skip
-            try:
-                self.control.set({"a.s_in": "right", **wrong})
-            except InputError as error:
-                faults.append(error)
+            with pytest.raises(InputError) as refused:
+                self.control.set({"a.s_in": "right", **WRONG})
+            places.extend(str(f.file) for f in refused.value.faults)
+            listed.update({v.name: v for v in self.control.variables})
             return True
 
     ran = cosim.run(scenario(tmp_path), observers=[Wrong({})])
-    assert {str(f.file) for f in faults[0].faults} == {
-        "a.r_in", "a.e_in", "a.b_in", "b.r_in", "a.warn_at", "a.none", "c.x", "a.gain", "a.i_in",
-    }  # fmt: skip
+    assert {*places} == {*WRONG}
     assert set(ran.results.exact["a.s_in"]) == {""}
     assert "changes" not in ran.manifest
-
-
-def test_what_can_be_changed_is_listed_with_unit_bounds_items_and_start(tmp_path: Path) -> None:
-    changer = Changer({}, end=1)
-    given = scenario(tmp_path)
-    given["components"]["a"]["start"] = {"gain": 4.0}
-    cosim.run(given, observers=[changer])
-    assert changer.control is not None
-    listed = {v.name: v for v in changer.control.variables if not v.name.startswith("slow.")}
-    assert {*listed} == {f"a.{n}" for n in ("r_in", "gain", "i_in", "e_in", "b_in", "s_in")} | {
-        f"b.{n}" for n in ("gain", "i_in", "e_in", "b_in", "s_in")
-    }
+    free = ("gain", "i_in", "e_in", "b_in", "s_in")
+    assert {name for name in listed if name[:2] in ("a.", "b.")} == {
+        "a.r_in", *(f"{part}.{name}" for part in "ab" for name in free),
+    }  # fmt: skip
     assert (listed["a.r_in"].unit, listed["a.r_in"].is_input) == ("rpm", True)
     assert (listed["a.gain"].start, listed["a.gain"].is_input) == (4.0, False)
     assert listed["a.e_in"].items == {"first": 1, "second": 2}
@@ -149,12 +146,10 @@ def test_a_pause_holds_the_run_and_no_time_limit_counts_it(tmp_path: Path) -> No
     class Pauser(Changer):
         def begin(self, run: ObservedRun) -> None:
             super().begin(run)
-            assert self.control is not None
             self.control.paused = True
             threading.Timer(1.0, self.go_on).start()
 
         def go_on(self) -> None:
-            assert self.control is not None
             seen.append(self._count)
             self.control.paused = False
 

@@ -18,50 +18,39 @@ from tests.conftest import ROOT
 from tests.deeds import deeds_fmu
 from tests.logs import times, write_log
 
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "utf-8"])
-def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
+@pytest.mark.parametrize(("encoding", "minus"), [("cp1252", "\\u2212"), ("utf-8", "−")])
+def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str, minus: str) -> None:
     time = times(12.0)
-    commands = {n: np.sin(time) for n in ("duty_right", "duty_left", "tilt_right", "tilt_left")}  # down to −1
+    commands = dict.fromkeys(("duty_right", "duty_left", "tilt_right", "tilt_left"), np.sin(time))  # down to −1
     log = write_log(tmp_path / "a.csv", {"time": time, **commands, "ax": np.cos(time)})
-    run = subprocess.run(
-        [sys.executable, "-m", "cosim", "check", str(log)],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": encoding},
-        capture_output=True,
-        timeout=120,
-    )
-    assert run.returncode == 0, run.stderr
-    assert ("−1.00" if encoding == "utf-8" else "\\u22121.00") in run.stdout.decode(encoding)
+    words = [sys.executable, "-m", "cosim", "check", str(log)]
+    done = subprocess.run(words, env=ENVIRONMENT | {"PYTHONIOENCODING": encoding}, capture_output=True, check=True)
+    assert f"{minus}1.00" in done.stdout.decode(encoding)
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "place"),
+    ("name", "text", "places"),
     [
-        ("study.yaml", "model: base\nnoise: {}\n", (1, 1)),  # without logs
-        ("study.yaml", "candidates: [mass]\n", (1, 1)),
-        ("refine.json", '{"study": "study.yaml", "verdict": "no_effect", "candidates": []}', (0, 0)),  # an answer
+        ("study.yaml", "model: base\nnoise: {}\n", [(1, 1)]),  # without logs
+        ("refine.json", '{"study": "study.yaml", "verdict": "no_effect", "candidates": []}', [(0, 0)]),  # an answer
+        (
+            "study.yaml",
+            "noise: {psi: 0, psy: 1}\ncandidates: [masss]\nlogs:\n  estimation: [none.csv]\n  validaton: [b.csv]\n",
+            [(1, 14), (1, 17), (2, 14), (4, 16), (5, 3)],  # psi 0, psy, masss, none.csv, validaton
+        ),
     ],
 )
-def test_a_file_that_is_no_study_is_refused_at_its_place(
-    tmp_path: Path, name: str, text: str, place: tuple[int, int]
+def test_all_that_is_faulty_in_a_study_is_told_at_its_place(
+    tmp_path: Path, name: str, text: str, places: list[tuple[int, int]]
 ) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as refused:
         check_files([tmp_path / name])
-    (fault,) = refused.value.faults
-    assert (fault.file.name, (fault.line, fault.column)) == (name, place)
-
-
-def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> None:
-    path = tmp_path / "study.yaml"
-    path.write_text(
-        "noise: {psi: 0, psy: 1}\ncandidates: [masss]\nlogs:\n  estimation: [none.csv]\n  validaton: [b.csv]\n"
-    )
-    with pytest.raises(InputError) as refused:
-        check_files([path])
-    places = [(f.line, f.column) for f in refused.value.faults]
-    assert places == [(1, 14), (1, 17), (2, 14), (4, 16), (5, 3)]  # psi 0, psy, masss, none.csv, validaton
+    assert [(f.line, f.column) for f in refused.value.faults] == places
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
@@ -93,8 +82,6 @@ def stop(*_):
 {made}
 main()
 """
-LOADING = "sys.meta_path.insert(0, type('Stops', (), {'find_spec': stop}))"
-TELLING = "import cosim.verbs.cli; cosim.verbs.cli.entry = stop"
 
 
 def listening() -> None:
@@ -103,13 +90,16 @@ def listening() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a console sends its Ctrl-C to all that share it")
-@pytest.mark.parametrize("loading", [True, False])
-def test_stopped_from_the_keyboard_is_130_while_modules_load_and_while_the_end_is_told(loading: bool) -> None:
-    script = KEYBOARD.format(made=LOADING if loading else TELLING)
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, preexec_fn=listening,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    "made",
+    [
+        "sys.meta_path.insert(0, type('Stops', (), {'find_spec': stop}))",  # while modules load
+        "import cosim.verbs.cli; cosim.verbs.cli.entry = stop",  # while the end is told
+    ],
+)
+def test_stopped_from_the_keyboard_is_130_at_any_time(made: str) -> None:
+    words = [sys.executable, "-c", KEYBOARD.format(made=made)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, preexec_fn=listening, env=ENVIRONMENT)
     assert (done.returncode, done.stderr) == (130, "")
 
 
@@ -118,10 +108,26 @@ def test_stopped_from_the_keyboard_is_130_while_modules_load_and_while_the_end_i
 @pytest.mark.parametrize(("streams", "said"), [("2>&-", "no fault in"), (">&- 2>&- <&-", ""), ("| true", "")])
 def test_closed_streams_keep_no_command_from_its_work(tmp_path: Path, streams: str, said: str) -> None:
     fmu = deeds_fmu(tmp_path / "good.fmu")
-    shell = f"set -o pipefail; {sys.executable} -m cosim check {fmu.name} {streams}"  # `true` reads nothing and ends
-    done = subprocess.run(
-        ["bash", "-c", shell], cwd=tmp_path, capture_output=True, text=True, timeout=60,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    shell = f"set -o pipefail; {sys.executable} -m cosim check {fmu} {streams}"  # `true` reads nothing and ends
+    done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, timeout=60, env=ENVIRONMENT)
     assert (done.returncode, done.stderr) == (0, "")
     assert said in done.stdout
+
+
+THREADS = """
+import os, sys
+os.environ.pop("OPENBLAS_NUM_THREADS", None)
+from cosim import __main__ as program
+assert "numpy" not in sys.modules
+sys.argv = ["cosim", "compare", "a.csv", "b.csv"]
+try:
+    program.main()
+finally:
+    print("threads:", os.environ["OPENBLAS_NUM_THREADS"], "numpy" in sys.modules)
+"""
+
+
+def test_threads_of_linear_algebra_are_limited_before_numpy_is_imported() -> None:
+    """To one, because fits run side by side."""
+    done = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True, env=ENVIRONMENT)
+    assert "threads: 1 True" in done.stdout, done.stderr

@@ -1,21 +1,23 @@
-"""Pole placement, integrals and prediction: what each law does, by itself, in its FMU, and designed by a scenario."""
+"""The laws of control: what each does, by itself and in its FMU."""
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import solve_continuous_are, solve_discrete_are
+from fmpy.validation import validate_fmu
+from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
+from controller.closed_loop import manoeuvre
 from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
 from controller.laws import LawInput
 from controller.loop import Loop
 from controller.predictive import NAMES, PREDICTED, PredictiveLaw, TimeVariantLaw
 from controller.settings import (
+    GAINS,
     INTEGRAL_SETTINGS,
     PLACED_SETTINGS,
     PLANT_STATES,
@@ -26,8 +28,6 @@ from controller.settings import (
 from controller.synthesis import (
     POLES,
     Q_INTEGRAL,
-    Q_THESIS,
-    R_THESIS,
     lqr_gain,
     numbers_of,
     placed_gain,
@@ -39,31 +39,22 @@ from cosim.model.symbolic.linearize import linearize
 from cosim.simulation.workflow import run
 from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
 from plant.hovercraft import Hovercraft
-from tests.controllers import LAWS, WITHIN, figure_6_2, fly, manoeuvre, time_variant
-from tests.hosts_fmpy import Instance
+from tests.controllers import LAWS, LEGS, WITHIN, figure_6_2, fly, time_variant
+from tests.hosts_fmpy import Instance, refused
 
 STEP = 0.02
 MPC = PredictiveSettings()
 LTV = TimeVariantSettings()
-RECIPES = {"pole": poles_recipe, "lqi": integral_recipe, "mpc": predictive_recipe, "ltv-mpc": time_variant_recipe}
+RECIPES = {"poles": poles_recipe, "LQI": integral_recipe, "MPC": predictive_recipe, "LTV": time_variant_recipe}
 
 
 @pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def fmus(tmp_path_factory: pytest.TempPathFactory, controller_fmu: Path) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("laws")
-    return {name: build(recipe(), folder / f"controller-{name}.fmu") for name, recipe in RECIPES.items()}
+    return {"LQR": controller_fmu} | {name: build(recipe(), folder / f"{name}.fmu") for name, recipe in RECIPES.items()}
 
 
-@pytest.fixture
-def flown(project: Path, fmus: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The project with all controllers built, from the folder of its scenarios."""
-    for path in fmus.values():
-        shutil.copy(path, project / "build" / path.name)
-    monkeypatch.chdir(project / "scenarios")
-    return project
-
-
-# -- pole placement -----------------------------------------------------------------------------
+# -- pole placement and integrals ---------------------------------------------------------------
 
 
 def test_the_poles_stand_where_they_are_asked_for() -> None:
@@ -72,46 +63,19 @@ def test_the_poles_stand_where_they_are_asked_for() -> None:
         placed = np.linalg.eigvals(A - B @ placed_gain(Settings(), poles))
         # a double pole is found to the root of a rounding
         np.testing.assert_allclose(np.sort_complex(placed), np.sort_complex(np.array(poles, dtype=complex)), atol=1e-6)
-
-
-def test_the_frozen_gain_is_the_placed_one() -> None:
     assert pytest.approx(placed_gain(Settings()), rel=1e-9) == np.array(PLACED_SETTINGS.gain_matrix)
 
 
-@pytest.mark.parametrize(
-    "poles",
-    [
-        (0.5, -4, -11, -4, -5),
-        (-2, -4, -11, 0.0, -5),
-        (-2, -4, -4, -5, -6),
-        (-2, -4, -11, -5, -5),
-        (-2, -4 + 1j, -11, -4 - 1j, -5),
-    ],
-)
-def test_poles_that_cannot_be_are_refused(poles: tuple[complex, ...]) -> None:
-    with pytest.raises(ValueError, match=r"rad/s|axis"):
-        placed_gain(Settings(), poles)
-
-
-# -- integrals ----------------------------------------------------------------------------------
-
-
-def test_the_frozen_gains_with_integrals_are_the_designed_ones_and_solve_the_riccati_equation() -> None:
-    K, K_i = np.hsplit(lqr_gain(Settings(), Q_integral=Q_INTEGRAL), [5])
+def test_the_frozen_gains_with_integrals_are_the_designed_ones() -> None:
     p = INTEGRAL_SETTINGS
-    assert pytest.approx(K, rel=1e-9) == np.array(p.gain_matrix)
-    assert pytest.approx(K_i, rel=1e-9) == np.array(p.integral_matrix)
-    A, B = design_model(p)
-    both = np.block([[A, np.zeros((5, 2))], [np.eye(5)[[0, 2]], np.zeros((2, 2))]])
-    B = np.vstack([B, np.zeros((2, 2))])
-    P = solve_continuous_are(both, B, np.diag([*Q_THESIS, 0.3, 0.05]), np.diag(R_THESIS))
-    np.testing.assert_allclose(B.T @ P, np.hstack([K, K_i]), rtol=1e-6, atol=1e-7)  # R = I
+    frozen = np.hstack([p.gain_matrix, p.integral_matrix])
+    assert pytest.approx(lqr_gain(Settings(), Q_integral=Q_INTEGRAL), rel=1e-9) == frozen
 
 
 def test_the_measured_position_has_no_steady_error_with_fixes_and_keeps_one_with_the_imu_alone() -> None:
     tilted = Hovercraft().with_values({"table_tilt.x": 0.003})
     left = {
-        (name, fixes): abs(float(f.pose[-250:, 0].mean()))
+        (name, fixes): abs(float(f.y["x"][-250:].mean()))
         for name in ("LQR", "LQI")
         for fixes in (False, True)
         for f in [fly(name, duration=30.0, craft=tilted, fixes=fixes)]
@@ -161,43 +125,13 @@ def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equati
     np.testing.assert_allclose(law.last, -K @ z, atol=1e-9)
 
 
-def test_commands_keep_their_limits_wherever_the_craft_is() -> None:
-    rng, law, p = np.random.default_rng(6), PredictiveLaw(MPC), MPC
-    for k in range(60):
-        seen = LawInput(*rng.normal(size=3), x_meas=0.0, y_meas=float(rng.normal()), fix=k // 5, started=True)
-        tilts = law.command(rng.normal(size=5).tolist(), seen)
-        assert max(map(abs, tilts)) <= p.tilt_max
-        assert p.duty_min <= min(law.duties) <= max(law.duties) <= p.duty_max
-
-
-@pytest.mark.thorough
-def test_how_often_the_solver_gave_up_is_a_warning_of_the_run(flown: Path) -> None:
-    swap = ["components.controller.fmu=../build/controller-mpc.fmu", "criteria={}", "duration=1", "start_time=5"]
-    few = [*swap, "components.controller.start.iterations_max=3"]
-    outcome = run("regulate.yaml", flown / "few", few, report=False, in_process=True)
-    solved = outcome.results["controller.solved"]
-    (told,) = outcome.manifest["warnings"]
-    assert f"{(solved == 0).sum()} of {len(solved)}" in told
-    enough = run("regulate.yaml", flown / "enough", swap, report=False, in_process=True)
-    assert enough.manifest["warnings"] == []
-
-
 def test_the_predictive_law_holds_y_with_fixes() -> None:
     start = {"y": 0.2}
     held_back = fly("MPC", start=start, fixes=True, duration=8.0)
-    assert np.abs(held_back.pose[-50:, 1]).max() < 0.01
+    assert np.abs(held_back.y["y"][-50:]).max() < 0.01
     assert held_back.command[:, :2].min() >= 6.0
     assert held_back.command[:, :2].max() <= 7.0
-    assert np.abs(fly("LQR", start=start, fixes=True, duration=8.0).pose[-50:, 1]).min() > 0.1
-
-
-@pytest.mark.parametrize(
-    "given",
-    [{"duty_min": 6.5}, {"horizon": 0.1, "prediction_step": 0.2}, {"weight_tilt": 0.0}, {"tilt_max": 0.0}],
-)
-def test_a_prediction_without_solution_is_refused(given: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(given)).partition("_")[0]):
-        PredictiveSettings(**given)
+    assert np.abs(fly("LQR", start=start, fixes=True, duration=8.0).y["y"][-50:]).min() > 0.1
 
 
 # -- prediction with A(t), B(t) -----------------------------------------------------------------
@@ -260,62 +194,72 @@ def test_figure_6_2_of_each_law() -> None:
 @pytest.mark.parametrize("name", LAWS)
 def test_the_manoeuvre_of_app_g_is_within_10_percent_and_15_degrees(name: str) -> None:
     f = fly(name, manoeuvre, 26.0, seed=1)
-    for end, column, what in ((5, 2, "psi"), (10, 0, "x"), (17, 2, "psi"), (22, 0, "x"), (26, 2, "psi"), (26, 0, "x")):
+    for end, what in (*LEGS, (26, "x")):
         row = round(end / STEP) - 1
-        assert abs(f.pose[row, column] - f.wanted[row, column]) < WITHIN[what], (end, what)
+        assert abs(f.y[what][row] - f.wanted[what][row]) < WITHIN[what], (end, what)
 
 
 @pytest.mark.parametrize(
-    ("name", "of"), [("pole", PLACED_SETTINGS), ("lqi", INTEGRAL_SETTINGS), ("mpc", MPC), ("ltv-mpc", LTV)]
+    ("name", "values"),
+    [
+        ("LQR", dict(zip(GAINS, (0.01 * np.arange(1, 11)).tolist(), strict=True)) | {"tilt_max": 0.1}),
+        ("LQR", {"estimator": "lagged"}),
+        ("LQR", {"estimator": "consistent", "mass": 0.9, "fix_latency": 0.06}),
+        *((name, {}) for name in RECIPES),
+    ],
 )
-def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, of: Settings) -> None:
-    make = dict(zip(RECIPES, list(LAWS.values())[1:], strict=True))[name][1]
-    loop, rng = Loop(of, [0.3, 0.0, -0.2, 0.0, 0.0], 0.1, 0.2, 2.0, law=make(of)), np.random.default_rng(5)
-    names = ("psi", "psi_dot", "ax", "x_ref", "psi_ref", "x_meas", "y_meas", "fix")
+def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, values: dict[str, float | str]) -> None:
+    settings, make = LAWS[name]
+    settings = replace(settings, **values)
+    loop, rng = Loop(settings, [0.3, 0.0, -0.2, 0.0, 0.0], 0.1, 0.2, 2.0, law=make(settings)), np.random.default_rng(5)
+    if "k_1_1" in values:
+        assert np.ravel(settings.gain_matrix).tolist() == [values[gain] for gain in GAINS]
+
+    def told() -> list[float]:
+        return [*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()]
+
+    assert validate_fmu(str(fmus[name])) == []
     with Instance(fmus[name]) as controller:
-        start = {"x_hat_start": 0.3, "psi_hat_start": -0.2, "x_ref": 0.1, "psi_ref": 0.2, "fix": 2.0}
-        got = [list(controller.initialize(start).outputs().values())]
-        want = [[*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()]]
+        # the first command comes before any update: measurements far off would show
+        start = {"x_hat_start": 0.3, "psi_hat_start": -0.2, "x_ref": 0.1, "psi_ref": 0.2, "fix": 2.0, "psi": 3.0}
+        assert list(controller.initialize(values | start).outputs().values()) == told()
         for k in range(60):
             row = (*(0.1 * rng.normal(size=5)).tolist(), 0.2, 0.1, float(2 + k // 5))
             loop.step(row[:3], *row[3:5], row[7], row[5], y_meas=row[6])
-            want.append([*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()])
+            inputs = dict(
+                zip(("psi", "psi_dot", "ax", "x_ref", "psi_ref", "x_meas", "y_meas", "fix"), row, strict=True)
+            )
             state = controller.serialized()
-            got.append(list(controller.step(STEP * k, STEP, dict(zip(names, row, strict=True))).values()))
+            assert list(controller.step(STEP * k, STEP, inputs).values()) == told()
             if k % 20 == 10:  # taken back, hot start and all, it commands the same again
                 controller.restore(state)
-                assert list(controller.step(STEP * k, STEP, dict(zip(names, row, strict=True))).values()) == got[-1]
-    assert got == want
+                assert list(controller.step(STEP * k, STEP, inputs).values()) == told()
 
 
-def test_the_fmus_are_sound(fmus: dict[str, Path]) -> None:
-    from fmpy.validation import validate_fmu
+@pytest.mark.parametrize(
+    ("values", "length", "said"), [({}, 0.0199, "sample_time"), ({"estimator": "unscented"}, STEP, "consistent")]
+)
+def test_another_step_or_estimator_is_refused(
+    controller_fmu: Path, values: dict[str, str], length: float, said: str
+) -> None:
+    def call(controller: Instance) -> None:
+        controller.call("exitInitializationMode")
+        controller.step(0.0, length)
 
-    for path in fmus.values():
-        assert validate_fmu(str(path)) == []
+    assert said in refused(controller_fmu, values, call)
 
 
 @pytest.mark.thorough
-def test_one_line_swaps_the_controller(flown: Path) -> None:
-    for name in RECIPES:
-        swap = [f"components.controller.fmu=../build/controller-{name}.fmu", "criteria={}", "duration=4"]
-        outcome = run("regulate.yaml", flown / name, swap, report=False, in_process=True)
+def test_one_line_swaps_the_controller_and_a_solver_that_gives_up_is_a_warning(
+    project: Path, fmus: dict[str, Path]
+) -> None:
+    swap = [f"components.controller.fmu={fmus['MPC']}", "criteria={}", "duration=4"]
+    for more in ([], ["components.controller.start.iterations_max=3"]):
+        outcome = run(project / "scenarios" / "regulate.yaml", project / f"{more}", [*swap, *more], in_process=True)
         assert abs(outcome.results["plant.x"][-1]) < 0.15
-        assert abs(outcome.results["plant.psi"][-1]) < 0.05
-    again = run("regulate.yaml", flown / "again", swap, report=False, in_process=True)
-    first, second = ((folder / "results.csv").read_bytes() for folder in (outcome.folder, again.folder))
-    assert first == second  # the predictive one: same seed, same bytes
-
-
-@pytest.mark.thorough
-def test_on_a_tilted_table_integrals_hold_x_and_prediction_holds_y(flown: Path) -> None:
-    integral = run("hold.yaml", flown / "lqi", in_process=True)
-    assert integral.missed == []
-    assert abs(integral.results["plant.y"][-1]) > 1.0
-    swap = "components.controller.fmu=../build/controller-mpc.fmu"
-    predictive = run("hold.yaml", flown / "mpc", [swap, "duration=20"], report=False, in_process=True)
-    assert [c["of"] for c in predictive.missed] == ["plant.x"]  # off by what the tilt pushes: it has no integral
-    assert abs(predictive.results["plant.y"][-1]) < 0.1
+        failed = outcome.results["controller.solved"] == 0
+        told = [f"{failed.sum()} of {len(failed)}" in warning for warning in outcome.manifest["warnings"]]
+        assert told == [True] * bool(more)
 
 
 def test_a_scheduler_cuts_the_inputs_off(project: Path) -> None:

@@ -18,13 +18,7 @@ def outcome(folder: Path, printed: Any = PRINTED, rows: str = ROWS, code: int = 
     """An outcome of a command with a table."""
     (folder / "out").mkdir(parents=True)
     (folder / "out" / "results.csv").write_text(rows)
-    return Outcome("run", code, 1.0, printed, (), folder)
-
-
-def keys(folder: Path, tolerance: float = 0.0, **new: Any) -> list[str]:
-    """The keys that differ between an outcome and one with changes."""
-    pair = outcome(folder / "a"), outcome(folder / "b", **new)
-    return [difference.key for difference in differences("desk: run", *pair, tolerance)]
+    return Outcome("run", code, printed, (), folder)
 
 
 @pytest.mark.parametrize(
@@ -33,21 +27,16 @@ def keys(folder: Path, tolerance: float = 0.0, **new: Any) -> list[str]:
         ({}, []),
         ({"code": 4}, ["exit code"]),
         ({"printed": PRINTED | {"verdict": "no_effect"}}, ["printed:verdict"]),
-        ({"printed": PRINTED | {"value": 1.5000001}}, ["printed:value"]),
         ({"printed": PRINTED | {"message": "the same told in other words"}}, []),
-        ({"printed": PRINTED | {"message": None}}, ["printed:message"]),
         ({"printed": {"verdict": "claimed", "value": 1.5}}, ["printed:message"]),
-        ({"printed": PRINTED | {"further": 1}}, ["printed:further"]),
-        ({"printed": None}, ["printed"]),
         ({"rows": ROWS.replace("4.0", "4.5")}, ["out/results.csv:x"]),
-        ({"rows": ROWS.replace("4.0", "")}, ["out/results.csv:x"]),
-        ({"rows": ROWS.replace("off", "on")}, ["out/results.csv:mode"]),
         ({"rows": ROWS.replace("x", "y")}, ["out/results.csv:x", "out/results.csv:y"]),
         ({"rows": ROWS.rsplit("2,", 1)[0]}, ["out/results.csv:mode", "out/results.csv:time", "out/results.csv:x"]),
     ],
 )
 def test_what_differs_is_found_by_its_key(tmp_path: Path, new: dict[str, Any], found: list[str]) -> None:
-    assert keys(tmp_path, **new) == found
+    told = differences("desk: run", outcome(tmp_path / "a"), outcome(tmp_path / "b", **new))
+    assert [difference.key for difference in told] == found
 
 
 def test_a_missing_file_is_one_difference(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +21,10 @@ from cosim.probing.fmu_structure import Structure
 from cosim.probing.places import probe_structure
 from cosim.terms.code import term_code
 from tests.blind.fmu_build import PLANTS, build
+from tests.logs import times
 from tests.native import NEEDS_COMPILER
 
 pytestmark = NEEDS_COMPILER
-VERSIONS = pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.thorough)])
 NUMBERS = {p.name: p.start for p in PLANTS["pendulum"].parameters}
 LEVEL, DRAG, SOFTNESS = 0.04, 0.003, 0.02
 FORCES = {"coulomb_at_w.level": LEVEL, "coulomb_at_w.softness": SOFTNESS, "quadratic_drag_at_w.coefficient": DRAG}
@@ -33,52 +32,44 @@ POINTS = np.random.default_rng(4).uniform(-1.0, 1.0, (20, 4)) * [1.0, 1.0, 3.0, 
 STEP = 0.02
 
 
-def rates(x: Any, force: float, forces: bool = True, hinge: float = NUMBERS["hinge"]) -> Array:
+def rates(x: Any, force: float, hinge: float = NUMBERS["hinge"]) -> Array:
     """Return the derivatives by the mass matrix, with dry friction and drag at the hinge."""
     p, (_, v, phi, w) = NUMBERS, x
     sin, cos, bob, length = np.sin(phi), np.cos(phi), NUMBERS["bob"], NUMBERS["length"]
     mass = [[p["cart"] + bob, bob * length * cos], [bob * length * cos, bob * length**2]]
     push = force - p["spring"] * x[0] - p["rub"] * v + bob * length * sin * w * w
-    turn = -bob * 9.81 * length * sin - hinge * w
-    if forces:
-        turn -= LEVEL * np.tanh(w / SOFTNESS) + DRAG * w * abs(w)
+    turn = -bob * 9.81 * length * sin - hinge * w - LEVEL * np.tanh(w / SOFTNESS) - DRAG * w * abs(w)
     dv, dw = np.linalg.solve(mass, [push, turn])
     return np.array([v, dv, w, dw])
 
 
 def log_of_sines() -> Log:
-    time = STEP * np.arange(400)
+    time = times(7.98)
     force = 2.0 * np.sin(2.1 * time) + np.sin(5.3 * time)
     return Log(Path("a.csv"), time, {"force": force}, {}, {}, STEP, {}, {})
 
 
+@pytest.fixture(scope="module", params=[2, pytest.param(3, marks=pytest.mark.thorough)])
+def structure(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Structure:
+    fmu = build(tmp_path_factory.mktemp("pendulum") / "pendulum.fmu", "pendulum", request.param)
+    return probe_structure(fmu, [log_of_sines()])
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("pendulum")
-
-
-@cache
-def structure_of(folder: Path, plant: str = "pendulum", version: int = 2, fault: str = "") -> Structure:
-    logs = [log_of_sines()] if plant == "pendulum" else ()
-    return probe_structure(build(folder / f"{plant}{version}{fault}.fmu", plant, version, fault=fault), logs)
-
-
-def wrapped(folder: Path, version: int, **values: float) -> Path:
-    structure = structure_of(folder, version=version)
+def wrapped(structure: Structure) -> Path:
     model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
-    code = term_code(model, {n.partition(".")[0] for n in FORCES}, [q.name for q in structure.states])  # type: ignore[arg-type]
-    path = folder / f"wrapped{version}{values}.fmu"
-    wrap(structure.fmu, code, {**FORCES, **values}, path)
+    code = term_code(model, {n.partition(".")[0] for n in FORCES}, [q.name for q in structure.states])
+    path = structure.fmu.with_name("wrapped.fmu")
+    wrap(structure.fmu, code, FORCES, path)
     return path
 
 
 @contextmanager
-def opened(path: Path, *, begins: bool = True, **start: float) -> Iterator[DifferentiableFmu]:
+def opened(path: Path, **start: float) -> Iterator[DifferentiableFmu]:
     block = DifferentiableFmu("plant", path, read_description(path), start, frozenset())
     block.bind_nothing()
     block.open(0.0, 1.0)
-    if begins:
-        block.start()
+    block.start()
     try:
         yield block
     finally:
@@ -93,32 +84,28 @@ def rates_of(block: DifferentiableFmu, x: Array, force: float) -> Array:
 # -- probing ----------------------------------------------------------------------------------------
 
 
-def test_a_friction_at_a_hinge_tells_how_forces_act_there(folder: Path) -> None:
-    structure = structure_of(folder)
+def test_a_friction_at_a_hinge_tells_how_forces_act_there(structure: Structure) -> None:
     rub, hinge = structure.dampings
     assert (rub.parameter, rub.pair.velocity, rub.port, rub.rates) == ("rub", "v", "force", ("v", "w"))
     assert (hinge.parameter, hinge.pair.velocity, hinge.port, hinge.rates) == ("hinge", "w", "", ("v", "w"))
     assert structure.directions == (hinge,)
-    assert hinge.in_step
-    assert not hinge.is_constant
+    assert (hinge.in_step, hinge.is_constant) == (True, False)
 
 
-# -- filter -----------------------------------------------------------------------------------------
-
-
-@VERSIONS
-def test_the_filter_moves_by_the_equations_with_the_forces(folder: Path, version: int) -> None:
+def test_the_filter_moves_by_the_equations_with_the_forces(structure: Structure) -> None:
     log = log_of_sines()
-    subject = FmuSubject.of_fmu(structure_of(folder, version=version), [log])
+    subject = FmuSubject.of_fmu(structure, [log])
     kernel = subject.kernel(["x", "phi"])
-    values = {**subject.values, **FORCES, "hinge": 0.02}
-    p = np.array([values.get(n, 1.0) for n in kernel.layout.parameters])
     x0 = np.zeros(len(kernel.layout.states))
     x0[:4] = 0.1, 0.0, 0.8, 0.0
     u = log.inputs["force"][:, None]
     data = Data(STEP, 0.0, u, np.full((len(u), 2), np.nan), 4, interpolated=frozenset())
-    memory = np.zeros(kernel.layout.memory)
-    run = kernel.simulate(data, p, x0, memory)
+
+    def states(**forces: float) -> Array:
+        values = {**subject.values, **forces, "hinge": 0.02}
+        p = np.array([values.get(n, 1.0) for n in kernel.layout.parameters])
+        return kernel.simulate(data, p, x0, np.zeros(kernel.layout.memory)).states[:, :4]
+
     x, h, expected = x0[:4], STEP / 4, [x0[:4]]
     for k in range(len(u) - 1):
         for _ in range(4):
@@ -128,40 +115,31 @@ def test_the_filter_moves_by_the_equations_with_the_forces(folder: Path, version
             k4 = rates(x + h * k3, u[k, 0], hinge=0.02)
             x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
         expected.append(x)
-    assert np.abs(run.states[:, :4] - expected).max() < 1e-9
-    still = dict.fromkeys(FORCES, 0.0)
-    p = np.array([{**values, **still}.get(n, 1.0) for n in kernel.layout.parameters])
-    assert np.abs(kernel.simulate(data, p, x0, memory).states[:, :4] - expected).max() > 0.1
+    assert np.abs(states(**FORCES) - expected).max() < 1e-9
+    assert np.abs(states(**dict.fromkeys(FORCES, 0.0)) - expected).max() > 0.1
 
 
-# -- delivered FMU ----------------------------------------------------------------------------------
-
-
-@VERSIONS
-def test_dormant_it_equals_the_original_to_the_last_bit(folder: Path, version: int) -> None:
-    path = wrapped(folder, version)
+def test_the_delivered_fmu_has_the_forces_saves_its_state_and_equals_the_original_when_they_sleep(
+    structure: Structure, wrapped: Path
+) -> None:
     still = {"coulomb_at_w.level": 0.0, "quadratic_drag_at_w.coefficient": 0.0}
-    with opened(path, **still) as dormant, opened(structure_of(folder, version=version).fmu) as original:
+    with opened(wrapped, **still) as dormant, opened(structure.fmu) as original:
         for x in POINTS:
             assert rates_of(dormant, x, 1.5).tolist() == rates_of(original, x, 1.5).tolist()
-
-
-@VERSIONS
-def test_states_are_saved_and_instances_are_apart(folder: Path, version: int) -> None:
-    path, (x, other) = wrapped(folder, version), POINTS[:2]
-    with opened(path) as one, opened(path, hinge=0.3) as two:
+    x, other = POINTS[:2]
+    with opened(wrapped) as one, opened(wrapped, hinge=0.3) as two:
         first, second = rates_of(one, x, 1.0), rates_of(two, x, 1.0)
         assert first == pytest.approx(rates(x, 1.0), rel=1e-9)
         assert second == pytest.approx(rates(x, 1.0, hinge=0.3), rel=1e-9)
-        fmu = one.instance.fmu
+        fmu, its = one.instance.fmu, two.instance.fmu
         state = fmu.getFMUState()
         data = fmu.serializeFMUState(state)
-        for restore in (lambda: state, lambda: fmu.deserializeFMUState(data)):
+        for serialized in (False, True):
             rates_of(one, other, -2.0)
-            fmu.setFMUState(restore())
+            fmu.setFMUState(fmu.deserializeFMUState(data) if serialized else state)
             assert one.current_point()[0].tolist() == x.tolist()
             assert one.rates(x, np.array([1.0]))[:4].tolist() == first.tolist()
         assert rates_of(two, x, 1.0).tolist() == second.tolist()
         fmu.freeFMUState(state)
-        two.instance.fmu.setFMUState(two.instance.fmu.deserializeFMUState(data))  # with the friction of the first
+        its.setFMUState(its.deserializeFMUState(data))  # with the friction of the first
         assert rates_of(two, x, 1.0).tolist() == first.tolist()

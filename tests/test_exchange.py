@@ -1,4 +1,4 @@
-"""Model exchange where calls fail, events crowd and times are large: told in a line, the rows before kept."""
+"""Model exchange where calls fail, events crowd and solvers give up: told in a line, the rows before kept."""
 
 from __future__ import annotations
 
@@ -13,24 +13,30 @@ import pytest
 
 from cosim.blocks import solvers
 from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
 from cosim.files.results import Results
 from cosim.fmi.native.compiler import NoCompiler
 from cosim.logs.log import Log
-from cosim.master.master import StoppedRun, simulate
 from cosim.residuals.drive import Drive
 from cosim.residuals.workflow import replay
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.system.system import build_system
+from cosim.simulation.workflow import run
 from tests.blind.fmu_build import build
+from tests.bounce1 import bounce_fmu
 from tests.decay import DEEDS, decay_fmu
+from tests.known.couplings import VDP
+from tests.known.kit import Model
 
 
-def decayed(folder: Path, deed: str, solver: str = "cvode", **more: Any) -> Results:
-    component = {"fmu": str(decay_fmu(folder / "decay.fmu")), "start": {"deed": DEEDS.index(deed)}, "solver": solver}
-    path = folder / "decay.yaml"
-    path.write_text(json.dumps({"name": "decay", "duration": 1, "step": 0.1, "components": {"a": component}} | more))
-    file = ScenarioFile(path)
-    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
+def alone(folder: Path, fmu: Path, step: float = 0.1, duration: float = 1.0, **more: Any) -> Results:
+    """Run one FMU."""
+    file = folder / "s.yaml"
+    components = {"a": {"fmu": str(fmu)} | more}
+    file.write_text(json.dumps({"name": "s", "step": step, "duration": duration, "components": components}))
+    return run(file, folder / "out", report=False, in_process=True, force=True).results
+
+
+def decayed(folder: Path, deed: str, solver: str = "cvode") -> Results:
+    return alone(folder, decay_fmu(folder / "decay.fmu"), start={"deed": DEEDS.index(deed)}, solver=solver)
 
 
 def without_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,9 +54,9 @@ def without_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
         ("error of update", "fmi2NewDiscreteStates returned Error", 5),
         ("error of derivative", "fmi2GetDerivatives returned Error", 5),
         ("discarded", "fmi2GetDerivatives returned Discard", 5),
-        ("no number", r"the derivative der\(x\) is nan", 5),
-        ("no bound", "whether a state grows without bound|a derivative jumps, or has no bound", 3),
-        ("always due", "gives t = -1 s as the time of its next event, which is not in the future", 0),
+        ("no number", r"der\(x\) is nan", 5),
+        ("no bound", "bound", 3),
+        ("always due", "gives t = -1 s as the time of its next event", 0),
     ],
 )
 def test_a_call_of_model_exchange_that_fails_is_told_and_the_rows_before_are_kept(
@@ -64,10 +70,10 @@ def test_a_call_of_model_exchange_that_fails_is_told_and_the_rows_before_are_kep
 ) -> None:
     if solver == "cvode in Python":
         without_compiler(monkeypatch)
-    with pytest.raises(StoppedRun, match=rf"^a at t = .* s: .*({words})") as stopped:
+    with pytest.raises(SimulationError, match=rf"^a at t = .* s: .*({words})") as stopped:
         decayed(tmp_path, deed, solver.split()[0])
-    assert stopped.value.error.exit_code == 4
-    assert len(stopped.value.results.time) == rows
+    assert stopped.value.exit_code == 4
+    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) - 1 == rows
     assert capfd.readouterr().err == ""  # nor does CVODE print what it thinks of it
 
 
@@ -87,8 +93,7 @@ def test_rates_from_c_and_from_python_give_the_same_bytes(
     tmp_path: Path, version: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fmu = build(tmp_path / "drive.fmu", "drive", version)
-    time = 0.01 * np.arange(101)
-    units = {"torque": "N.m"}
+    time, units = 0.01 * np.arange(101), {"torque": "N.m"}
     log = Log(tmp_path / "log.csv", time, {"torque": np.sin(7.0 * time)}, {}, units, 0.01, units, {})
 
     def run_drive() -> Array:
@@ -115,3 +120,27 @@ def test_a_log_is_replayed_through_an_fmu_for_model_exchange_alone(tmp_path: Pat
     replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
     missed = np.loadtxt(tmp_path / "out" / "residual.csv", delimiter=",", skiprows=1, usecols=1)
     assert missed == pytest.approx(np.zeros(81), abs=1e-4)  # the solver's tolerance is 1e-5 a step
+
+
+def test_a_system_that_needs_too_many_steps_is_refused_with_the_cure(tmp_path: Path) -> None:
+    fmu, stiff = VDP.fmu(2, "me"), {"start": {"mu": 1000.0}, "tolerance": 1e-7}
+    with pytest.raises(SimulationError, match=r"max_steps.*solver: solve_ivp"):
+        alone(tmp_path, fmu, 10.0, 1500.0, **stiff)
+    with pytest.raises(SimulationError, match=r"solve_ivp.*max_steps"):
+        alone(tmp_path, fmu, 10.0, 1500.0, **stiff, solver="solve_ivp", max_steps=3)
+    assert len(alone(tmp_path, fmu, 10.0, 1500.0, **stiff, max_steps=3000).time) == 151
+
+
+@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
+def test_many_events_within_a_step_are_no_fault(tmp_path: Path, solver: str) -> None:
+    """x' = ±1 by a carrier of 200 Hz: 20 state events in each communication step."""
+    carrier = "0.5 - cos(2 * M_PI * 200 * time)"
+    variables, rates = "x = 0, discrete local high = 0", "x' = high > 0 ? 1 : -1"
+    pwm = Model(variables, rates, zeros=(carrier,), event=f"high = {carrier} > 0;")
+    results = alone(tmp_path, pwm.fmu(2, "me"), 0.05, 0.1, solver=solver, solver_step=5e-4)
+    assert results["a.x"] == pytest.approx([0.0, 0.05 / 3, 0.1 / 3], abs=1e-5)  # high for 2/3 of each period
+
+
+def test_a_call_of_fmi_1_that_fails_is_told_with_the_words_of_the_fmu(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match=r"a at t = 0\.(2\d*|3) s: fmi1GetDerivatives returned Error: it has a"):
+        alone(tmp_path, bounce_fmu(tmp_path / "bounce.fmu"), start={"fail_at": 0.3})

@@ -38,16 +38,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return target
 
 
-def cosim(site: Path, folder: Path, *arguments: str, **environment: str) -> str:
-    """Run a command of the installed package; its output."""
-    done = subprocess.run(
-        [sys.executable, "-m", "cosim", *arguments], cwd=folder, capture_output=True, text=True, timeout=300,
-        env={**os.environ, "PYTHONPATH": str(site), **environment},
-    )  # fmt: skip
-    assert done.returncode == 0, (arguments, done.stdout, done.stderr)
-    return done.stdout
-
-
 @pytest.mark.thorough
 def test_every_package_and_its_data_is_installed(site: Path) -> None:
     kinds = (".py", ".c", ".j2", ".css", ".js", ".json", ".txt", ".png", ".typed")
@@ -59,18 +49,23 @@ def test_every_package_and_its_data_is_installed(site: Path) -> None:
 
 @pytest.mark.thorough
 def test_the_installed_package_builds_runs_and_refines_outside_of_the_checkout(site: Path, tmp_path: Path) -> None:
-    where = [sys.executable, "-c", "import cosim, fmus; print(cosim.__file__, fmus.__file__)"]
-    environment = {**os.environ, "PYTHONPATH": str(site)}
-    told = subprocess.run(where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
+    def done(*words: str) -> str:
+        given = {"env": {**os.environ, "PYTHONPATH": str(site)}, "cwd": tmp_path, "text": True, "timeout": 300}
+        return subprocess.run([sys.executable, *words], check=True, stdout=subprocess.PIPE, **given).stdout
+
+    told = done("-c", "import cosim, fmus; print(cosim.__file__, fmus.__file__)")
     assert told.split() == [str(site / name / "__init__.py") for name in ("cosim", "fmus")]
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios")
-    cosim(site, tmp_path, "build", "--model", "hovercraft", "--out", "build")
-    cosim(site, tmp_path, "run", "scenarios/regulate.yaml", "--out", "ran")
-    assert "data-craft" in (tmp_path / "ran" / "report.html").read_text(encoding="utf-8")
     (tmp_path / "table.py").write_text(TABLE, encoding="utf-8")
     for seed, name in enumerate("ab"):
         table_log(tmp_path / f"{name}.csv", seed)
     (tmp_path / "study.yaml").write_text("model: table.py:Table\nlogs: {estimation: [a.csv], validation: [b.csv]}\n")
-    cosim(site, tmp_path, "refine", "study.yaml", "--out", "refined")
+    for words in (
+        "build --model hovercraft --out build",
+        "run scenarios/regulate.yaml --out ran",
+        "refine study.yaml --out refined",
+        "replay b.csv --plant refined/plant.fmu --out replayed",
+    ):
+        done("-m", "cosim", *words.split())
+    assert "data-craft" in (tmp_path / "ran" / "report.html").read_text(encoding="utf-8")
     assert json.loads((tmp_path / "refined" / "refine.json").read_text())["verdict"] == "effect_found"
-    cosim(site, tmp_path, "replay", "b.csv", "--plant", "refined/plant.fmu", "--out", "replayed")

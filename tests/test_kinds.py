@@ -16,91 +16,28 @@ from cosim.files.artefact import BINARY, LOG, RESULTS, SCENARIO
 from cosim.files.kinds import kind_of
 from cosim.verbs.cli import command_line
 
-SHORT = 400  # characters that are read before one gives up
-NAMES = (
-    "none.yaml",
-    "plain",
-    "ran",
-    "refined",
-    "replayed",
-    "empty.yaml",
-    "empty.csv",
-    "empty.fmu",
-    "pipe",
-    "log.csv",
-    "ran/results.csv",
-    "x.fmu",
-    "as.zip",
-    "x.ssp",
-    "scenario.yaml",
-    "ran/manifest.json",
-    "study.yaml",
-    "fit.yaml",
-    "sweep.yaml",
-    "protocol.yaml",
-    "model.yaml",
-    "design.yaml",
-    "model.py",
-    "refined/refine.json",
-    "linear.json",
-    "fit.json",
-    "sweep.json",
-    "comparison.json",
-    "replay.json",
-    "identify.json",
-    "consistency.json",
-    "runs.sqlite",
-    "view.json",
-    "schema.json",
-    "report.html",
-    "page.csv",
-    "graph.svg",
-    "a.png",
-    "a.ipynb",
-    "a.mat",
-    "a.xlsx",
-    "a.zip",
-    "sweep.parquet",
-    "a.so",
-    "a.pdf",
-    "README.md",
-    "notes.txt",
-    "modelDescription.xml",
-    "pointer.fmu",
-    "core",
-)
 DESCRIBED = """<fmiModelDescription fmiVersion="2.0" modelName="x" guid="1"><CoSimulation modelIdentifier="x"/>
 <ModelVariables/><ModelStructure/></fmiModelDescription>"""
 SCENARIOS = {"scenario.yaml", "ran/manifest.json", "x.ssp"}
-MODELS = {
-    "model.yaml",
-    "model.py",
-    "refined",
-    "refined/refine.json",
-    "study.yaml",
-    "fit.yaml",
-}  # a study says which model it names
+STUDIES = {"study.yaml", "fit.yaml"}  # a study says which model it names
+MODELS = {"model.yaml", "model.py", "refined", "refined/refine.json"} | STUDIES
 LOGS = {"log.csv", "ran/results.csv"}
 FMUS = {"x.fmu", "as.zip"}
-CHECKED = (
-    SCENARIOS
-    | FMUS
-    | {"study.yaml", "fit.yaml", "sweep.yaml", "protocol.yaml", "model.yaml", "model.py", "log.csv"}
-    | {"design.yaml"}
-)
+RUNS = {"ran", "replayed"}
+OTHERS = {"sweep.yaml", "protocol.yaml", "model.yaml", "model.py", "log.csv", "design.yaml"}
 READ = {  # command → what it reads
     "run": SCENARIOS,
     "graph": SCENARIOS,
     "export-ssp": SCENARIOS,
-    "check": CHECKED,
+    "check": SCENARIOS | FMUS | STUDIES | OTHERS,
     "replay": LOGS,
     "replay log.csv --plant": FMUS,
     "fit --fmu x.fmu": LOGS,
     "fit log.csv --fmu": FMUS,
-    "fit": LOGS | {"study.yaml", "fit.yaml"},
+    "fit": LOGS | STUDIES,
     "refine": {"study.yaml"},
     "excite": MODELS | FMUS,
-    "linearize": (MODELS | FMUS) - {"study.yaml", "fit.yaml"},
+    "linearize": (MODELS | FMUS) - STUDIES,
     "build --model": MODELS,
     "identify": {"protocol.yaml"},
     "sweep": {"sweep.yaml"},
@@ -108,9 +45,9 @@ READ = {  # command → what it reads
     "init": FMUS,
     "simulate": FMUS,
     "simulate x.fmu --input": LOGS,
-    "compare log.csv": LOGS | {"ran", "replayed"},
+    "compare log.csv": LOGS | RUNS,
     "report": {"ran"},
-    "view": LOGS | {"ran", "replayed"},
+    "view": LOGS | RUNS,
 }
 
 
@@ -139,26 +76,21 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "protocol.yaml": "cells: {}\ntests: {}\n", "model.yaml": "parameters: {}\n", "model.py": "x = 1\n",
         "design.yaml": "R: [1, 1]\n",
         "refined/refine.json": '{"verdict": "no_effect", "candidates": []}',
-        "linear.json": json.dumps({**answer, "model": "m", "states": [], "models": []}),
         "fit.json": json.dumps({**answer, "parameters": {}, "simulations": 1, "logs": []}),
-        "sweep.json": json.dumps({**answer, "sweep": {"vary": {}}, "scenario": {}, "runs": 1}),
-        "comparison.json": json.dumps({"a": "x", "b": "y", "tolerance": None, "within": None, "signals": []}),
         "replay.json": json.dumps({**answer, "units": {}}),
-        "consistency.json": json.dumps({"runs": 2, "steps": 100, "seed": 1, "rows": []}),
-        "identify.json": json.dumps({**answer, "estimates": {}, "tests": {}}),
         "view.json": json.dumps({**answer, "layouts": {}}),
         "schema.json": '{"$schema": "https://json-schema.org/draft/2020-12/schema", "properties": {}}',
         "report.html": "<!doctype html>\n<html>" + "<p>word</p>" * 300, "page.csv": "\n<HTML><body>not found",
         "graph.svg": '<svg xmlns="http://www.w3.org/2000/svg" aria-label="' + "a, " * 300 + '"/>',
-        "a.ipynb": '{"cells": [], "nbformat": 4}', "README.md": "# Words: more\n\n- a: b\n",
-        "notes.txt": "some words, and\nmore of them\n", "modelDescription.xml": '<?xml version="1.0"?>\n<fmi/>',
+        "a.ipynb": '{"cells": [], "nbformat": 4}',
+        "notes.txt": "some words, and\nmore of them\n",
         "pointer.fmu": "version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 9\n",
     }  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_text(text)
     heads = {
-        "a.png": b"\x89PNG\r\n\x1a\n\0\0", "a.mat": b"MATLAB 7.3 MAT-file, Platform: posix\0\1IM", "core": b"\1\0\3,",
-        "sweep.parquet": b"PAR1\0PAR1", "a.so": b"\x7fELF\2\1\t", "a.pdf": b"%PDF-1.4\n\xff",
+        "a.png": b"\x89PNG\r\n\x1a\n\0\0",
+        "sweep.parquet": b"PAR1\0PAR1", "a.so": b"\x7fELF\2\1\t",
         "runs.sqlite": b"SQLite format 3\0",
     }  # fmt: skip
     for name, head in heads.items():
@@ -167,7 +99,6 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _archive(folder / "as.zip", "modelDescription.xml", "a.txt")
     _archive(folder / "x.ssp", "SystemStructure.ssd")
     _archive(folder / "a.zip", "a.txt")
-    _archive(folder / "a.xlsx", "xl/workbook.xml")
     os.mkfifo(folder / "pipe")
     return folder
 
@@ -189,12 +120,11 @@ def test_what_a_command_does_not_read_is_named_with_the_one_that_does(
 ) -> None:
     monkeypatch.chdir(shelf)
     before = sorted(shelf.rglob("*"))
-    for name in NAMES:
-        if name in READ[command]:
-            continue
+    names = {str(path.relative_to(shelf)) for path in before} - {"replayed/residual.csv", "replayed/results.csv"}
+    for name in sorted((names | {"none.yaml"}) - READ[command]):
         message = _refused(command, name)
         assert message.startswith(f"{name}: ")
-        assert len(message) < SHORT
+        assert len(message) < 400  # characters that are read before one gives up
         assert "\n" not in message
     assert sorted(shelf.rglob("*")) == before
 
@@ -205,11 +135,9 @@ def test_what_a_command_does_not_read_is_named_with_the_one_that_does(
         (b"# a comment\nname: s\nduration: 1\ncomponents: {}\n", SCENARIO),
         (b'{"name": "s", "components": {}}', SCENARIO),
         (b"Device: X\ntime,x\n0,1\n", LOG),
-        (b"time: s,x\n0,1\n", LOG),
         ("zeit,größe\n0,1\n".encode("latin-1"), LOG),
         ("time,x\n0,1\n".encode("utf-16"), LOG),
         (b"time,x\n0,1\n" + bytes(200), LOG),  # a logger that lost its power
-        (bytes((k * k + 7 * k) % 251 for k in range(900)), BINARY),
         (np.linspace(0, 1, 200).tobytes(), BINARY),
     ],
 )

@@ -9,21 +9,22 @@ import pytest
 from tests.known.cases import CASES
 from tests.known.table import Case, check
 
-VARIANTS = [(case, variant) for case in CASES for variant in case.runs]
+EVERY = [case for cases in CASES.values() for case in cases]
 
 
 @pytest.mark.parametrize(
     ("case", "variant"),
     [
         pytest.param(
-            case, variant, id=f"{case.name}-{variant}" if variant else case.name,
+            case, variant, id=f"{case.name}-{variant}".rstrip("-"),
             marks=[pytest.mark.xfail(strict=True, reason=case.later)] if case.later else [],
         )
-        for case, variant in VARIANTS
+        for case in EVERY
+        for variant in case.variants
     ],
 )  # fmt: skip
 def test_the_answer_is_known(case: Case, variant: str, tmp_path: Path) -> None:
-    outcome = case.runs[variant](tmp_path)
+    outcome = case.variants[variant](tmp_path)
     for answer in case.answers:
         check(outcome, answer)
 
@@ -31,4 +32,4 @@ def test_the_answer_is_known(case: Case, variant: str, tmp_path: Path) -> None:
 def test_the_page_has_the_rows_of_the_table() -> None:
     page = (Path(__file__).parent.parent / "docs" / "known.md").read_text(encoding="utf-8")
     names = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
-    assert sorted(names) == sorted(case.name for case in CASES)
+    assert sorted(names) == sorted(case.name for case in EVERY)

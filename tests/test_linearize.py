@@ -57,26 +57,23 @@ def test_the_time_variant_matrices_of_eqs_5_18_and_5_19_are_the_plant_s(phi: flo
     A, B = printed(phi, (6.5, 6.2), (0.2, -0.1))
     assert found.states == EIGHT
     # eq 5.14 writes φ for sin φ: cos φ stands in A's one entry, sin φ in B's fourth row; all else is the same
-    difference_A, difference_B = found.A - A, found.B - B
-    assert difference_A[3, 6] == pytest.approx(A[3, 6] * (math.cos(phi) - 1.0), abs=1e-12)
-    assert difference_B[3] == pytest.approx(B[3] * ((math.sin(phi) / phi - 1.0) if phi else 0.0), abs=1e-12)
-    difference_A[3, 6], difference_B[3] = 0.0, 0.0
-    assert np.abs(difference_A).max() < 1e-12
-    assert np.abs(difference_B).max() < 1e-12
+    A[3, 6] *= math.cos(phi)
+    B[3] *= math.sin(phi) / phi if phi else 1.0
+    assert np.abs(found.A - A).max() < 1e-12
+    assert np.abs(found.B - B).max() < 1e-12
 
 
 def test_the_numbers_of_eqs_e1_and_e2_with_the_corrections() -> None:
     found = eight(tilt_right=0.2, tilt_left=0.2)
-    thrust = (-2076.0 + 359.9 * 6.38763) * 9.81e-3  # without ground effect, T_R(u₁)
-    assert found.A[3, 6] / (-2 * math.cos(0.2) * thrust) == pytest.approx(1.620, abs=5e-4)
     B, slope = found.B, 359.9 * 9.81e-3
-    assert B[1, 0] / (math.sin(0.2) * slope) == pytest.approx(1.620, abs=5e-4)
-    assert B[5, 0] / (math.sin(0.2) * slope) == pytest.approx(19.14, abs=5e-3)
-    assert B[7, 0] / (math.cos(0.2) * slope) == pytest.approx(20.881, abs=5e-4)  # E.2 prints 20.90
+    thrust = (-2076.0 + 359.9 * 6.38763) * 9.81e-3  # without ground effect, T_R(u₁)
+    sin, cos = math.sin(0.2), math.cos(0.2)
+    assert found.A[3, 6] / (-2 * cos * thrust) == pytest.approx(1.620, abs=5e-4)
+    column = B[[1, 5, 7], 0] / (np.array([sin, sin, cos]) * slope)
+    assert (np.abs(column - [1.620, 19.14, 20.881]) < [5e-4, 5e-3, 5e-4]).all()  # E.2 prints 20.90
     # E.2 prints sin in the tilts' columns of rows 2 and 6, cos in row 8; 5.19 and the differentiation have them so:
-    assert B[1, 2] / (math.cos(0.2) * thrust) == pytest.approx(1.620, abs=5e-4)
-    assert B[5, 2] / (math.cos(0.2) * thrust) == pytest.approx(19.14, abs=5e-3)
-    assert B[7, 2] / (-math.sin(0.2) * thrust) == pytest.approx(20.881, abs=5e-4)
+    column = B[[1, 5, 7], 2] / (np.array([cos, cos, -sin]) * thrust)
+    assert (np.abs(column - [1.620, 19.14, 20.881]) < [5e-4, 5e-3, 5e-4]).all()
 
 
 def test_the_eight_states_are_three_chains_of_integrators() -> None:
@@ -121,53 +118,42 @@ def test_a_tank_has_the_pole_of_its_outlet(tank: Path) -> None:
 
 
 def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
-    outcome = linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"])
-    content = json.loads((tmp_path / "out" / "linear.json").read_text(encoding="utf-8"))
+    out = tmp_path / "out"
+    found = linearize(f"{tank}:Tank", out, at=["level=0.25"]).first
+    content = json.loads((out / "linear.json").read_text(encoding="utf-8"))
     jsonschema.validate(content, json.loads(SCHEMA.read_text(encoding="utf-8")))
-    (model,) = content["models"]
-    mat = scipy.io.loadmat(tmp_path / "out" / "linear.mat")
-    system = runpy.run_path(str(tmp_path / "out" / "linear.py"))["system"]
+    mat, before = scipy.io.loadmat(out / "linear.mat"), (out / "linear.mat").read_bytes()
+    system = runpy.run_path(str(out / "linear.py"))["system"]
     for name in "ABCD":
-        own = getattr(outcome.first, name)
-        assert np.array_equal(model[name], own)
-        assert np.array_equal(mat[name], own)
-        assert np.array_equal(getattr(system, name), own)
-        assert np.array_equal(getattr(outcome.first.ss(), name), own)
-    assert system.state_labels == ["level"]
-    before = (tmp_path / "out" / "linear.mat").read_bytes()
-    linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"], force=True)
-    assert (tmp_path / "out" / "linear.mat").read_bytes() == before  # no time of day in it
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert f"{outcome.first.outputs[0]}: magnitude" in page
-    assert "Imaginary part of the poles" in page
+        for exported in (content["models"][0][name], mat[name], getattr(system, name), getattr(found.ss(), name)):
+            assert np.array_equal(exported, getattr(found, name))
+    linearize(f"{tank}:Tank", out, at=["level=0.25"], force=True)
+    assert (out / "linear.mat").read_bytes() == before  # no time of day in it
+    assert "Imaginary part of the poles" in (out / "report.html").read_text(encoding="utf-8")
 
 
 # FMUs and scenarios.
 
 
-@pytest.mark.thorough
 def test_an_fmu_s_own_slopes_and_differences_are_the_equations_exact_ones(native_plant: Path) -> None:
     at = ["phi_state=0.05", "vx_state=0.4", "tilt_right_state=0.15", "duty_right=6.5"]
     exact = linearize("base", at=["phi=0.05", "vx=0.4", "tilt_right=0.15", "duty_right=6.5"]).first
     # `tilt_right` is a state and an input of the equations: both are set; the FMU's input stays at 0, and so does B
-    given, moved = (linearize(native_plant, at=at, step=step).first for step in (None, 1e-5))
-    assert "directional" in given.method
-    assert "central differences" in moved.method
-    rows = [given.states.index(f"{n}_state") for n in exact.states]
     # a difference over 2e-5 of rates of 1e2 is rounded by 1e-9; curvature adds h² of 1e2
-    for found, digits in ((given, 1e-10), (moved, 1e-6)):
-        lags = [exact.states.index(n) for n in ("tilt_right", "thrust_right")]
+    for step, method, digits in ((None, "directional", 1e-10), (1e-5, "central differences", 1e-6)):
+        found = linearize(native_plant, at=at, step=step).first
+        assert method in found.method
+        rows = [found.states.index(f"{n}_state") for n in exact.states]
         assert np.abs(found.A[np.ix_(rows, rows)] - exact.A).max() < digits
         assert np.abs(found.B[rows] - exact.B).max() < digits
         assert np.abs(found.C[:, rows] - exact.C).max() < digits
-        assert found.A[rows[lags[0]], rows[lags[0]]] == pytest.approx(-1 / 0.0884, rel=1e-6)
 
 
 def test_a_moment_of_a_scenario_is_the_state_that_the_run_has_there(project: Path) -> None:
     scenario = project / "scenarios" / "regulate.yaml"
     outcome = linearize("base", at=[f"{scenario}@0:0.4:0.2"])
-    first, middle, last = outcome.linear
-    assert (first.point.time, middle.point.time) == (0.0, 0.2)
+    first, _, last = outcome.linear
+    assert [linear.point.time for linear in outcome.linear] == pytest.approx([0.0, 0.2, 0.4])
     start = dict(zip(first.states, first.point.states, strict=True))
     assert (start["x"], start["psi"]) == (1.0, 1.0)
     assert outcome.notes == ()  # driven alike, the equations and the FMU show the same
@@ -182,21 +168,13 @@ def test_what_does_not_fit_is_refused(tank: Path, project: Path, plant_fmu: Path
     scenario = project / "scenarios" / "regulate.yaml"
     wrong: list[tuple[object, list[str], dict[str, object], int]] = [
         ("", ["lewel=1,inflow=many"], {}, 2),
-        ("", ["level=1e999"], {}, 1),
         ("", ["level"], {}, 1),
         ("", [], {"set": ["aera=1"]}, 1),
-        ("", [], {"set": ["area=0"]}, 1),
         ("", [], {"states": ["lewel"], "inputs": ["level"], "outputs": ["level", "level"]}, 3),
-        ("", [], {"step": 1e-5}, 1),
-        ("", ["none.yaml@1"], {}, 1),
-        ("", ["none.yaml@soon"], {}, 1),
         ("", [f"{scenario}@1"], {}, 1),
         ("base", [f"{scenario}@11"], {}, 1),
         ("base", [f"{scenario}@1"], {"component": "plont"}, 1),
-        ("base", [], {"states": ["x", "vx"]}, 1),
         ("base", [], {"residualize": ["x"]}, 1),
-        (scenario, [], {}, 1),
-        (tank.parent / "none.fmu", [], {}, 1),
         (plant_fmu, [], {}, 1),  # for co-simulation alone
     ]
     for model, at, more, faults in wrong:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import control
 import numpy as np
@@ -30,7 +28,6 @@ from tests.conftest import ROOT
 from tests.hosts_fmpy import Instance
 
 STEP, TEN_DEGREES = 0.02, math.radians(10)
-BOTH = pytest.mark.parametrize("name", ["filter.fmu", "ekf.fmu"])
 
 
 @pytest.fixture(scope="module")
@@ -41,16 +38,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory, plant_fmu: Path, controller
     (made / "build").mkdir()
     for fmu in (plant_fmu, controller_fmu):
         shutil.copy(fmu, made / "build" / fmu.name)
-    build(filter_recipe(), made / "build" / "filter.fmu")
-    build(extended_recipe(), made / "build" / "ekf.fmu")
+    for name, recipe in (("filter.fmu", filter_recipe()), ("ekf.fmu", extended_recipe())):
+        assert validate_fmu(str(build(recipe, made / "build" / name))) == []
     return made
 
 
 @pytest.fixture(scope="module")
 def flown(folder: Path) -> Mapping[str, Run]:
-    """Each scenario of this chapter, run once."""
-    names = ("localisation_rest", "localisation", "localisation_fixes")
-    return {n: cosim.run(folder / "scenarios" / f"{n}.yaml", folder / n, report=False, in_process=True) for n in names}
+    """Each scenario of this chapter, run once; all criteria are met."""
+    names, found = ("localisation_rest", "localisation", "localisation_fixes"), {}
+    for n in names:
+        made = cosim.run(folder / "scenarios" / f"{n}.yaml", folder / n, report=False, in_process=True)
+        assert (made.missed, [w for w in made.warnings if "not connected" in w]) == ([], [])
+        found[n] = made
+    return found
 
 
 def off(made: Run, estimator: str, name: str = "x") -> NDArray[np.float64]:
@@ -76,7 +77,6 @@ def test_the_filter_of_the_thesis_meets_10_percent_and_10_degrees_and_double_int
     flown: Mapping[str, Run],
 ) -> None:
     moved = flown["localisation"]  # 30 cm, Figs 5.6 and 5.7
-    assert not moved.missed
     distance = moved["plant.x"][-1]
     assert distance == pytest.approx(0.3, abs=0.01)
     for estimator in ("appendix_f", "lagged", "extended"):
@@ -135,12 +135,12 @@ def test_without_fixes_the_start_is_never_found_and_p_diverges(flown: Mapping[st
     assert np.abs(off(found, "by_camera")[found.time > 5]).max() < 0.1
 
 
-def turning_path(settings: ExtendedSettings, wrong: float) -> tuple[dict[str, float], list[float]]:
-    """Return the error of each estimated state at the end, and σ of x̂ at each sample.
+def turning_path(settings: ExtendedSettings) -> tuple[dict[str, float], list[float]]:
+    """Return the error of each estimated state at the end, and σ of x̂ at each sample, of a start that is 30 cm off.
 
     The craft turns right by 90°, then flies 1.5 m; a camera sees it in world axes.
     """
-    craft = Hovercraft()
+    craft, wrong = Hovercraft(), 0.3
     extended = ExtendedFilter(craft, settings, load_names(jacobians()), {})
     stepper, names = Stepper(craft), [q.name for q in craft.outputs]
     moment = stepper.start(0.0, {"x": wrong, "x_world": wrong})
@@ -150,31 +150,21 @@ def turning_path(settings: ExtendedSettings, wrong: float) -> tuple[dict[str, fl
         command = (craft.duty_nominal, craft.duty_nominal, *loop.command)
         moment = stepper.step(moment, command, STEP)
         y = dict(zip(names, stepper.output(moment.t, moment.state, command), strict=True))
-        psi_ref = -0.5 * math.pi if k > 25 else 0.0
-        loop.step((y["psi"], y["psi_dot"], y["ax"]), wrong + (1.5 if k > 150 else 0.0), psi_ref)
-        noise = rng.normal(0.0, 1.0, 5) * np.sqrt([2.613e-5, 4.564e-4, 0.04479, 1e-4, 1e-4])
-        z = np.array([y[n] for n in ("psi", "psi_dot", "ax", "x_world", "y_world")]) + noise
-        extended.step(z[:3].tolist(), command, float(k // 5), z[3:].tolist())
+        imu = [y[n] for n in ("psi", "psi_dot", "ax")]
+        loop.step(imu, wrong + (1.5 if k > 150 else 0.0), -0.5 * math.pi if k > 25 else 0.0)
+        noise = rng.normal(0.0, np.sqrt([2.613e-5, 4.564e-4, 0.04479, 1e-4, 1e-4]))
+        z = (np.array([*imu, y["x_world"], y["y_world"]]) + noise).tolist()
+        extended.step(z[:3], command, float(k // 5), z[3:])
         sigma.append(extended.sigma[0])
     return dict(zip(PLANT_STATES, extended.filter.x - np.array(moment.state), strict=True)), sigma
 
 
 def test_a_camera_in_world_axes_corrects_the_distance_along_a_path_that_turns() -> None:
     settings = ExtendedSettings(axes="world")
-    error, sigma = turning_path(settings, wrong=0.3)
+    error, sigma = turning_path(settings)
     assert math.hypot(error["x_world"], error["y_world"]) < 0.06  # three of σ = 2 cm
     assert abs(error["x"]) < 0.06  # what is found out before the turn is along the old axis, and is kept
     assert max(sigma[250:]) < 0.03
-    alone = replace(settings, measurement_variance_x=1e6, measurement_variance_y=1e6)
-    error, sigma = turning_path(alone, wrong=0.3)
-    assert abs(error["x_world"]) > 0.25
-    assert max(sigma[250:]) > 0.3
-
-
-@pytest.mark.thorough
-def test_scenarios_of_this_chapter_meet_their_criteria(flown: Mapping[str, Run]) -> None:
-    assert {n: made.missed for n, made in flown.items()} == {n: [] for n in flown}
-    assert [w for made in flown.values() for w in made.warnings if "not connected" in w] == []
 
 
 # -- eqs 5.48-5.53 ------------------------------------------------------------------------------
@@ -204,10 +194,7 @@ def test_the_jordan_form_is_that_of_eqs_5_50_to_5_53_with_the_older_lag() -> Non
     expected = np.zeros((5, 5))
     expected[0, 0], expected[1, 1], expected[3, 4] = -8.333, -0.3546, 1.0
     np.testing.assert_allclose(np.linalg.solve(V, A @ V), expected, atol=4e-3)  # 5.50, by four digits of V
-    inverse = np.linalg.inv(V)
-    assert inverse[0] == pytest.approx([0, 0, 0, 0, 1], abs=1e-12)  # 5.52: x̂₁ is the acceleration
-    assert inverse[1, [1, 4]] == pytest.approx([8.333 - 0.3546, 1.0], rel=1e-3)  # 7.978
-    assert inverse[2, [0, 1, 4]] == pytest.approx([2.955, 8.333, 1.0], rel=1e-3)
+    assert np.linalg.inv(V)[0] == pytest.approx([0, 0, 0, 0, 1], abs=1e-12)  # 5.52: x̂₁ is the acceleration
     seen = measurement_matrix(Settings(), "appendix_f") @ V
     assert np.flatnonzero(seen.any(axis=0)).tolist() == [0, 3, 4]  # 5.53: x̂₂ and x̂₃ cannot be observed
 
@@ -221,35 +208,17 @@ def row(k: int) -> dict[str, float]:
     return {**moved, "x_meas": 0.15 * t * t, "y_meas": 0.01, "fix": float(k // 5)}
 
 
-@BOTH
-def test_estimators_have_no_fault(folder: Path, name: str) -> None:
-    assert validate_fmu(str(folder / "build" / name)) == []
-
-
-@BOTH
-@pytest.mark.parametrize("estimator", ["consistent", "double_integration"])
-def test_a_restored_estimator_goes_on_bit_for_bit(folder: Path, name: str, estimator: str) -> None:
-    chosen: dict[str, Any] = {"estimator": estimator} if name == "filter.fmu" else {"axes": "world"}
-    with Instance(folder / "build" / name) as fmu:
-        first = fmu.initialize({**chosen, "x_hat_start": 0.2, "a_hat_start": 0.3}).outputs()
-        assert (first["x_hat"], first["x_sigma"]) == (0.2, 0.0)
-        assert first["a_hat"] == pytest.approx(0.3, rel=1e-12)  # a tilt, and back
-        for k in range(1, 12):
-            fmu.step(STEP * (k - 1), STEP, row(k))
-        state = fmu.serialized()
-        went = [fmu.step(STEP * (k - 1), STEP, row(k)) for k in range(12, 30)]
-        fmu.restore(state)
-        assert [fmu.step(STEP * (k - 1), STEP, row(k)) for k in range(12, 30)] == went
-    assert abs(went[-1]["x_hat"] - 0.2) > 1e-3
-
-
-def test_the_extended_fmu_is_the_plain_filter(folder: Path) -> None:
+def test_the_extended_fmu_is_the_plain_filter_also_once_restored(folder: Path) -> None:
     model, settings = Hovercraft(mass=0.8), ExtendedSettings(fix_latency=0.06, process_variance_vx=1e-6)
     plain = ExtendedFilter(model, settings, load_names(jacobians()), {"x": 0.2})
     given = {"mass": 0.8, "fix_latency": 0.06, "process_variance_vx": 1e-6, "x_hat_start": 0.2}
     with Instance(folder / "build" / "ekf.fmu") as fmu:
         fmu.initialize(given)
         for k in range(1, 30):
+            if k == 12:
+                state = fmu.serialized()
+                fmu.step(STEP * (k - 1), STEP, row(40))
+                fmu.restore(state)
             at = row(k)
             told = fmu.step(STEP * (k - 1), STEP, at)
             duty = (model.duty_nominal, model.duty_nominal)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,66 +37,47 @@ def test_gauss_seidel_equals_plain_functions_in_the_order_plant_noise_controller
     moment = stepper.start(0.0, {"x": 1.0, "psi": 1.0})
     loop = Loop(settings, (1.0, 0.0, 1.0, 0.0, 0.0), 0.0, 0.0)
     duty = settings.duty_nominal
+    names = [f"plant.{q.name}" for q in Hovercraft.outputs]
     for k in range(len(results.time)):
         if k:
             moment = stepper.step(replace(moment, t=results.time[k - 1].item()), (duty, duty, *loop.command), H)
             loop.step([results[f"controller.{n}"][k].item() for n in ("psi", "psi_dot", "ax")], 0.0, 0.0)
-        outputs = stepper.output(moment.t, moment.state, ())
-        names = [f"plant.{q.name}" for q in Hovercraft.outputs]
         # the same operations in the same order; 1e-12 leaves room for another build of libm only
-        assert [results[n][k] for n in names] == pytest.approx(outputs, rel=1e-12, abs=1e-15)
-        assert results["controller.tilt_right"][k] == pytest.approx(loop.command[0], rel=1e-12, abs=1e-15)
-        assert results["controller.x_hat"][k] == pytest.approx(loop.estimate[0], rel=1e-12, abs=1e-15)
-
-
-def test_row_k_holds_the_command_that_acts_from_then_on(project: Path) -> None:
-    results = results_of(project)
-    for name in ("tilt_right", "tilt_left", "duty_right"):
+        expected = [*stepper.output(moment.t, moment.state, ()), loop.command[0], loop.estimate[0]]
+        got = [results[n][k] for n in (*names, "controller.tilt_right", "controller.x_hat")]
+        assert got == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    for name in ("tilt_right", "tilt_left", "duty_right"):  # row k holds the command that acts from then on
         assert np.array_equal(results[f"plant.{name}"], results[f"controller.{name}"])
     # u_0 = sat(-K·x̂_0): both tilts at the limit, for x = 1 m outweighs psi = 1 rad
-    assert results["controller.tilt_right"][0] == pytest.approx(-np.radians(12))
-    assert results["plant.tilt_right_actual"][0] == 0.0
+    command, tilt = results["plant.tilt_right"], results["plant.tilt_right_actual"]
+    assert (command[0], tilt[0]) == (pytest.approx(-np.radians(12)), 0.0)
     # 63.2 % of the way after τ; after one step 1 − e^(−Δt/τ) of it, eq 4.29 (RK4 error 1e-9)
-    expected = results["plant.tilt_right"][0] * (1 - np.exp(-H / 0.0884))
-    assert results["plant.tilt_right_actual"][1] == pytest.approx(expected, rel=1e-6)
+    assert tilt[1] == pytest.approx(command[0] * (1 - np.exp(-H / 0.0884)), rel=1e-6)
 
 
-def test_jacobi_sees_the_values_of_the_step_before(project: Path) -> None:
-    gauss_seidel = results_of(project, "noise=off")
+def test_algorithm_and_order_decide_who_sees_whose_new_values(project: Path) -> None:
+    biased = "connections.0.noise={variance: 0, bias: 0.5}"
+    usual = results_of(project, biased)
+    assert np.array_equal(results_of(project, biased, "order=[plant, controller]").values, usual.values)
+    reverse = results_of(project, biased, "order=[controller, plant]")
+    assert not np.array_equal(reverse["plant.psi"], usual["plant.psi"])
     jacobi = results_of(project, "noise=off", "algorithm=jacobi")
     # the controller's update at row k uses y_k under Gauss-Seidel, y_{k-1} under Jacobi
     loop = Loop(Settings(), (1.0, 0.0, 1.0, 0.0, 0.0), 0.0, 0.0)
     for k in range(1, 200):
         loop.step([jacobi[f"plant.{n}"][k - 1].item() for n in ("psi", "psi_dot", "ax")], 0.0, 0.0)
         assert jacobi["controller.psi_hat"][k] == pytest.approx(loop.estimate[2], rel=1e-12, abs=1e-15)
-    difference = np.max(np.abs(gauss_seidel["plant.psi"] - jacobi["plant.psi"]))
+    difference = np.max(np.abs(results_of(project, "noise=off")["plant.psi"] - jacobi["plant.psi"]))
     assert 1e-4 < difference < 0.1  # one sample of delay: seen, and small
-
-
-def test_noise_adds_no_delay_under_either_algorithm(project: Path) -> None:
-    for algorithm in ("gauss-seidel", "jacobi"):
-        results = results_of(project, f"algorithm={algorithm}", "connections.0.noise={variance: 0, bias: 0.5}")
+    for results in (usual, results_of(project, "algorithm=jacobi", biased)):  # noise adds no delay
         assert np.allclose(results["controller.psi"] - results["plant.psi"], 0.5, atol=1e-15)
 
 
-def test_steps_are_counted_not_summed(project: Path) -> None:
-    sample = "components.controller.start.sample_time=0.1"
-    results = results_of(project, "step=0.1", "duration=100", "criteria={}", "connections=[]", sample)
+def test_steps_are_counted_not_summed_and_the_plant_hovers_without_connections(project: Path) -> None:
+    starts = ["components.controller.start.sample_time=0.1", "components.plant.start={}"]
+    results = results_of(project, "step=0.1", "duration=100", "criteria={}", "connections=[]", *starts)
     assert len(results.time) == 1001
-    assert results.time[-1] == 100.0
-    assert results.time[300] == 300 * 0.1
-
-
-def test_start_time_shifts_the_clock_of_every_component(project: Path) -> None:
-    overrides = ["start_time=5", "components.reference.signals.x_ref.changes=[{at: 6, to: 1}]"]
-    results = results_of(project, *overrides)
-    assert results.time[0] == 5.0
-    assert results["reference.x_ref"][np.searchsorted(results.time, 6 - 1e-9)] == 1.0
-    assert results["reference.x_ref"][np.searchsorted(results.time, 6 - 1e-9) - 1] == 0.0
-
-
-def test_without_connections_the_plant_hovers(project: Path) -> None:
-    results = results_of(project, "connections=[]", "components.plant.start={}")
+    assert (results.time[300], results.time[-1]) == (300 * 0.1, 100.0)
     for name in ("x", "vx", "psi", "phi", "ax"):
         assert np.all(results[f"plant.{name}"] == 0.0)
     # T·Γ at the nominal duty is T_N of eq 5.36, to the digits it is printed with
@@ -127,7 +107,6 @@ def other_scenario(project: Path, fault: str) -> Path:
     ("fault", "component", "words"),
     [
         ("Raises", "other", "the bearing seized"),
-        ("GivesNan", "other.z", "the value is nan"),
         ("GivesInf", "other.z", "the value is -inf"),
     ],
 )
@@ -154,49 +133,5 @@ def test_an_fmu_that_ends_the_simulation_ends_the_run_well(project: Path) -> Non
     rows = read_columns(out / "results.csv")
     assert rows.rows == 5  # t = 0 … 0.08 s, where both have come to
     assert rows["other.y"][-1] == 4.0
-    told = "other ended the simulation at t = 0.08 s: fmi2DoStep returned Discard: the FMU ended the simulation early"
-    assert told in outcome.manifest["warnings"]
+    assert any("other ended the simulation at t = 0.08 s" in text for text in outcome.manifest["warnings"])
     assert outcome.manifest["status"] == "ok"
-
-
-def test_an_fmu_without_a_library_for_this_platform_does_not_load(project: Path, tmp_path: Path) -> None:
-    import zipfile
-
-    lame = project / "build" / "lame.fmu"
-    with zipfile.ZipFile(project / "build" / "plant.fmu") as whole, zipfile.ZipFile(lame, "w") as part:
-        for name in whole.namelist():
-            if not name.startswith("binaries/"):
-                part.writestr(name, whole.read(name))
-    shutil.move(lame, project / "build" / "plant.fmu")
-    from cosim.core.errors import FmuError
-
-    with pytest.raises(FmuError, match="does not load"):
-        results_of(project)
-
-
-@pytest.mark.thorough
-def test_memory_holds_no_more_than_the_results(project: Path) -> None:
-    import tracemalloc
-
-    file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["noise=off"])
-
-    def peak(steps: int) -> int:
-        tracemalloc.start()
-        simulate(build_system(file), steps, H)
-        high = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return high
-
-    peak(100)
-    rows = 1500
-    grown = peak(100 + rows) - peak(100)
-    columns = len(build_system(file).columns)
-    # time and table are 8 bytes a number; as much again is allowed for what the interpreter keeps
-    assert grown < 2 * 8 * rows * (columns + 1)
-
-
-def test_an_order_decides_who_sees_whose_new_values(project: Path) -> None:
-    usual = results_of(project, "noise=off")
-    assert np.array_equal(results_of(project, "noise=off", "order=[plant, controller]").values, usual.values)
-    reverse = results_of(project, "noise=off", "order=[controller, plant]")
-    assert not np.array_equal(reverse["plant.psi"], usual["plant.psi"])

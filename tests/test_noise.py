@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import cosim
 from cosim.blocks.faults import gaussian, stream
 from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.blocks.sources import playback
@@ -24,21 +26,16 @@ def test_noise_has_the_variance_and_bias_it_is_given() -> None:
     assert samples.var() == pytest.approx(0.04479, abs=1e-3)
 
 
-def test_row_k_carries_sample_k_of_its_stream(project: Path) -> None:
-    file = ScenarioFile(project / "scenarios" / "regulate.yaml")
-    results = simulate(build_system(file), 20, 0.02)
-    samples = gaussian(stream(1, "controller.ax"), 0.04479, 0.0, 21)
-    # a sum of two doubles, and their difference again: 1e-15 of numbers below 4
-    assert np.allclose(results["controller.ax"] - results["plant.ax"], samples, atol=1e-14)
-
-
-def test_noise_is_the_measured_noise_of_eq_5_46_in_a_run(project: Path) -> None:
+def test_row_k_carries_sample_k_of_its_stream_with_the_measured_noise_of_eq_5_46(project: Path) -> None:
     file = ScenarioFile(project / "scenarios" / "manoeuvre.yaml")
     results = simulate(build_system(file), file.scenario.steps, 0.02)
     for name, variance in (("psi", 2.613e-5), ("psi_dot", 4.564e-4), ("ax", 0.04479)):
         noise = results[f"controller.{name}"] - results[f"plant.{name}"]
         # relative standard error of a variance from 1301 samples is √(2/1300) = 3.9 %; four of them
         assert noise.var() == pytest.approx(variance, rel=0.16)
+        samples = gaussian(stream(file.scenario.seed, f"controller.{name}"), variance, 0.0, noise.size)
+        # a sum of two doubles, and their difference again: 1e-15 of numbers below 4
+        assert np.allclose(noise, samples, atol=1e-14)
 
 
 def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
@@ -51,8 +48,9 @@ def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
 
     # taking the noise off another connection moves the craft, but not the noise drawn here (1e-15: a − b of doubles)
     assert np.allclose(noise_on_psi(), noise_on_psi("connections.2.noise=null"), atol=1e-15)
-    pairs = [stream(1, n).standard_normal(2000) for n in ("a.psi", "a.psi_dot", "b.psi")] + [
-        stream(2, "a.psi").standard_normal(2000)
+    pairs = [
+        stream(seed, n).standard_normal(2000)
+        for seed, n in ((1, "a.psi"), (1, "a.psi_dot"), (1, "b.psi"), (2, "a.psi"))
     ]
     correlation = np.corrcoef(pairs) - np.eye(4)
     assert np.max(np.abs(correlation)) < 5 / math.sqrt(2000)  # five standard errors
@@ -61,20 +59,14 @@ def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "values"),
     [
-        (
-            [Change(at=1.0, to=2.0), Change(at=3.0, to=-2.0, rate=2.0)],
-            {0.0: 1.0, 0.99: 1.0, 1.0: 2.0, 2.99: 2.0, 3.0: 2.0, 3.5: 1.0, 5.0: -2.0, 9.0: -2.0},
-        ),
-        (  # a change interrupts the ramp before it
-            [Change(at=0.0, to=11.0, rate=1.0), Change(at=2.0, to=1.0, rate=4.0)],
-            {1.0: 2.0, 2.0: 3.0, 2.25: 2.0, 3.0: 1.0},
-        ),
+        # a step, and a change that interrupts the ramp before it
+        ([(0.0, 2.0, None), (1.0, 11.0, 1.0), (3.0, 1.0, 4.0)], {0.0: 2.0, 0.99: 2.0, 2.0: 3.0, 3.25: 3.0, 9.0: 1.0}),
         # a step at a multiple of the step is not a sample late: 3·0.1 is 0.30000000000000004
-        ([Change(at=0.3, to=2.0)], {3 * 0.1: 2.0, 0.1 + 0.1 + 0.1 - 5.6e-17: 2.0, 0.28: 1.0}),
+        ([(0.3, 2.0, None)], {3 * 0.1: 2.0, 0.1 + 0.1 + 0.1 - 5.6e-17: 2.0, 0.28: 1.0}),
     ],
 )
-def test_a_reference_from_1_follows_its_changes(changes: list[Change], values: dict[float, float]) -> None:
-    f = ProfileFunction(Profile(start=1.0, changes=changes))
+def test_a_reference_from_1_follows_its_changes(changes: list[Any], values: dict[float, float]) -> None:
+    f = ProfileFunction(Profile(start=1.0, changes=[Change(at=at, to=to, rate=rate) for at, to, rate in changes]))
     assert [f(t) for t in values] == pytest.approx(list(values.values()), rel=1e-15)
 
 
@@ -85,3 +77,30 @@ def test_a_faulty_playback_file_is_told_cell_by_cell(tmp_path: Path) -> None:
         playback("log", log)
     told = [str(f).removeprefix(f"{log}:") for f in caught.value.faults]
     assert [t.split(" ")[0] for t in told] == ["3:2:", "4:1:", "5:1:", "6:2:"]
+
+
+CRITERIA = """name: s
+start_time: 10
+duration: 4
+step: 1
+components: {p: {block: playback, file: in.csv}}
+criteria:
+  peak:
+  - {of: p.y, max: 2, to: p.r, after: 1}
+  - {of: p.y, max: 2, after: 2, until: 3}
+  - {of: p.y, max: 4, until: 1}
+  final_error: {of: p.y, max: 2, to: 1, until: 3}
+  effort: {of: p.y, max: 2}
+  settling_time:
+  - {of: p.y, max: 2, to: 1, band: 0.5, until: 3}
+  - {of: p.y, max: 2, to: 1, band: 0.5}
+"""
+
+
+def test_criteria_are_judged_within_their_times(tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text("time,y [m],r [m]\n10,4,1\n11,-2,1\n12,1,1\n13,1,1\n14,3,1\n")
+    (tmp_path / "s.yaml").write_text(CRITERIA)
+    found = cosim.run(tmp_path / "s.yaml", in_process=True).criteria
+    assert [c["value"] for c in found] == pytest.approx([3.0, 1.0, 4.0, 0.0, 8.0, 1.0, None])
+    assert [c["met"] for c in found] == [False, True, True, True, False, True, False]
+    assert [c["unit"] for c in found] == ["m", "m", "m", "m", "m.s", "s", "s"]

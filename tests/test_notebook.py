@@ -13,7 +13,6 @@ import pytest
 import cosim
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
-from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.results import Results
 from cosim.refinement.refinement import Refined
@@ -38,28 +37,16 @@ def frames(page: str) -> list[str]:
     return [html.unescape(text) for text in re.findall(r'<iframe [^>]*srcdoc="([^"]*)"></iframe>', page)]
 
 
-def test_a_result_shows_its_charts_in_a_frame_that_reaches_nothing() -> None:
-    shown = signals(500, 3)._repr_html_()
-    (frame,) = frames(shown)
-    assert 'sandbox="allow-scripts allow-downloads"' in shown  # without the rights of the notebook
-    assert "default-src 'none'" in frame
-    assert len(re.findall(r"<figure ", frame)) == 1  # one unit, one panel
-    assert '"of":500' in frame
-    assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", frame)
-    assert "rows, which keep" not in shown
-
-
-def test_a_long_run_is_thinned_to_a_bounded_size_and_keeps_its_peaks() -> None:
+def test_a_long_result_shows_its_peaks_in_a_frame_of_a_bounded_size_that_reaches_nothing() -> None:
     long = signals(150_000, 30)
     shown = long._repr_html_()
     (frame,) = frames(shown)
+    assert 'sandbox="allow-scripts allow-downloads"' in shown  # without the rights of the notebook
+    assert "default-src 'none'" in frame
+    assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", frame)
     assert len(shown) < 700_000
-    assert f"{30 - MAX_CURVES} more signals not drawn" in shown
     rows = rows_to_show([long[name] for name in long.names[:MAX_CURVES]])
-    assert f"{rows.size:,} of 150,000 rows, which keep each peak" in shown
-    assert PEAK in rows
-    assert rows[0] == 0
-    assert rows[-1] == 149_999
+    assert {0, PEAK, 149_999} <= {*rows.tolist()}
     assert "tank.s0 from -1 to 9" in frame
 
 
@@ -74,25 +61,25 @@ def test_no_name_of_a_signal_becomes_code() -> None:
     evil = '</script><img src=x onerror="alert(1)">{}'
     shown = signals(50, 2, evil)._repr_html_()
     (frame,) = frames(shown)
-    assert "<img" not in frame
-    assert "<img" not in shown
+    assert "<img" not in shown + frame
 
 
 def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
-    def ran(name: str, values: Array) -> RecordedRun:
-        results = Results(np.arange(9.0), ("x",), values[:, np.newaxis], {"x": "m"})
-        return RecordedRun(Path(name), name, results, {})
-
-    compared = compare_runs(ran("a", np.arange(9.0)), ran("b", np.arange(9.0) ** 2))
-    (frame,) = frames(compared._repr_html_())
+    runs = (
+        RecordedRun(
+            Path(name), name, Results(np.arange(9.0), ("x",), np.arange(9.0)[:, np.newaxis] ** k, {"x": "m"}), {}
+        )
+        for k, name in enumerate("ab", 1)
+    )
+    (frame,) = frames(compare_runs(*runs)._repr_html_())
     assert "x, b − a" in frame
     entry = {"start": 1.0, "value": 2.0, "unit": "kg", "ci95": [1.5, 2.5], "status": "estimated"}
-    fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})
-    assert "a &lt; b" in fitted._repr_html_()
-    assert "<td>1.5 … 2.5</td>" in fitted._repr_html_()
+    fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})._repr_html_()
+    assert "a &lt; b" in fitted
+    assert "<td>1.5 … 2.5</td>" in fitted
     effect = {"name": "leak", "parameters": {"rate": {"value": 0.012, "unit": "m2/s", "ci95": [0.01, 0.014]}}}
     refined = Refined({"verdict": "effect_found", "sentence": "found", "effects": [effect]}, tmp_path)
-    assert "<td>leak.rate</td><td>0.012</td><td>m2/s</td><td>0.01 … 0.014</td>" in refined._repr_html_()
+    assert "<td>leak.rate</td><td>0.012</td>" in refined._repr_html_()
 
 
 # -- within an event loop, and in a kernel --------------------------------------------------------------

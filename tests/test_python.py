@@ -17,23 +17,15 @@ from cosim.core.errors import InputError
 from cosim.files.yaml_file import YamlFile
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals
-from cosim.verbs.checks import schema_of
 from tests.conftest import ROOT
+from tests.logs import write_log
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
+SCHEMAS = ROOT / "docs" / "schemas"
 SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
-EXAMPLES = [p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep", "fit", "design"}]
-RUN = {p for p in EXAMPLES if "components:" in p.read_text(encoding="utf-8").splitlines()}
-SHIPPED = {
-    "scenario": sorted((*(ROOT / "scenarios").glob("*.yaml"), *RUN)),
-    "study": sorted(p for p in EXAMPLES if p not in RUN),
-    "fit": sorted((ROOT / "examples").glob("*/fit.yaml")),
-    "protocol": sorted((ROOT / "examples").glob("*/protocol.yaml")),
-    "model": sorted(p for p in (ROOT / "examples/bench/overshoot").glob("*.yaml") if p.stem != "study"),
-    "sweep": sorted((ROOT / "examples").glob("*/sweep.yaml")),
-    "design": sorted((ROOT / "examples").glob("*/design.yaml")),
-}
+FILES = [*(ROOT / "scenarios").glob("*.yaml"), *(ROOT / "examples").glob("*/*.yaml")]
+FILES += [p for p in (ROOT / "examples/bench/overshoot").glob("*.yaml") if p.stem != "study"]
 
 
 @pytest.mark.thorough
@@ -59,30 +51,31 @@ def turning(folder: Path, **more: object) -> dict[str, object]:
 def test_a_mapping_runs_and_leaves_nothing_without_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    made = cosim.run(turning(tmp_path), in_process=True, set={"components.a.start.r_in": np.float64(3)})
-    assert made["a.r_out"][-1] == 3
-    assert made.folder is None
+    criteria = {"peak": {"of": "a.r_out", "after": 0.2, "max": 1}}
+    made = cosim.run(turning(tmp_path, criteria=criteria), in_process=True, set={"duration": np.float64(0.4)})
+    assert (made.time[-1], made.folder) == (pytest.approx(0.4), None)
     assert not [*Path().iterdir()]
+    assert len(made.missed) == 1  # no error
+    for shown in (repr(made), made._repr_html_()):
+        assert "MISSED: peak of a.r_out after 0.2 s is 2, at most 1 allowed" in shown
+    assert [line.get_label() for ax in made.plot("a.r_out").axes for line in ax.lines] == ["a.r_out"]
+    with pytest.raises(KeyError, match="did you mean"):
+        made.plot("a.r_outt")
+    if importlib.util.find_spec("pandas") is None:
+        with pytest.raises(ImportError, match="to_pandas needs pandas: pip install pandas"):
+            made.to_pandas()
+        return
+    frame = made.to_pandas()
+    assert (frame.index.name, frame["a.r_out"].iloc[-1]) == ("time", 2)
 
 
 def test_faults_of_a_mapping_are_told_without_a_file_that_is_gone(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         cosim.run(turning(tmp_path, sed=1, step=0.3))
-    assert str(refused.value).splitlines() == [
-        "scenario: duration 0.5 s is not a multiple of step 0.3 s; use for example step 0.25 s",
-        str(refused.value).splitlines()[1],
-    ]
-    assert 'scenario: unknown key "sed"; did you mean "seed"?' in str(refused.value)
+    assert len(refused.value.faults) == 2
+    assert all(line.startswith("scenario: ") for line in str(refused.value).splitlines())
     with pytest.raises(InputError, match=r"^scenario: "):
         cosim.run({"name": object()})
-
-
-def test_a_missed_criterion_is_no_error_and_shows_in_the_text(tmp_path: Path) -> None:
-    made = cosim.run(turning(tmp_path, criteria={"peak": {"of": "a.r_out", "after": 0.2, "max": 1}}), in_process=True)
-    assert len(made.missed) == 1
-    assert "MISSED: peak of a.r_out after 0.2 s is 2, at most 1 allowed" in repr(made)
-    assert "<li>MISSED: peak" in made._repr_html_()
-    assert len(repr(made).splitlines()) < 15
 
 
 def test_what_was_left_is_read_as_what_it_is(tmp_path: Path) -> None:
@@ -98,32 +91,23 @@ def test_what_was_left_is_read_as_what_it_is(tmp_path: Path) -> None:
 
 
 def test_a_replay_has_its_residual_and_is_read_back(tmp_path: Path) -> None:
-    fmu = typed_fmu(tmp_path)
-    rows = "".join(f"{k / 50},{k % 7},0,1,0,{k % 7}\n" for k in range(300))
-    (tmp_path / "log.csv").write_text(f"time,r_in,i_in,e_in,b_in,r_out\n{rows}")
-    made = cosim.replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
+    fmu, log, k = typed_fmu(tmp_path), tmp_path / "log.csv", np.arange(300.0)
+    columns = {"time": k / 50, "r_in": k % 7, "i_in": 0 * k, "e_in": 0 * k + 1, "b_in": 0 * k, "r_out": k % 7}
+    made = cosim.replay(write_log(log, columns), tmp_path / "out", fmu, report=False, in_process=True)
     assert made.residual is not None
     assert "free_run.r_out" in made.residual
     read = cosim.read(tmp_path / "out")
     assert isinstance(read, Replay)
-    assert (read.names, read.sentence) == (made.names, made.sentence)
+    assert read.sentence == made.sentence
     for wrong, words in ({"nope": "r_out"}, 'has no column "nope"'), (["r_inn=r_in"], 'did you mean "r_in"'):
         with pytest.raises(InputError, match=words):
-            cosim.replay(tmp_path / "log.csv", fmu=fmu, columns=wrong, in_process=True)
-    with pytest.raises(InputError):
-        cosim.replay(tmp_path / "log.csv", tmp_path / "out", fmu, in_process=True)
-
-
-def test_a_figure_shows_the_signals_that_are_asked_for(tmp_path: Path) -> None:
-    made = cosim.run(turning(tmp_path), in_process=True)
-    (axes,) = (ax for ax in made.plot("a.r_out").axes if ax.lines)
-    assert [line.get_label() for line in axes.lines] == ["a.r_out"]
-    with pytest.raises(KeyError, match="did you mean"):
-        made.plot("a.r_outt")
+            cosim.replay(log, fmu=fmu, columns=wrong, in_process=True)
+    with pytest.raises(InputError):  # the folder is taken
+        cosim.replay(log, tmp_path / "out", fmu, in_process=True)
 
 
 def test_what_is_set_is_a_mapping_or_texts(tmp_path: Path) -> None:
-    for given in ({"duration": 0.2}, ["duration=0.2"], "duration=0.2"):
+    for given in (["duration=0.2"], "duration=0.2"):
         assert cosim.run(turning(tmp_path), set=given, in_process=True).time[-1] == pytest.approx(0.2)
     for wrong in (5, [1]):
         with pytest.raises(InputError, match=r"^set: "):
@@ -133,8 +117,7 @@ def test_what_is_set_is_a_mapping_or_texts(tmp_path: Path) -> None:
 
 
 def test_the_runs_of_a_sweep_are_read_back(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    arrow = pytest.importorskip("pyarrow")
+    parquet, arrow = (pytest.importorskip(name) for name in ("pyarrow.parquet", "pyarrow"))
     (tmp_path / "sweep.json").write_text('{"name": "sizes", "runs": 2}')
     parquet.write_table(arrow.table({"run": [0, 1], "mass": [1.0, 2.0]}), tmp_path / "sweep.parquet")
     read = cosim.read(tmp_path)
@@ -143,35 +126,22 @@ def test_the_runs_of_a_sweep_are_read_back(tmp_path: Path) -> None:
         assert read.to_pandas()["mass"].tolist() == [1, 2]
 
 
-def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Path) -> None:
-    made = cosim.run(turning(tmp_path), in_process=True)
-    if importlib.util.find_spec("pandas") is None:
-        with pytest.raises(ImportError, match="to_pandas needs pandas: pip install pandas"):
-            made.to_pandas()
-        return
-    frame = made.to_pandas()
-    assert frame.index.name == "time"
-    assert frame["a.r_out"].iloc[-1] == 2
-
-
 # -- schemas --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "kind", ["scenario", "study", "fit", "model", "sweep", "protocol", "design", "refine_result", "fit_result"]
-)
+@pytest.mark.parametrize("kind", [p.name.partition(".")[0] for p in SCHEMAS.glob("*") if "linear" not in p.name])
 def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
-    shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
+    shipped = (SCHEMAS / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"
 
 
-@pytest.mark.parametrize("path", [p for files in SHIPPED.values() for p in files], ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", FILES, ids=lambda p: f"{p.parent.name}-{p.stem}")
 def test_a_shipped_file_names_its_schema_and_keeps_it(path: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    kind = next(kind for kind, files in SHIPPED.items() if path in files)
     (named,) = re.findall(r"^# yaml-language-server: \$schema=(\S+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
-    assert (path.parent / named).resolve() == ROOT / "docs" / "schemas" / f"{kind}.schema.json"
-    validator = jsonschema.Draft202012Validator(schema_of(kind))
+    schema = (path.parent / named).resolve()
+    assert schema.parent == SCHEMAS
+    validator = jsonschema.Draft202012Validator(json.loads(schema.read_text(encoding="utf-8")))
     content = YamlFile(path).root
     assert [e.message for e in validator.iter_errors(content)] == []
     assert [e.message for e in validator.iter_errors({**content, "nmae": 1})]
@@ -181,14 +151,12 @@ def test_a_shipped_file_names_its_schema_and_keeps_it(path: Path) -> None:
 
 
 def test_files_in_a_setting_are_named_from_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "scenarios").mkdir()
-    (tmp_path / "fmus").mkdir()
+    for name in ("scenarios", "fmus"):
+        (tmp_path / name).mkdir()
     fmu = typed_fmu(tmp_path / "fmus")
     content = {**turning(tmp_path), "components": {"a": {"fmu": "none.fmu"}}}
     (tmp_path / "scenarios" / "s.yaml").write_text(json.dumps(content))
     monkeypatch.chdir(tmp_path)
     for setting in ("components.a.fmu=fmus/typed.fmu", "components.a={fmu: fmus/typed.fmu}"):
-        words = ["--set", setting, "--out", "o", "--force", "--no-report", "--json"]
-        made = json.loads(told("run", "--in-process", "scenarios/s.yaml", *words))
-        assert made["rows"] == 6
-    assert json.loads(Path("o/manifest.json").read_text())["fmus"]["a"]["path"] == str(fmu)
+        told("run", "--in-process", "scenarios/s.yaml", "--set", setting, "--out", "o", "--force", "--no-report")
+        assert json.loads(Path("o/manifest.json").read_text())["fmus"]["a"]["path"] == str(fmu)

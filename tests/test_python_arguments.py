@@ -7,7 +7,6 @@ import enum
 import inspect
 from collections.abc import Callable
 from decimal import Decimal
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -39,21 +38,17 @@ def within_itself() -> list[Any]:
 
 
 ODD: dict[str, Any] = {
-    "None": None, "True": True, "bool_": np.bool_(True), "0": 0, "-1": -1, "1.5": 1.5,
-    "int64": np.int64(2), "uint8": np.uint8(3), "float32": np.float32(1.5), "float64": np.float64(0.5),
-    "longdouble": np.longdouble(1), "0-d": np.array(3), "array": np.array([1.0, 2.0]),
+    "None": None, "True": True, "bool_": np.bool_(True), "-1": -1, "1.5": 1.5, "int64": np.int64(2),
+    "float32": np.float32(1.5), "0-d": np.array(3), "array": np.array([1.0, 2.0]),
     "objects": np.array([None, {}], dtype=object), "nan": float("nan"), "inf": -np.inf, "huge": 10**400,
-    "huger": 10**5000, "decimal": Decimal("0.1"), "fraction": Fraction(1, 3), "complex": 1j, "enum": Gear.FIRST,
-    "bytes": b"a", "bytearray": bytearray(b"a"), "bytes_": np.bytes_(b"a"), "str_": np.str_("a"),
-    "empty": "", "blank": " ", "nul": "a\0b", "half": "a\ud800", "escaped": "a\udc80", "newline": "a\nb",
-    "long": "x" * 5000, "longer": "x/" * 5000, "number": "2", "4 min": "4 min", "furlong": "4 furlong", "dash": "--out",
-    "root": "/", "dot": ".", "path": Path("x"), "nul path": Path("a\0b"),
-    "list": [], "ints": [1], "mixed": ["a", b"b"], "names": ["a", "b=1"], "tuple": ("a",), "set": {"a"},
-    "mapping": {}, "numpy in it": {"a": np.int64(2)}, "no text as key": {1: 2}, "none as key": {None: 1},
-    "decimal in it": {"a": Decimal(1)}, "nan in it": {"a": float("nan")}, "half in it": {"a\ud800": "\ud800"},
-    "nul in it": {"a\0": "\0"}, "huge in it": {"a": 10**400}, "deep": nested(3000), "cycle": within_itself(),
-    "object": object(), "type": int, "range": range(3), "generator": (c for c in "ab"), "slice": slice(1),
-    "date": datetime.date(2020, 1, 1), "datetime64": np.datetime64("2020-01-01"),
+    "huger": 10**5000, "decimal": Decimal("0.1"), "complex": 1j, "enum": Gear.FIRST, "bytes": b"a",
+    "str_": np.str_("a"), "empty": "", "blank": " ", "nul": "a\0b", "half": "a\ud800", "newline": "a\nb",
+    "longer": "x/" * 5000, "number": "2", "furlong": "4 furlong", "dash": "--out", "root": "/", "dot": ".",
+    "path": Path("x"), "nul path": Path("a\0b"), "list": [], "ints": [1], "mixed": ["a", b"b"],
+    "names": ["a", "b=1"], "tuple": ("a",), "set": {"a"}, "mapping": {}, "numpy in it": {"a": np.int64(2)},
+    "no text as key": {1: 2}, "nan in it": {"a": float("nan")}, "half in it": {"a\ud800": "\ud800"},
+    "huge in it": {"a": 10**400}, "deep": nested(3000), "cycle": within_itself(), "object": object(), "type": int,
+    "generator": (c for c in "ab"), "slice": slice(1), "date": datetime.date(2020, 1, 1),
 }  # fmt: skip
 
 
@@ -95,29 +90,13 @@ def good(function: str, folder: Path) -> dict[str, Any]:
     }[function]
 
 
-def parameters() -> list[tuple[str, str]]:
-    return [(f, name) for f in cosim.__all__ for name in inspect.signature(getattr(cosim, f)).parameters]
-
-
-def values_of(function: str, name: str) -> dict[str, Any]:
-    """Return all odd values for the first function with such an argument; every fourth for the others, in turn."""
-
-    def kind(function: str) -> str:
-        return str(inspect.signature(getattr(cosim, function)).parameters[name].annotation)
-
-    alike = [f for f, other in parameters() if other == name and kind(f) == kind(function)]
-    turn = alike.index(function)
-    return dict([*ODD.items()][(turn - 1) % 4 :: 4]) if turn else ODD
-
-
-def cases() -> list[Any]:
-    """Each argument of each function: those that an earlier function has, with the same type, in `make thorough`."""
-    known, found = set(), []
-    for function, name in parameters():
-        kind = name, str(inspect.signature(getattr(cosim, function)).parameters[name].annotation)
-        found.append(pytest.param(function, name, marks=[pytest.mark.thorough] if kind in known else []))
-        known.add(kind)
-    return found
+def cases() -> list[tuple[str, str]]:
+    """Return each argument of each function, with the first function that has one of its name and type."""
+    found: dict[tuple[str, str], tuple[str, str]] = {}
+    for function in cosim.__all__:
+        for name, parameter in inspect.signature(getattr(cosim, function)).parameters.items():
+            found.setdefault((name, str(parameter.annotation)), (function, name))
+    return [*found.values()]
 
 
 @pytest.mark.parametrize(("function", "name"), cases())
@@ -127,7 +106,7 @@ def test_an_odd_value_of_an_argument_is_taken_or_refused_in_words(
     monkeypatch.chdir(tmp_path)
     call: Callable[..., Any] = getattr(cosim, function)
     wrong = []
-    for label, value in values_of(function, name).items():
+    for label, value in ODD.items():
         if (name, label) in {("out", "root"), ("folder", "root"), ("progress", "type")}:  # an error of its own
             continue
         try:
@@ -139,13 +118,11 @@ def test_an_odd_value_of_an_argument_is_taken_or_refused_in_words(
     assert wrong == []
 
 
-@pytest.mark.parametrize("value", [np.int64(2), np.float32(2), np.array(2), np.float64(2), Gear.FIRST, 2])
+@pytest.mark.parametrize("value", [np.int64(2), np.float32(2), np.array(2), Gear.FIRST])
 def test_a_number_of_numpy_is_a_number_for_run_and_simulate_alike(material: Path, value: Any) -> None:
-    fmu = material / "typed.fmu"
-    single = cosim.simulate(fmu, set={"r_in": value}, stop=0.2, step=0.1, in_process=True)
+    single = cosim.simulate(material / "typed.fmu", set={"r_in": value}, stop=0.2, step=0.1, in_process=True)
     run = cosim.run(material / "s.yaml", set={"components.a.start.r_in": value}, in_process=True)
-    assert single["fmu.r_in" if "fmu.r_in" in single.names else f"{fmu.stem}.r_in"][0] == float(value)
-    assert run["a.r_in"][0] == float(value)
+    assert single["typed.r_in"][0] == run["a.r_in"][0] == float(value)
 
 
 def test_every_argument_that_does_not_fit_is_named_at_once(material: Path) -> None:

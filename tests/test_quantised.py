@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.core.arrays import Array
 from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import read_log
-from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
+from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, parameter
 from cosim.refinement.search.attribution import Attributor
 from tests.logs import write_log
 from tests.studies import weighed
@@ -21,19 +20,10 @@ from tests.studies import weighed
 STEP, ROWS = 0.02, 701
 CELL = 0.02  # [rad], a hundred times the stated noise
 LAG = 0.15  # [s]
-STATED = {"angle": 4e-8}  # variance [rad²]
-
-
-class ServoEffect(Effect):
-    """Change of the command that the base model lacks."""
-
-    def command(self, m: Namespace, u: Number) -> Number:
-        """Return the effective command."""
-        return u
 
 
 @dataclass(frozen=True, kw_only=True)
-class DeadBand(ServoEffect):
+class DeadBand(Effect):
     """Dead band of the command."""
 
     name = "dead_band"
@@ -41,50 +31,29 @@ class DeadBand(ServoEffect):
 
     width: float = parameter(0.0, unit="rad", bounds=(0, 0.3), neutral=0.0, typical=0.02, doc="half width w")
 
-    def command(self, m: Namespace, u: Number) -> Number:
-        """Return u − clip(u, ±w)."""
-        return u - m.minimum(m.maximum(u, -self.width), self.width)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Servo(Model):
     """Servo of first order."""
 
-    title = "Servo"
-    base_states = (Quantity("angle", "rad", "angle"),)
+    base_states = outputs = (Quantity("angle", "rad", "angle"),)
     inputs = (Quantity("command", "rad", "commanded angle"),)
-    outputs = base_states
-    catalogue = (DeadBand,)
-    sensor_variance = STATED
-    forced = ("angle",)
-    calibrated = ("lag",)
+    catalogue, forced, calibrated = (DeadBand,), ("angle",), ("lag",)
+    sensor_variance = {"angle": 4e-8}  # noqa: RUF012
     rate, substep, horizon = STEP, STEP, 1.0
 
     lag: float = parameter(LAG, unit="s", bounds=(0.01, 2), tolerance=0.05, doc="time constant")
 
     def equations(self, m: Namespace) -> Equations:
         """T·dα/dt = u − α."""
-        terms = overrides(self.awake, "command", ServoEffect)
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             u = command[0]
-            for term in terms:
-                u = term.command(m, u)
+            for band in self.awake:
+                u = u - m.minimum(m.maximum(u, -band.width), band.width)
             return ((u - state[0]) / self.lag,)
 
-        def output(t: Number, state: Values, command: Values) -> Values:
-            return tuple(state)
-
-        return Equations(derivative, output)
-
-
-def angle_of(command: Array, width: float) -> Array:
-    """Return the exact angle behind a command that is held over each row."""
-    angle, decay = np.zeros(ROWS), math.exp(-STEP / LAG)
-    effective = command - np.clip(command, -width, width)
-    for k in range(ROWS - 1):
-        angle[k + 1] = effective[k] + (angle[k] - effective[k]) * decay
-    return angle
+        return Equations(derivative, lambda t, state, command: state)
 
 
 def searched(folder: Path, width: float) -> Attributor:
@@ -93,9 +62,11 @@ def searched(folder: Path, width: float) -> Attributor:
     for k in range(2):
         tones = zip(rng.uniform(0.2, 1.5, 6), rng.uniform(0.0, 6.0, 6), strict=True)
         command = 0.05 * np.sum([np.sin(2.0 * np.pi * f * time + phase) for f, phase in tones], axis=0)
-        angle = angle_of(command, width) + 2e-4 * rng.standard_normal(ROWS)
-        columns = {"time": time, "command": command, "angle": CELL * np.round(angle / CELL)}
-        path = write_log(folder / f"{k}.csv", columns)
+        angle, read = 0.0, []
+        for u in (command - np.clip(command, -width, width)).tolist():  # exact, as it is held over each row
+            read.append(CELL * round((angle + 2e-4 * rng.standard_normal()) / CELL))
+            angle = u + (angle - u) * math.exp(-STEP / LAG)
+        path = write_log(folder / f"{k}.csv", {"time": time, "command": command, "angle": np.array(read)})
         logs.append(read_log(path, Servo.inputs, Servo.outputs))
     subject = ModelSubject.of(Servo())
     return Attributor(subject, build_problem(subject, logs), list(subject.candidates(("command",))))

@@ -11,13 +11,13 @@ import pytest
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.simulation.run_signals import Run
 from cosim.simulation.workflow import run
-from cosim.system.recording import _is_meant
 from tests.test_resume import check_equal, stopped
+from tests.typed import typed_fmu
 from tests.walker import walker_scenario
 
 PART = 'record={every: 50 ms, signals: ["saving.*", "other.*"]}'
+CHECKPOINT = shutil.ignore_patterns("checkpoint")
 REFERENCES = """name: s
 duration: 1
 step: {step}
@@ -39,15 +39,14 @@ def _file(
     return path
 
 
-@pytest.fixture(scope="module", params=["C", pytest.param("Python", marks=pytest.mark.thorough)])
-def walk(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any, Any]:
-    """A scenario that C or Python steps, with its run in all rows and in a part of them."""
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any, Any]:
+    """A scenario with its run in all rows and in a part of them."""
     folder = tmp_path_factory.mktemp("walk")
-    scenario = walker_scenario(folder, python=request.param == "Python", pause=1000.0, checkpoint="20 s")
+    scenario = walker_scenario(folder, pause=1000.0, checkpoint="20 s")
     whole = run(scenario, folder / "whole", ['record=["*"]', "checkpoint=null"], report=False)
     part = run(scenario, folder / "part", [PART], report=False)
-    assert whole.results.loop.startswith(request.param)
-    assert part.results.loop == whole.results.loop
+    assert part.results.loop == whole.results.loop == "C"
     return scenario, whole, part
 
 
@@ -62,8 +61,7 @@ def test_a_part_has_the_values_of_all_rows_and_nothing_else(walk: tuple[Path, An
     assert {name: list(v) for name, v in part.results.exact.items()} == {
         name: list(v)[::5] for name, v in whole.results.exact.items() if name in part.results.exact
     }
-    read = cosim.read(part.folder)
-    assert isinstance(read, Run)
+    read: Any = cosim.read(part.folder)
     assert read.results.columns == part.results.columns
     assert {*part.manifest["units"]} <= {*part.results.columns, *part.results.exact}
 
@@ -72,8 +70,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(walk: tuple[Path, Any, Any], tm
     scenario, _, part = walk
     again = stopped(scenario, tmp_path / "again", [PART])
     assert (again / "checkpoint" / "rows").is_file()
-    plain = shutil.copytree(again, tmp_path / "plain")
-    shutil.rmtree(plain / "checkpoint")  # as without the key
+    plain = shutil.copytree(again, tmp_path / "plain", ignore=CHECKPOINT)  # as without the key
     for folder, note in ((again, "goes on from"), (plain, "the run is made again from t = 0 s")):
         said: list[str] = []
         run(folder, resume=True, report=False, tell=said.append)
@@ -85,25 +82,21 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(walk: tuple[Path, Any, Any], tm
 
 def test_a_finished_run_is_extended_with_and_without_all_rows(tmp_path: Path) -> None:
     scenario = walker_scenario(tmp_path, checkpoint="20 s")
-    longer = run(scenario, tmp_path / "longer", [PART, "duration=0.8"], report=False).folder
-    folder = run(scenario, tmp_path / "short", [PART, "duration=0.7"], report=False).folder
-    plain = shutil.copytree(folder, tmp_path / "plain")
-    shutil.rmtree(plain / "checkpoint")
-    for each in (folder, plain):
-        run(each, until=0.8, report=False)
-        assert (each / "results.csv").read_bytes() == (longer / "results.csv").read_bytes()
+    run(scenario, tmp_path / "longer", [PART, "duration=0.8"], report=False)
+    run(scenario, tmp_path / "short", [PART, "duration=0.7"], report=False)
+    shutil.copytree(tmp_path / "short", tmp_path / "plain", ignore=CHECKPOINT)
+    for name in ("short", "plain"):
+        run(tmp_path / name, until=0.8, report=False)
+        assert (tmp_path / name / "results.csv").read_bytes() == (tmp_path / "longer" / "results.csv").read_bytes()
 
 
-@pytest.mark.parametrize("format_", ["csv", "parquet", "mat", "hdf5"])
-@pytest.mark.parametrize("in_process", [True, False])
+@pytest.mark.parametrize(
+    ("format_", "in_process"), [("csv", False), ("csv", True), ("parquet", False), ("mat", False), ("hdf5", False)]
+)
 def test_every_format_has_the_part(tmp_path: Path, format_: str, in_process: bool) -> None:
-    for library in {"parquet": ["pyarrow"], "hdf5": ["h5py"]}.get(format_, []):
-        pytest.importorskip(library)
-    if in_process and format_ != "csv":
-        pytest.skip("rows are written in one place")
+    pytest.importorskip({"parquet": "pyarrow", "hdf5": "h5py"}.get(format_, "scipy"))
     ran = cosim.run(_file(tmp_path), tmp_path / "out", format=format_, report=False, in_process=in_process)
-    read = cosim.read(tmp_path / "out")
-    assert isinstance(read, Run)
+    read: Any = cosim.read(tmp_path / "out")
     assert read.results.columns == ("ref.x",)
     assert read.time == pytest.approx(np.linspace(0, 1, 11))
     assert read.results.values.tobytes() == ran.results.values.tobytes()
@@ -115,9 +108,7 @@ def test_criteria_are_judged_by_all_rows(tmp_path: Path, step: str, loop: str) -
     ran = cosim.run(_file(tmp_path, step=step), tmp_path / "out")
     assert ran.manifest["loop"] == loop
     assert ran.results["ref.x"].max() == 1.0
-    assert ran.criteria[0]["value"] == 5.0
-    assert not ran.criteria[0]["met"]
-    assert ran.report is not None
+    assert (ran.criteria[0]["value"], ran.criteria[0]["met"]) == (5.0, False)
     compared = cosim.compare(cosim.run(_file(tmp_path, "[]")), ran)
     assert compared.only_a == ("ref.y", "more.x")  # type: ignore[union-attr]
 
@@ -131,30 +122,26 @@ def test_the_last_row_is_recorded_also_between_two_multiples(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("record", "of", "message"),
     [
-        ("{every: 0.025}", "ref.x", ":4:17: 0.025 s is no whole number of steps of 0.01 s; use for example 0.02 s or"),
-        ("{every: 0.001}", "ref.x", "0.001 s is no whole number of steps of 0.01 s; use for example 0.01 s"),
-        ("{every: 20}", "ref.x", "20 s is longer than the run, 1 s"),
+        ("{every: 0.025}", "ref.x", ":4:17: 0.025 s is no whole number of steps of 0.01 s"),
+        ("{every: 20}", "ref.x", ":4:17: 20 s is longer than the run"),
         ("{every: -1}", "ref.x", ":4:17"),
         ("{signals: [ref.x, ref.z]}", "ref.x", ':4:27: no signal matches "ref.z"; did you mean "ref.y"?'),
         ("{signals: [rex.*]}", "more.x", 'no component "rex"; did you mean "ref"?'),
-        ('{signals: ["*.speed"]}', "more.x", 'no signal matches "*.speed"; there are ref.x, ref.y and more.x'),
-        ("{signals: []}", "ref.x", "record.signals is a list: it should have at least 1 entries, not 0"),
-        ("{signal: [ref.x]}", "ref.x", "signal"),
-        ("ref.x", "ref.x", ":4:9: record is 'ref.x': it should be a list of patterns of locals and parameters"),
-        ("ref.x", "ref.x", "or a mapping that limits the record, {signals: [plant.x], every: 0.1 s}"),
-        ("{signals: [more.x]}", "ref.x", "ref.x is not recorded, and the criterion needs it; add it to record:"),
+        ("{signals: []}", "ref.x", "record.signals is a list"),
+        ("ref.x", "ref.x", ":4:9: record is 'ref.x'"),
+        ("{signals: [more.x]}", "ref.x", "ref.x is not recorded, and the criterion needs it"),
     ],
-)  # fmt: skip
+)
 def test_a_fault_of_record_has_its_place_and_cure(tmp_path: Path, record: str, of: str, message: str) -> None:
     with pytest.raises(InputError) as refused:
         cosim.check(_file(tmp_path, record, of), load=False)
     assert message in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("pattern", "column", "is_meant"),
-    [("a.y", "a.y[1]", True), ("a.y", "a.y[1,2]", True), ("a.y", "a.y2[1]", False), ("a.y[1]", "a.y[1]", True),
-     ("a.y[*]", "a.y[2]", True), ("a.y[1]", "a.y[2]", False), ("*.y", "a.y[1]", False), ("*", "a.y[1]", True)],
-)  # fmt: skip
-def test_the_name_of_an_array_means_its_elements(pattern: str, column: str, is_meant: bool) -> None:
-    assert _is_meant(pattern, column) is is_meant
+def test_the_name_of_an_array_means_its_elements(tmp_path: Path) -> None:
+    typed_fmu(tmp_path, 3)
+    record = "record: {signals: [a.twice, 'a.a[2,1]']}"
+    text = f"name: s\nduration: 1\nstep: 1\ncomponents: {{a: {{fmu: typed.fmu}}}}\n{record}\n"
+    (tmp_path / "s.yaml").write_text(text)
+    columns = cosim.run(tmp_path / "s.yaml", in_process=True).results.columns
+    assert {*columns} == {"a.a[2,1]", *(f"a.twice[{k}]" for k in ("1,1", "1,2", "2,1", "2,2"))}

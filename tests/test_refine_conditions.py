@@ -1,54 +1,42 @@
-"""Studies in conditions that are not the model's: other noise, rest, a hidden start elsewhere, two lags at once."""
+"""Studies in other conditions than the model's: noise, rest, a hidden start elsewhere, two lags at once, what no
+catalogue has; and what sealed logs make of a claim."""
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cosim.estimation.posing import build_problem
-from cosim.estimation.sensor_noise import noise_warnings
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.excite import excite
+from cosim.refinement.decision.bundle import families
+from cosim.refinement.proof.measure import is_significant_rise
+from cosim.refinement.workflow import refine
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
+from tests.blind import arm
 from tests.logs import write_log
 from tests.studies import holds, named, proven, study_of
 
 pytestmark = pytest.mark.optimized
 
-MOTOR = '''
+MOTOR = """
 from dataclasses import dataclass
 
-from cosim.model import Effect, Equations, Model, Quantity, overrides, parameter
-
-
-class Load(Effect):
-    """A torque that the motor lacks."""
-
-    def torque(self, rate):
-        return 0.0
+from cosim.model import Effect, Equations, Model, Quantity, parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fan(Load):
-    """A fan on the shaft."""
-
+class Fan(Effect):
     name = "fan"
     equation = "torque −c·ω²"
     factor: float = parameter(0.0, unit="N.m.s2", bounds=(0, 1e-3), neutral=0.0, typical=2e-6, doc="c")
 
-    def torque(self, rate):
-        return -self.factor * rate * rate
-
 
 @dataclass(frozen=True, kw_only=True)
 class Motor(Model):
-    """J·ω̇ = k·(u − k·ω)/R; a tachometer reads 0.02·ω."""
-
     base_states = (Quantity("speed", "rad/s", "of the shaft"),)
     inputs = (Quantity("voltage", "V", "of the armature"),)
     outputs = (Quantity("tacho", "V", "of the tachometer"),)
@@ -57,46 +45,40 @@ class Motor(Model):
     k: float = parameter(0.05, unit="V.s", bounds=(1e-3, 1), doc="constant of the motor")
 
     def equations(self, m):
-        """With a resistance of 1 Ω."""
-        terms = overrides(self.awake, "torque", Load)
+        factor = sum(fan.factor for fan in self.awake)
 
         def derivative(t, state, command):
-            torque = self.k * (command[0] - self.k * state[0])
-            for term in terms:
-                torque = torque + term.torque(state[0])
+            torque = self.k * (command[0] - self.k * state[0]) - factor * state[0] * state[0]
             return (torque / self.inertia,)
 
         return Equations(derivative, lambda t, state, command: (0.02 * state[0],))
-'''
+"""  # J·ω̇ = k·(u − k·ω)/R of 1 Ω; a tachometer reads 0.02·ω
 
 
-def motor_study(folder: Path, voltage: float, start: float = 0.0) -> Path:
-    """A motor that lacks nothing, on steps of its voltage, turning at `start` [rad/s]; exact between the rows."""
+def motor_study(
+    folder: Path, voltage: float, start: float = 0.0, fans: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Path:
+    """Logs of motors with these fans on steps of their voltage, turning at `start` [rad/s]; by small steps."""
     (folder / "motor.py").write_text(MOTOR)
-    for seed, name in enumerate("abc"):
+    for seed, fan in enumerate(fans):
         rng = np.random.default_rng(seed)
         u = voltage * np.repeat(rng.uniform(-1, 1, 30), 20)
         speed, tacho = start, []
         for command in u.tolist():
             tacho.append(0.02 * speed)
-            speed = 20 * command + (speed - 20 * command) * math.exp(-2.5 * 0.02)  # time constant J/k² = 0.4 s
+            for _ in range(100):
+                speed += 2e-4 * (0.05 * (command - 0.05 * speed) - fan * speed * speed) / 1e-3
         seen = np.array(tacho) + 1e-2 * rng.standard_normal(600)
-        write_log(folder / f"{name}.csv", {"time": 0.02 * np.arange(600), "voltage": u, "tacho": seen})
+        write_log(folder / f"{'abc'[seed]}.csv", {"time": 0.02 * np.arange(600), "voltage": u, "tacho": seen})
     path = folder / "study.yaml"
     path.write_text("model: motor.py:Motor\nlogs: {estimation: [a.csv, b.csv], validation: [c.csv]}\n")
     return path
 
 
-def shaken(path: Path, level: Mapping[str, float], every: Mapping[str, int]) -> None:
-    """Add white noise to columns of a log, and leave one in `every` of the readings of some."""
-    with path.open() as stream:
-        header, *rows = csv.reader(stream)
-    table, rng = np.array(rows, dtype=float), np.random.default_rng(len(path.stem))
-    for name, sigma in level.items():
-        column = table[:, [h.partition(" ")[0] for h in header].index(name)]
-        column += sigma * rng.standard_normal(len(table))
-        column[np.arange(len(table)) % every.get(name, 1) != 0] = np.nan
-    write_log(path, dict(zip(header, table.T, strict=True)))
+def with_candidates(path: Path, names: str) -> Path:
+    """Return the study with these candidates only."""
+    path.write_text(path.read_text().partition("candidates:")[0] + f"candidates: [{names}]\n")
+    return path
 
 
 @pytest.mark.thorough
@@ -107,33 +89,25 @@ def test_a_delay_and_a_second_order_lag_are_found_together(tmp_path: Path) -> No
         "actuator_second_order": {"natural_frequency": 14.0, "damping_ratio": 0.45},
     }
     path = study_of(tmp_path / "study", truth, duty_varied=True)
-    few = "[actuator_delay, actuator_second_order, servo_backlash, servo_rate_limit]"
-    path.write_text(path.read_text().partition("candidates:")[0] + f"candidates: {few}\n")
-    r = proven(path, tmp_path / "out")
+    few = "actuator_delay, actuator_second_order, servo_backlash, servo_rate_limit"
+    r = proven(with_candidates(path, few), tmp_path / "out")
     assert named(r) == truth.keys()
     assert holds(r, "actuator_delay", "time", 0.06)
     assert holds(r, "actuator_second_order", "natural_frequency", 14.0)
 
 
 @pytest.mark.thorough
-def test_sensors_with_more_noise_than_the_model_says_are_believed_and_slow_ones_dilute_no_friction(
-    tmp_path: Path,
-) -> None:
-    path = study_of(tmp_path / "study", {"coulomb_friction": {"force": 0.05}})
-    for name in ("e1.csv", "e2.csv", "v1.csv"):
-        shaken(path.parent / name, {"x_world": 3e-3, "y_world": 3e-3}, every={"y_world": 5})
+def test_sensors_with_more_noise_than_the_model_says_are_believed(tmp_path: Path) -> None:
+    path = motor_study(tmp_path, 6.0, fans=(5e-6, 5e-6, 5e-6))
+    (tmp_path / "motor.py").write_text(MOTOR.replace('"tacho": 1e-4', '"tacho": 1e-6'))
     r = proven(path, tmp_path / "out")
-    assert named(r) == {"coulomb_friction"}
-    assert holds(r, "coulomb_friction", "force", 0.05)
+    assert named(r) == {"fan"}
     (warning,) = r.record["warnings"]
-    assert "`noise: {x_world: 0.003" in warning
-    assert r.record["noise_floor"]["x_world"] == pytest.approx(
-        r.record["error"]["after"]["validation"]["x_world"], rel=0.2
-    )
-    told = build_problem(ModelSubject.of(Hovercraft()), r.study.logs, noise={"x_world": 3.2e-3, "y_world": 3.2e-3})
-    assert (
-        noise_warnings(told, told.plain, ModelSubject.of(Hovercraft())) == ()
-    )  # a study that says so is not told again
+    assert "`noise: {tacho: 0.00" in warning
+    after = r.record["error"]["after"]["validation"]["tacho"]
+    assert r.record["noise_floor"]["tacho"] == pytest.approx(after, rel=0.2)
+    path.write_text(path.read_text() + "noise: {tacho: 0.01}\n")  # a study that says so is not told again
+    assert refine(path, tmp_path / "told").record["warnings"] == []
 
 
 @pytest.mark.thorough
@@ -154,9 +128,58 @@ def test_a_hidden_state_may_start_far_from_where_the_model_does(tmp_path: Path) 
 @pytest.mark.thorough
 def test_a_scaled_reading_is_held_against_a_floor_of_its_own(tmp_path: Path) -> None:
     path = study_of(tmp_path / "study", {"accelerometer_scale": {"value": 1.6}})
-    path.write_text(path.read_text().partition("candidates:")[0] + "candidates: [accelerometer_scale, mass]\n")
-    r = proven(path, tmp_path / "out")
+    r = proven(with_candidates(path, "accelerometer_scale, mass"), tmp_path / "out")
     assert named(r) == {"accelerometer_scale"}
     after = r.record["error"]["after"]["estimation"]["ax"]
     assert after == pytest.approx(r.record["noise_floors"]["estimation"]["ax"], rel=0.05)
     assert after < 0.8 * math.sqrt(SENSOR_VARIANCE["ax"])  # the readings are divided by 1.6, and their noise with them
+
+
+@pytest.mark.thorough
+def test_sealed_logs_change_no_model_and_no_verdict_and_an_error_that_rises_on_them_is_said_first(
+    tmp_path: Path,
+) -> None:
+    """The sealed log is of a motor without the fan that the others have."""
+    study = motor_study(tmp_path, 6.0, fans=(5e-6, 5e-6, 0.0))
+    bare = study.with_name("bare.yaml")
+    bare.write_text(study.read_text().replace(", validation: [c.csv]", ""))
+    r, another = proven(bare, tmp_path / "bare"), proven(study, tmp_path / "out")
+    assert named(another) == {"fan"}
+    error, said = another.record["error"], str(another.record["sentence"])
+    assert error["after"]["validation"]["tacho"] > 1.5 * error["before"]["validation"]["tacho"]
+    assert "tacho" in said.split(" with ")[0]
+    assert said.endswith(str(r.record["sentence"]))
+    assert (r.folder / "model.yaml").read_bytes() == (another.folder / "model.yaml").read_bytes()
+    sealed = {"study", "sentence", "error", "horizons", "noise_floor", "noise_floors", "floor_scatters", "seconds"}
+    sealed |= {"replays"}  # which names the log that plant.fmu has replayed too
+    kept = [{k: v for k, v in x.record.items() if k not in sealed} for x in (r, another)]
+    assert kept[0] == kept[1]
+
+
+def test_chance_alone_makes_a_rise_as_rarely_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    told = sum(is_significant_rise(rng.standard_normal(5).tolist(), 0.01) for _ in range(4000))
+    assert 20 < told < 65  # 40 expected, give or take 6.3
+
+
+def test_a_friction_that_decreases_with_speed_contains_dry_friction() -> None:
+    found = families(ModelSubject.of(Hovercraft()).candidates(()))
+    assert found["stribeck_friction"] == "coulomb_friction"
+    assert "coulomb_friction" not in found
+
+
+@pytest.mark.thorough
+@pytest.mark.xfail(strict=True, reason="ambiguous: a cable spring beside the friction, 72 %")
+def test_friction_of_an_arm_is_claimed_beside_what_no_catalogue_has(tmp_path: Path) -> None:
+    """Fine encoders on an unstable plant, an elastic belt and torque ripple; the yardstick is a least-squares fit."""
+    study = arm.draw(3)
+    told: Any = refine(arm.write(study, tmp_path / "study"), tmp_path / "out").record
+    assert (told["verdict"], told["grade"]) == ("effect_found", "part")
+    found = {e["name"]: e["parameters"]["level"]["value"] for e in told["effects"]}
+    assert found.keys() == study.truth.keys()
+    for name, values in study.truth.items():
+        assert found[name] == pytest.approx(values["level"], rel=0.1)
+    errors, floor = told["error"], told["noise_floor"]
+    for channel, before in errors["before"]["validation"].items():
+        assert errors["after"]["validation"][channel] < 0.15 * before
+        assert floor[channel] < before

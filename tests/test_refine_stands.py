@@ -1,36 +1,31 @@
 """What a verdict must stand: replays of the model as it is, effects it has too much of, sensors beside effects, and
-that nothing which is read is written over."""
+that nothing which is read is written over. A refine that is stopped leaves its results whole or not at all."""
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from cosim.core.errors import InputError
+from cosim.core.errors import InputError, Terminated
+from cosim.estimation.subject import model_subject
 from cosim.experiment.excite import excite
+from cosim.files.files import delay_stops, scratch_folder
 from cosim.fmi.building.file import read_model
+from cosim.refinement import workflow
 from cosim.refinement.workflow import refine
 from cosim.simulation.workflow import run
+from cosim.verbs.cli import entry
 from plant.hovercraft import Hovercraft
 from tests.studies import holds, named, study_of
 from tests.studies import proven as flown
+from tests.test_refine_conditions import motor_study, with_candidates
 
 pytestmark = pytest.mark.optimized
-
-
-def with_candidates(study: Path, candidates: str) -> Path:
-    """The study, with these candidates only."""
-    study.write_text(study.read_text().partition("candidates:")[0] + f"candidates: [{candidates}]\n")
-    return study
-
-
-def with_model(study: Path, parameters: str) -> Path:
-    """The study, of a model.yaml with these parameters."""
-    (study.parent / "model.yaml").write_text(f"schema_version: 1\nmodel: hovercraft\nparameters: {{{parameters}}}\n")
-    study.write_text(study.read_text().replace("model: base", "model: model.yaml"))
-    assert "model: model.yaml" in study.read_text()
-    return study
 
 
 @pytest.mark.thorough
@@ -41,7 +36,6 @@ def test_a_mass_of_four_percent_more_is_no_nothing(tmp_path: Path) -> None:
     r = flown(study_of(tmp_path / "study", {"mass": {"value": truth}}), tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("parameter_error", {"mass"})
     assert holds(r, "mass", "value", truth)
-    assert [c["names"] for c in r.record["candidates"] if c["why"] == "claimed"] == [["mass"]]
 
 
 @pytest.mark.thorough
@@ -56,43 +50,112 @@ def test_what_recalibration_explains_is_in_the_nearest_model_where_no_candidate_
 
 @pytest.mark.thorough
 def test_an_effect_that_the_model_has_too_much_of_is_taken_out(tmp_path: Path) -> None:
-    study = with_model(study_of(tmp_path / "study", {}), "coulomb_friction.force: 0.05, yaw_damping.coefficient: 0.006")
-    study = with_candidates(study, "coulomb_friction, yaw_damping, table_tilt")
+    study = with_candidates(study_of(tmp_path / "study", {}), "coulomb_friction, yaw_damping, table_tilt")
+    parameters = "{coulomb_friction.force: 0.05, yaw_damping.coefficient: 0.006}"
+    text = f"schema_version: 1\nmodel: hovercraft\nparameters: {parameters}\n"
+    study.with_name("model.yaml").write_text(text)
+    study.write_text(study.read_text().replace("model: base", "model: model.yaml"))
     r = flown(study, tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("parameter_error", {"coulomb_friction", "yaw_damping"})
 
 
-# -- what is read is not written over ---------------------------------------------------------
-
-OVER = "is read, and results would be written over it; give another folder as --out"
-
-
-def test_a_study_does_not_write_over_its_model(tmp_path: Path) -> None:
-    study = with_model(study_of(tmp_path, {}), "mass: 0.72")
-    before = (tmp_path / "model.yaml").read_bytes()
-    with pytest.raises(InputError, match=OVER):
-        refine(study, tmp_path)
-    assert (tmp_path / "model.yaml").read_bytes() == before
-
-
-def test_a_run_does_not_write_over_what_it_plays(project: Path) -> None:
-    (project / "results.csv").write_text("time,force\n0,0\n1,1\n")
+def test_what_is_read_is_not_written_over(project: Path) -> None:
+    study = motor_study(project, 6.0)
+    study.write_text(study.read_text().replace("motor.py:Motor", "model.yaml"))
+    (project / "base.yaml").write_text("model: base\nlogs: {estimation: [a.csv]}\n")
+    record = f'{{"study": "{project}/base.yaml", "rivals": [], "candidates": [], "hidden": [], "measured": ["psi"]}}'
     (project / "played.yaml").write_text(
         "name: played\nduration: 1\nstep: 0.02\ncomponents:\n"
         "  plant: {fmu: build/plant.fmu}\n  told: {block: playback, file: results.csv}\n"
         "connections:\n  - {from: told.force, to: plant.tilt_right}\n"
     )
-    before = (project / "results.csv").read_bytes()
-    with pytest.raises(InputError, match=OVER):
-        run(project / "played.yaml", project, report=False, force=True)
-    assert (project / "results.csv").read_bytes() == before
+    for name, content, call in (
+        (
+            "model.yaml",
+            "schema_version: 1\nmodel: motor.py:Motor\nparameters: {k: 0.05}\n",
+            lambda: refine(study, project),
+        ),
+        ("results.csv", "time,force\n0,0\n1,1\n", lambda: run(project / "played.yaml", project, force=True)),
+        ("refine.json", record, lambda: excite(str(project), project, ["yaw_damping", "coriolis"], force=True)),
+    ):
+        (project / name).write_text(content)
+        (project / "plant.fmu").write_text("refined")
+        with pytest.raises(InputError, match="is read, and results would be written over it"):
+            call()
+        assert (project / name).read_text() == content
+        assert (project / "plant.fmu").read_text() == "refined"
 
 
-def test_an_experiment_is_not_put_over_the_refined_fmu(tmp_path: Path) -> None:
-    (tmp_path / "study.yaml").write_text("model: base\nlogs: {estimation: [a.csv]}\n")
-    record = f'{{"study": "{tmp_path}/study.yaml", "rivals": [], "candidates": [], "hidden": [], "measured": ["psi"]}}'
-    (tmp_path / "refine.json").write_text(record)
-    (tmp_path / "plant.fmu").write_bytes(b"refined")
-    with pytest.raises(InputError, match=OVER):
-        excite(str(tmp_path), tmp_path, ["yaw_damping", "coriolis"], force=True)
-    assert (tmp_path / "plant.fmu").read_bytes() == b"refined"
+# -- signals ----------------------------------------------------------------------------------
+
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 4}
+FILES = {"model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu", "refine.json"}
+
+
+def terminate(number: int, frame: object) -> None:
+    raise Terminated(signal.Signals(number).name)
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """As in a program, also where the suite runs in the background of a shell, which has it ignore the keyboard."""
+    handlers = dict.fromkeys(CODES, terminate) | {signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("at", "number"),
+    [
+        ("attribute", signal.SIGINT),
+        ("attribute", signal.SIGTERM),
+        ("write_model", signal.SIGTERM),
+        ("noise_floor", signal.SIGINT),
+        ("remove_earlier", signal.SIGINT),  # while results move to their place
+        ("remove_earlier", signal.SIGTERM),
+    ],
+)
+@pytest.mark.usefixtures("interruptible")
+def test_stopped_where_a_step_of_it_begins_it_leaves_its_results_or_the_earlier_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str, number: signal.Signals
+) -> None:
+    study, out = motor_study(tmp_path, 6.0), tmp_path / "out"
+    study.write_text(study.read_text() + "candidates: [fan]\n")
+    out.mkdir()
+    for name in FILES:
+        (out / name).write_text("earlier")
+    place = model_subject if hasattr(model_subject, at) else workflow
+    step = getattr(place, at)
+
+    def and_then(*arguments: Any, **more: Any) -> Any:
+        signal.raise_signal(number)
+        return step(*arguments, **more)
+
+    monkeypatch.setattr(place, at, and_then)
+    monkeypatch.setattr("sys.argv", ["cosim", "refine", str(study), "--out", str(out), "--no-report", "--force"])
+    with pytest.raises(SystemExit) as left:
+        entry()
+    assert left.value.code == CODES[number]
+    assert {p.name for p in out.iterdir()} == FILES
+    assert [p.read_bytes() == b"earlier" for p in out.iterdir()] == [at != "remove_earlier"] * len(FILES)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_signal_waits_for_what_must_be_whole_and_comes_then(tmp_path: Path) -> None:
+    done = []
+
+    def stopped(within: AbstractContextManager[object]) -> None:
+        with within:
+            (tmp_path / "half").touch()
+            signal.raise_signal(signal.SIGINT)
+            done.append(within)
+
+    for within in (whole := delay_stops(), scratch_folder(tmp_path, ".part-")):
+        with pytest.raises(KeyboardInterrupt):
+            stopped(within)
+    assert done == [whole]
+    assert [p.name for p in tmp_path.iterdir()] == ["half"]

@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -24,14 +23,14 @@ BUILT = ("build", "dist", "results", "egg-info", "tests", "__pycache__", ".fmu",
 
 
 def test_the_staged_sources_are_complete_and_hold_nothing_else(tmp_path: Path) -> None:
-    (core, example) = (dist.stage(parts, tmp_path / name) for parts, name in ((dist.CORE, "a"), (dist.EXAMPLE, "b")))
-    assert dist.OUTSIDE not in (example / "pyproject.toml").read_text(encoding="utf-8")
-    packages = tomllib.loads((example / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
-    assert [name for name in packages if not (example / name.replace(".", "/") / "__init__.py").is_file()] == []
-    for folder in (core, example):
-        paths = [path.relative_to(folder).as_posix() for path in folder.rglob("*")]
-        assert [path for path in paths if any(part in BUILT for part in path.split("/")) or path.endswith(".fmu")] == []
+    core, example = (dist.stage(parts, tmp_path / name) for parts, name in ((dist.CORE, "a"), (dist.EXAMPLE, "b")))
+    text = (example / "pyproject.toml").read_text(encoding="utf-8")
+    assert dist.OUTSIDE not in text
+    for name in tomllib.loads(text)["tool"]["setuptools"]["packages"]:
+        assert (example / name.replace(".", "/") / "__init__.py").is_file()
     assert (core / "cosim" / "report" / "cell" / "templates" / "cell.html.j2").is_file()
+    paths = [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")]
+    assert [path for path in paths if path.endswith(".fmu") or {*BUILT} & {*path.split("/")}] == []
 
 
 @pytest.mark.thorough
@@ -47,9 +46,6 @@ def test_wheels_are_complete_and_the_same_twice(tmp_path: Path) -> None:
     for name, rooms in (("fmu_cosim", ("cosim",)), ("fmu_cosim_hovercraft", ("plant", "controller", "fmus"))):
         tracked = {path.as_posix() for room in rooms for path in dist.tracked(room)}
         assert {path for path in wheels[name] if ".dist-info/" not in path} == tracked
-    (sdist,) = (path for path in first if path.name.startswith("fmu_cosim_hovercraft") and path.suffix == ".gz")
-    with tarfile.open(sdist) as archive:
-        assert any(name.endswith("/plant/hovercraft.py") for name in archive.getnames())
 
 
 # -- commands and files of the page ---------------------------------------------------------------------
@@ -86,8 +82,7 @@ def test_the_commands_of_the_example_for_ci_run(tmp_path: Path, monkeypatch: pyt
         done = shell([*bash, line])
         assert done.returncode == 0, (line, done.stdout, done.stderr)
     assert "site/run/report.html" in summary.read_text(encoding="utf-8")
-    assert (tmp_path / "site" / "index.html").read_bytes() == (tmp_path / "site" / "run" / "report.html").read_bytes()
-    scenario = tmp_path / "scenario.yaml"  # a criterion that is missed fails the job, after the report is written
+    scenario = tmp_path / "scenario.yaml"  # a criterion that is missed fails the job
     scenario.write_text(scenario.read_text(encoding="utf-8") + "criteria: {peak: {of: Tank.level, max: 0.1}}\n")
     (simulate,) = (line for line in commands if line.startswith("cosim run"))
     shutil.rmtree(tmp_path / "site" / "run")

@@ -13,7 +13,6 @@ from cosim.core.errors import InputError
 from cosim.files.results import read_results
 from cosim.files.table import read_columns
 from cosim.logs.log import Log, read_log
-from cosim.residuals.compare import verdict
 from cosim.residuals.drive import log_of_fmu, model_signals
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import window_rows
@@ -99,18 +98,13 @@ def test_an_fmu_of_equal_steps_is_given_equal_steps(tmp_path: Path) -> None:
 # -- windows ----------------------------------------------------------------------------------
 
 
-def test_windows_begin_after_two_seconds_and_predict_each_row_once(log: Log, plant_fmu: Path) -> None:
-    rows = window_rows(log, 2.0)
-    assert rows == [100, 200, 300, 400, 500]  # 12 s at 50 Hz: the last whole one ends at row 600
-    found = replay_windows(log, plant_fmu, {k: {} for k in rows}, 2.0)
-    assert np.flatnonzero(np.isfinite(found.outputs["psi"])).tolist() == list(range(101, 601))
-    assert window_rows(log, 0.5)[-1] == 575
-
-
-def test_from_the_true_state_a_window_has_no_residual(flight: Flight, tmp_path: Path, plant_fmu: Path) -> None:
+def test_from_the_true_state_a_window_has_no_residual_and_predicts_each_row_once(
+    flight: Flight, tmp_path: Path, plant_fmu: Path
+) -> None:
     log = log_of(tmp_path / "a.csv", measured(flight, (*IMU, *POSITION, "phi", "vx")))
     found = replay_windows(log, plant_fmu, {k: flight.start(k) for k in window_rows(log, 0.5)}, 0.5)
     assert largest(found.errors(log)) < ROUNDING
+    assert np.flatnonzero(np.isfinite(found.outputs["psi"])).tolist() == list(range(101, 601))  # after 2 s
 
 
 def test_a_window_knows_the_time_at_which_it_starts(tmp_path: Path, plant_fmu: Path) -> None:
@@ -146,14 +140,11 @@ def test_a_moving_craft_is_caught_where_it_is(flight: Flight, tmp_path: Path, pl
 # -- any model, any sensors -------------------------------------------------------------------
 
 
-def test_a_start_that_is_given_is_not_touched(log: Log, plant_fmu: Path) -> None:
-    found = replay(log, plant_fmu, {"psi_start": 1.0, "mass": 0.8})
-    assert found.starts[0] == {"psi_start": 1.0, "mass": 0.8}
-    assert (found.outputs["psi"][0], found.outputs["vx"][0]) == (1.0, 0.0)
-
-
-@pytest.mark.parametrize("starts", [2, 0])
-def test_any_fmu_can_be_replayed(tmp_path: Path, starts: int) -> None:
+@pytest.mark.parametrize(("starts", "mass"), [(2, 2.0), (0, 2.0), (0, 2.2)])
+def test_any_fmu_can_be_replayed_and_a_wrong_one_is_told_from_a_right_one(
+    tmp_path: Path, starts: int, mass: float
+) -> None:
+    """An FMU without start parameters has no windows; its free run is held against the noise too."""
     fmu = cart_fmu(tmp_path, starts)
     time = times(12.0, 0.01)
     force = np.sin(3.0 * time) + np.where(time > 6.0, 0.5, 0.0)
@@ -161,30 +152,17 @@ def test_any_fmu_can_be_replayed(tmp_path: Path, starts: int) -> None:
     position[0], velocity[0] = (3.0, -0.5) if starts else (0.0, 0.0)
     for k in range(time.size - 1):
         position[k + 1] = position[k] + 0.01 * velocity[k]
-        velocity[k + 1] = velocity[k] + 0.01 * (force[k] - velocity[k]) / 2.0
+        velocity[k + 1] = velocity[k] + 0.01 * (force[k] - velocity[k]) / mass
     noise = 1e-3 * np.random.default_rng(1).standard_normal(time.size)
     columns = {"time": time, "force": force, "position": position + noise}
     log = read_log(write_log(tmp_path / "cart.csv", columns), *model_signals(fmu))
-    comparison = write_replay(tmp_path / "out", log, fmu)
+    comparison = write_replay(tmp_path / "out", log, fmu, report=False)
     assert comparison.replays.keys() == ({0.5, 2.0, math.inf} if starts else {math.inf})
-    assert comparison.replays[math.inf].outputs["velocity"] == pytest.approx(velocity, abs=0.01)
-    assert "position" in verdict(comparison)
-    assert [c.name for c in comparison.channels if not c.is_explained] == []
-
-
-def test_a_free_run_is_held_against_the_noise_too(tmp_path: Path) -> None:
-    """An FMU without start parameters has no windows; a wrong one is told from a right one all the same."""
-    fmu, time = cart_fmu(tmp_path, starts=0), times(12.0)
-    force, position, velocity = np.sin(3.0 * time), np.zeros(time.size), 0.0
-    for k in range(time.size - 1):
-        position[k + 1] = position[k] + 0.02 * velocity
-        velocity += 0.02 * (force[k] - velocity) / 2.2  # a tenth heavier than the FMU has it
-    noisy = position + 1e-3 * np.random.default_rng(1).standard_normal(time.size)
-    columns = {"time": time, "force": force, "position": noisy}
-    log = read_log(write_log(tmp_path / "cart.csv", columns), *model_signals(fmu))
-    told = verdict(write_replay(tmp_path / "out", log, fmu, report=False))
-    assert "nothing that the model lacks" not in told
-    assert "The fit of position is" in told
+    is_right = mass == 2.0
+    assert [c.is_explained for c in comparison.channels] == [is_right]
+    if is_right:
+        assert comparison.replays[math.inf].outputs["velocity"] == pytest.approx(velocity, abs=0.01)
+    assert not (tmp_path / "out" / "report.html").exists()
 
 
 def test_a_model_without_the_signals_of_the_log_is_refused(log: Log, tmp_path: Path) -> None:
@@ -199,54 +177,21 @@ def test_a_model_without_the_signals_of_the_log_is_refused(log: Log, tmp_path: P
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("seed", [2, 4])
-def test_a_right_model_is_not_accused_for_a_free_run_that_drifts(seed: int, tmp_path: Path, plant_fmu: Path) -> None:
-    flown = fly(times(40.0), start=MOVING, seed=seed)
-    log = log_of(tmp_path / "a.csv", measured(flown, noise=1.0, seed=seed))
-    comparison = write_replay(tmp_path, log, plant_fmu, report=False)
-    drift = comparison.replays[math.inf].errors(log)["psi"]
-    assert float(np.abs(drift).max()) > math.radians(5.0)
-    # an RMSE over 19 windows is known to some 15 %; carried by the free run, positions would be at 1.6 to 3.4
-    assert {c.name: c.excess for c in comparison.channels if not c.excess < 1.3} == {}
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("seconds", "seed"), [(10.0, 1), (10.0, 2), (20.0, 9)])
-def test_a_right_model_is_not_accused_for_the_scatter_of_few_windows(
+@pytest.mark.parametrize(("seconds", "seed"), [(40.0, 2), (40.0, 4), (10.0, 1), (10.0, 2), (20.0, 9)])
+def test_a_right_model_is_not_accused_for_a_free_run_that_drifts_or_the_scatter_of_few_windows(
     seconds: float, seed: int, tmp_path: Path, plant_fmu: Path
 ) -> None:
     log = log_of(tmp_path / "a.csv", measured(fly(times(seconds), start=MOVING, seed=seed), noise=1.0, seed=seed))
     comparison = write_replay(tmp_path, log, plant_fmu, report=False)
-    assert max(c.excess for c in comparison.channels) > 1.5  # these are the rare ones: one flight in eight
     assert [c.name for c in comparison.channels if not c.is_matched] == []
+    # of two flights in 40 s an RMSE over 19 windows is known to some 15 %; the others are the rare ones, one in eight
+    assert (max(c.excess for c in comparison.channels) < 1.3) is (seconds == 40.0)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("force", [0.0, 0.08])
-def test_a_camera_of_two_hertz_is_enough_to_see_friction(force: float, tmp_path: Path, plant_fmu: Path) -> None:
-    """Its own noise is told beside the model: what the craft moves between two of its samples is none."""
-    craft = Hovercraft().with_values({"coulomb_friction.force": force})
-    flown = measured(fly(times(40.0), craft, MOVING), noise=1.0)
-    for name in POSITION:
-        flown[name][np.arange(flown[name].size) % 25 != 0] = np.nan
-    comparison = write_replay(tmp_path, log_of(tmp_path / "a.csv", flown), plant_fmu, report=False)
-    found = {c.name for c in comparison.channels if not c.is_matched}
-    assert found <= set(POSITION)
-    assert bool(found) == bool(force)
-
-
-@pytest.mark.thorough
-def test_a_late_actuator_is_named_a_delay(tmp_path: Path, plant_fmu: Path) -> None:
-    late = Hovercraft().with_values({"actuator_delay.time": 0.06})
-    log = log_of(tmp_path / "a.csv", measured(fly(times(12.0), late, MOVING), noise=1.0))
-    comparison = write_replay(tmp_path / "out", log, plant_fmu, report=False)
-    assert re.search(r"psi_dot trails the model by (5[5-9]|6[0-5])\u00a0ms", verdict(comparison))
-    assert not (tmp_path / "out" / "report.html").exists()
-
-
-@pytest.mark.thorough
-def test_results_hold_the_log_and_the_replay_row_by_row(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
-    comparison = write_replay(tmp_path, log, plant_fmu)
+def test_a_recorded_log_is_replayed_and_reported_row_by_row(tmp_path: Path, plant_fmu: Path) -> None:
+    log = read_log(RECORDED, *model_signals(plant_fmu))
+    seen: list[tuple[int, int]] = []
+    comparison = write_replay(tmp_path, log, plant_fmu, progress=lambda k, n: seen.append((k, n)))
     results = read_columns(tmp_path / "results.csv")
     residual = read_results(tmp_path / "residual.csv")  # without a value before its first window
     assert results["time"].tolist() == residual.time.tolist() == log.time.tolist()
@@ -256,20 +201,11 @@ def test_results_hold_the_log_and_the_replay_row_by_row(log: Log, tmp_path: Path
     assert {c.partition(".")[0] for c in residual.columns} == {"free_run", "within_2s", "within_500ms"}
     score = next(c for c in comparison.channels if c.name == "psi").scores[2.0]
     assert rmse(residual["within_2s.psi"]) == pytest.approx(score.rmse, rel=1e-12)
-
-
-def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path) -> None:
-    log = read_log(RECORDED, *model_signals(plant_fmu))
-    seen: list[tuple[int, int]] = []
-    comparison = write_replay(tmp_path, log, plant_fmu, progress=lambda k, n: seen.append((k, n)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert verdict(comparison).split(".")[0] in page
-    (seconds,) = re.findall(r"([\d.]+) s at ", page)
-    assert float(seconds) == pytest.approx(log.time[-1] - log.time[0])
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
     assert len(page) < 600_000
     assert seen
-    assert all(a <= b and k <= n for (a, _), (b, _), (k, n) in zip(seen, seen[1:], seen, strict=False))
+    assert seen == sorted(seen)
 
 
 @pytest.mark.thorough

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from cosim.logs.channel_noise import noise_level, surprise
+from cosim.logs.channel_noise import noise_level
 from cosim.residuals.residual_statistics import fit_percent, input_correlations, pool_errors, rmse, score, whiteness
 
 Array = NDArray[np.float64]
@@ -22,24 +23,14 @@ def coloured(rng: np.random.Generator, phi: float, count: int = 2000) -> Array:
     return r
 
 
-def test_fit_is_100_for_the_truth_and_0_for_its_mean() -> None:
+def test_fit_and_rmse_are_their_formulas_and_cells_that_were_not_measured_do_not_count() -> None:
     y = np.array([1.0, 2.0, 3.0, 4.0])
-    assert fit_percent(y, y) == 100.0
-    assert fit_percent(y, np.full(4, y.mean())) == 0.0
     # ‖y − ŷ‖ = √(4·0.25) = 1, ‖y − mean‖ = √(2·1.5² + 2·0.5²) = √5
     assert fit_percent(y, y + 0.5) == pytest.approx(100.0 * (1.0 - 1.0 / math.sqrt(5.0)), rel=1e-15)
-    assert math.isnan(fit_percent(np.ones(4), y))
-
-
-def test_rmse_is_pooled_over_rows_not_over_logs() -> None:
-    assert rmse(np.array([3.0]), np.array([4.0, 0.0, 0.0])) == 2.5  # √((9 + 16)/4)
-    assert pool_errors([{"psi": np.array([3.0])}, {"psi": np.array([4.0, 0.0, 0.0])}]) == {"psi": 2.5}
-    assert math.isnan(rmse(np.array([math.nan])))
-
-
-def test_cells_that_were_not_measured_do_not_count() -> None:
-    measured = np.array([1.0, math.nan, 3.0, 4.0])
-    found = score(measured, np.array([1.0, 100.0, 3.0, 2.0]))
+    errors = [np.array([3.0]), np.array([4.0, 0.0, 0.0])]
+    assert rmse(*errors) == 2.5  # √((9 + 16)/4): over rows, not over logs
+    assert pool_errors([{"psi": e} for e in errors]) == {"psi": 2.5}
+    found = score(np.array([1.0, math.nan, 3.0, 4.0]), np.array([1.0, 100.0, 3.0, 2.0]))
     assert (found.rmse, found.rows) == (pytest.approx(2.0 / math.sqrt(3.0), rel=1e-15), 3)
 
 
@@ -56,22 +47,9 @@ def test_noise_is_told_from_a_fast_signal_and_from_outliers() -> None:
 
 def test_noise_of_a_slow_sensor_is_seen_between_its_own_samples() -> None:
     t = np.arange(4000) * 0.02
-    y = np.where(np.arange(t.size) % 10 == 0, 0.1 * t, np.nan) + 0.001 * np.random.default_rng(2).standard_normal(
-        t.size
-    )
+    y = 0.1 * t + 0.001 * np.random.default_rng(2).standard_normal(t.size)
+    y[np.arange(t.size) % 10 != 0] = np.nan
     assert noise_level(y) == pytest.approx(0.001, rel=0.25)  # 400 samples: four standard errors of 6 %
-
-
-def test_a_cubic_is_no_surprise() -> None:
-    t = np.arange(50.0)
-    assert np.nanmax(np.abs(surprise(t**3 - 4 * t))) < 1e-9  # rounding of 1e5
-
-
-def test_autocorrelation_is_that_of_the_process() -> None:
-    e = np.random.default_rng(3).standard_normal(200_001)
-    rho = whiteness(e[1:] + 0.5 * e[:-1], 5).rho
-    # MA(1): ρ(1) = θ/(1 + θ²) = 0.4, then 0; standard error 1/√2e5 = 2.2e-3, five of them
-    assert rho[:4] == pytest.approx([1.0, 0.4, 0.0, 0.0], abs=0.012)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.4])
@@ -87,16 +65,11 @@ def test_white_residuals_are_called_coloured_as_often_as_the_level_says(missing:
     assert 0.4 < np.median(p) < 0.65
 
 
-def test_ljung_box_is_its_formula() -> None:
-    from scipy.stats import chi2
-
+def test_ljung_box_is_its_formula_and_slow_residuals_are_not_white() -> None:
     r = np.random.default_rng(5).standard_normal(200)
     z = r - r.mean()
     q = 200 * 202 * sum(float(z[k:] @ z[:-k] / (z @ z)) ** 2 / (200 - k) for k in range(1, 21))
     assert whiteness(r, 40).p_value == pytest.approx(float(chi2.sf(q, 20)), rel=1e-9)
-
-
-def test_slow_residuals_are_not_white() -> None:
     assert not whiteness(coloured(np.random.default_rng(6), 0.5), 50).white
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -30,53 +31,50 @@ def place_of(text: str) -> tuple[int, int]:
     return before.count("\n") + 1, len(before) - before.rfind("\n")
 
 
-FAULTS = [  # a part of regulate.yaml, and what stands in its place: @ is before the part at fault
-    ("seed: 1", "@sed: 1"),
-    ("design: ", "@design: {}\n"),
-    ("seed: 1", "@live: {}"),
-    ("fmu: ../build/plant.fmu", "@at: lab:5600\n    fmu: ../build/plant.fmu"),
-    ("duration: 10", "duration: @ten"),
-    ("duration: 10", "duration: @-1"),
-    ("duration: 10", "duration: @.inf"),
-    ("step: 0.02", "step: @1e-9"),
-    ("step: 0.02", "step: @true"),
-    ("step: 0.02", "step: @.nan"),
-    ("step: 0.02", "step: @0.03"),
-    ("step: 0.02", "step: @0.05"),  # the controller is sampled at 0.02 s
-    ("step: 0.02", "step: @{max: 0.02}"),
-    ("step: 0.02", "step: {max: 0.02, min: @0.03}"),
-    ("step: 0.02", "step: {max: 0.02, min: @1e-18}"),
-    ("step: 0.02", "step: {max: 0.02, min: 0.001, estimator: @energy}"),
-    ("noise: on", "noise: @perhaps"),
-    ("noise: on", "record: {every: @0.03}"),
-    ("noise: on", "record: {every: @20}"),
-    ("noise: on", "record: @plant.x"),
-    ("plant.fmu", "plnt.fmu", "fmu: @../build/plnt.fmu"),
-    ("x_start: 1,", f"x_start: @1{'0' * 400},"),
-    ("x_start: 1,", "x_strt: @1,"),
-    ("x_start: 1,", "x_start: @.inf,"),
-    ("x_start: 1,", "x_start: @3 kg,"),
-    ("x_start: 1,", "mass: @-1,"),
-    ("x_start: 1,", "roll_ground_effect: @2,"),
-    ("x_start: 1,", "vx: @2,"),
-    ("12 deg", "@12 degrees"),
-    ("from: plant.psi,", "from: @plant.psii,"),
-    ("from: plant.psi,", "from: @plan.psi,"),
-    ("from: plant.psi,", "from: @plant.tilt_right,"),
-    ("{from: plant.psi,", "@{from: plant.vx,"),
-    ("to: controller.psi_dot", "to: @controller.psi"),
-    ("variance: 2.613e-5", "variance: @-1"),
-    ("variance: 2.613e-5", "variance: @3 kg2"),
-    ("variance: 2.613e-5", "@varience: 1"),
-    ("of: plant.phi", "of: @plant.roll"),
-    ("{of: plant.x, band: 0.02, max: 4.0", "@{of: plant.x, max: 4.0"),
-    ("block: reference", "@block: refrence"),
+BOMB = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]  # refused before it is spread out
+BOMB += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 10)]
+FAULTS = [  # a part of regulate.yaml → what stands in its place: @ is before the part at fault
+    "seed: 1 → @sed: 1",
+    "design:  → @design: {}\n",
+    "seed: 1 → @live: {}",
+    "fmu: ../build/plant.fmu → @at: lab:5600\n    fmu: ../build/plant.fmu",
+    "duration: 10 → duration: @ten",
+    "duration: 10 → duration: @.inf",
+    "step: 0.02 → step: @1e-9",
+    "step: 0.02 → step: @true",
+    "step: 0.02 → step: @0.03",
+    "step: 0.02 → step: @0.05",  # the controller is sampled at 0.02 s
+    "step: 0.02 → step: @{max: 0.02}",
+    "step: 0.02 → step: {max: 0.02, min: @0.03}",
+    "step: 0.02 → step: {max: 0.02, min: 0.001, estimator: @energy}",
+    "noise: on → noise: @perhaps",
+    "noise: on → record: {every: @0.03}",
+    "plant.fmu → plnt.fmu → fmu: @../build/plnt.fmu",
+    f"x_start: 1, → x_start: @1{'0' * 400},",
+    "x_start: 1, → x_strt: @1,",
+    "x_start: 1, → x_start: @.inf,",
+    "x_start: 1, → x_start: @3 kg,",
+    "x_start: 1, → mass: @-1,",
+    "x_start: 1, → roll_ground_effect: @2,",
+    "x_start: 1, → vx: @2,",
+    "12 deg → @12 degrees",
+    "from: plant.psi, → from: @plant.psii,",
+    "from: plant.psi, → from: @plan.psi,",
+    "from: plant.psi, → from: @plant.tilt_right,",
+    "{from: plant.psi, → @{from: plant.vx,",
+    "to: controller.psi_dot → to: @controller.psi",
+    "variance: 2.613e-5 → variance: @-1",
+    "variance: 2.613e-5 → variance: @3 kg2",
+    "variance: 2.613e-5 → @varience: 1",
+    "of: plant.phi → of: @plant.roll",
+    "{of: plant.x, band: 0.02, max: 4.0 → @{of: plant.x, max: 4.0",
+    "block: reference → @block: refrence",
 ]
 
 
-@pytest.mark.parametrize("case", FAULTS, ids=lambda case: case[-1][:40])
-def test_a_fault_has_the_place_of_its_value(project: Path, case: tuple[str, ...]) -> None:
-    old, new, *more = case
+@pytest.mark.parametrize("case", FAULTS, ids=lambda case: case[:60])
+def test_a_fault_has_the_place_of_its_value(project: Path, case: str) -> None:
+    old, new, *more = case.split(" → ")
     good = GOOD if old in GOOD else f"{GOOD}{old}"
     text = good.replace(old, new, 1)
     marked = text.replace(more[0].replace("@", ""), more[0]) if more else text
@@ -89,10 +87,7 @@ def test_a_fault_has_the_place_of_its_value(project: Path, case: tuple[str, ...]
     "text",
     [
         "name: x\n? @{a: b}\n: 1\n",
-        "name: x\n? @[a]\n: 1\n",
-        'name: x\n@"x]": 1\n',
         'name: x\n@"«fmu»": 1\n',
-        'components:\n  @"[key]": 1\n',
         "name: @!!python/object:os.system x\n",
         "name: @&a [*a]\n",
         f"name: {400 * '['}\n@",
@@ -110,7 +105,6 @@ def test_a_fault_has_the_place_of_its_value(project: Path, case: tuple[str, ...]
         f"{SMALL}criteria: {{peak: @{{of: r.x, max: 1, after: 2}}}}\n",
         f"{SMALL}criteria: {{peak: @{{of: r.x, max: 1, band: 1}}}}\n",
         "name: a\n@name: b\n",
-        "a: {b: 1, @b: 2}\n",
         "a: [1,\nb: @}",
         "name: x\n@\tstep: 1\n",
         "@just words\n",
@@ -119,7 +113,9 @@ def test_a_fault_has_the_place_of_its_value(project: Path, case: tuple[str, ...]
         "@{scenario: 5, schema_version: 1}",
         "connections: @5",
         "criteria: {peak: @5}",
+        "\n".join(BOMB),
     ],
+    ids=lambda text: text[:40],
 )
 def test_odd_files_are_refused_with_the_place(tmp_path: Path, text: str) -> None:
     error = faults_of(tmp_path / "case.yaml", text.replace("@", ""))
@@ -143,18 +139,15 @@ def test_a_set_that_fits_nowhere_is_refused(project: Path, override: str) -> Non
     assert all("--set" in fault.message and not fault.line for fault in error.faults)
 
 
-def test_an_option_that_is_at_fault_brings_no_fault_of_what_would_have_to_fit_it(project: Path) -> None:
-    text = GOOD.split("criteria:")[0] + "criteria:\n  rms_error:\n    - {of: plant.x, after: 8, max: 1}\n"
-    (fault,) = faults_of(project / "scenarios" / "case.yaml", text, "step=0").faults
-    assert "step" in fault.message
-
-
-def test_faults_of_form_and_of_meaning_are_told_together(project: Path) -> None:
+def test_faults_of_form_and_of_meaning_are_told_together_and_none_that_follows_from_another(project: Path) -> None:
+    path = project / "scenarios" / "case.yaml"
     text = GOOD.replace("seed: 1", "sed: 1").replace("step: 0.02", "step: 0.05").replace("plant.ax,", "plant.axe,")
     text = text.replace("variance: 2.613e-5", "variance: a").replace("x_start: 1,", "x_strt: 1,")
     text = text.replace("of: plant.phi", "of: plant.phy")
-    error = faults_of(project / "scenarios" / "case.yaml", text)
-    assert [fault.line for fault in error.faults] == [6, 7, 13, 24, 26, 38]
+    assert [fault.line for fault in faults_of(path, text).faults] == [6, 7, 13, 24, 26, 38]
+    text = GOOD.split("criteria:")[0] + "criteria:\n  rms_error:\n    - {of: plant.x, after: 8, max: 1}\n"
+    (fault,) = faults_of(path, text, "step=0").faults
+    assert "step" in fault.message
 
 
 def test_a_file_that_is_no_fmu_exits_3_and_a_fault_of_the_user_wins(project: Path) -> None:
@@ -166,44 +159,31 @@ def test_a_file_that_is_no_fmu_exits_3_and_a_fault_of_the_user_wins(project: Pat
     assert faults_of(path, GOOD, "step=0.03").exit_code == 2
 
 
-def test_an_alias_bomb_is_refused_before_it_is_spread_out(tmp_path: Path) -> None:
-    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
-    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 10)]
-    assert faults_of(tmp_path / "bomb.yaml", "\n".join(lines)).exit_code == 2
-
-
 # -- what is taken -----------------------------------------------------------------------------------
 
 
 def test_set_reaches_every_place_of_a_scenario(project: Path) -> None:
     path = project / "scenarios" / "regulate.yaml"
     overrides = [
-        "noise=off", "seed=7", "components.plant.start.coulomb_friction.force=0.05",
-        "connections.0.noise.variance=0", "components.controller.start.estimator=lagged",
-        "components.plant.start={x_start: 2}",
+        "noise=off", "seed=7", "components.plant.start.coulomb_friction.force=0.05", "connections.0.noise.variance=0",
     ]  # fmt: skip
-    scenario = ScenarioFile(path, overrides[:-1]).scenario
-    assert (scenario.noise, scenario.seed) == (False, 7)
-    assert scenario.components["plant"].start["coulomb_friction.force"] == 0.05  # type: ignore[union-attr]
-    assert scenario.connections[0].noise is not None
-    assert scenario.connections[0].noise.variance == 0
-    assert ScenarioFile(path, overrides[-1:]).scenario.components["plant"].start == {"x_start": 2}  # type: ignore[union-attr]
+    scenario: Any = ScenarioFile(path, overrides).scenario
+    assert (scenario.noise, scenario.seed, scenario.connections[0].noise.variance) == (False, 7, 0)
+    assert scenario.components["plant"].start["coulomb_friction.force"] == 0.05
+    scenario = ScenarioFile(path, ["components.plant.start={x_start: 2}"]).scenario
+    assert scenario.components["plant"].start == {"x_start": 2}
 
 
-def test_an_angle_may_be_given_in_degrees(project: Path) -> None:
-    file = ScenarioFile(project / "scenarios" / "regulate.yaml")
-    block = next(s.component for s in build_system(file).stages if s.component.name == "controller")
+def test_an_angle_may_be_given_in_degrees_and_a_component_may_have_the_step_of_its_scenario(project: Path) -> None:
+    stages = build_system(ScenarioFile(project / "scenarios" / "regulate.yaml", ["components.plant.step=0.02"])).stages
+    assert {stage.every for stage in stages} == {1}
+    block = next(s.component for s in stages if s.component.name == "controller")
     assert block.start_values["tilt_max"] == pytest.approx(0.20943951, abs=1e-8)  # type: ignore[attr-defined]
 
 
 def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
     path = project / "scenarios" / "manoeuvre.yaml"
     build_system(ScenarioFile(path, ["step=0.05", "components.controller.start.sample_time=0.05"]))
-
-
-def test_a_component_may_have_the_step_of_its_scenario(project: Path) -> None:
-    file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["components.plant.step=0.02"])
-    assert {stage.every for stage in build_system(file).stages} == {1}
 
 
 def test_aliases_and_merged_keys_are_taken(tmp_path: Path) -> None:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 from scipy.optimize import brentq
+from typer.testing import CliRunner
 
 from controller.design_model import design_model
 from controller.settings import PredictiveSettings, Settings
-from cosim.linearization.linear_model import Linear
 from cosim.linearization.workflow import linearize
 from cosim.model import SCALAR
+from cosim.verbs.cli import command_line
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
 from plant.identification.cells import calibrate
@@ -27,102 +30,78 @@ from plant.identification.workflow import analyse
 from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
 from tests.bench_runs import play_plain, read_protocol
 
-TESTS = Path(__file__).resolve().parent
-ROOT = TESTS.parent
+ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "seed.md"
 BENCH = ROOT / "examples" / "bench" / "protocol.yaml"
 
 
-def asked_for() -> list[list[str]]:
-    """Rows of the page's own list: what was asked for, the rows that answer it, a command."""
-    section = PAGE.read_text(encoding="utf-8").partition("## What has to be here")[2].partition("\n## ")[0]
-    cells = [
-        [c.strip() for c in line.strip("|").split(" | ")] for line in section.splitlines() if line.startswith("| ")
-    ]
-    return cells[1:]
+def test_commands_that_linearise_show_the_numbers_of_their_rows(tmp_path: Path) -> None:
+    def linear(row: str, matrix: str) -> tuple[dict[str, Any], Any]:
+        """What the command of a row of the page's list prints, and a matrix of it."""
+        (command,) = re.findall(rf"^\| {row} \|.*\| `cosim (.*)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+        words = [*shlex.split(command), "--json", "--no-report", "--out", str(tmp_path / matrix)]
+        told = json.loads(CliRunner().invoke(command_line(), words).output)
+        return told, np.array(told["models"][0][matrix])
 
-
-def test_commands_that_linearise_show_the_numbers_of_their_rows() -> None:
-    commands = {row[0]: shlex.split(row[2].strip("`")) for row in asked_for()}
-    bench = _linear(commands["4.1–4.8"])
+    bench, C = linear("4.1–4.8", "C")
     gain = 1.0 / (1.0 - (0.127 / (4 * 0.095)) ** 1.902)  # eq 4.28
-    tilted = {"force_z": gain * math.cos(0.1), "force_x": gain * math.sin(0.1), "thrust_actual": gain}
-    for name, expected in tilted.items():
-        assert bench.C[bench.outputs.index(name), bench.states.index("thrust")] == pytest.approx(expected, rel=1e-4)
-    assert bench.C[bench.outputs.index("moment"), bench.states.index("tilt")] != 0.0  # eq 4.10
-    craft = _linear(commands["5.20–5.34"])
-    at = craft.states.index
-    assert craft.A[at("vx"), at("vx")] == pytest.approx(-0.3546, abs=5e-5)
-    assert craft.A[at("tilt_left"), at("tilt_left")] == pytest.approx(-11.31, abs=5e-3)
-    assert craft.A[at("psi_dot"), at("tilt_right")] == pytest.approx(41.85, abs=5e-3)
-
-
-def _linear(words: list[str]) -> Linear:
-    """What a command of the list linearises."""
-    options: dict[str, list[str]] = {}
-    for option, value in zip(words[3::2], words[4::2], strict=True):
-        options.setdefault(option.removeprefix("--"), []).append(value)
-    lists = {name: values[0].split(",") for name, values in options.items() if name not in {"at", "set"}}
-    return linearize(words[2], at=options.get("at", []), set=options.get("set", []), **lists).first
+    assert bench["outputs"] == ["force_z", "force_x", "moment", "thrust_actual"]
+    assert bench["states"][:2] == ["thrust", "tilt"]
+    assert C[[0, 1, 3], 0] == pytest.approx([gain * math.cos(0.1), gain * math.sin(0.1), gain], rel=1e-4)
+    assert C[2, 1] != 0.0  # eq 4.10
+    craft, A = linear("5.20–5.34", "A")
+    assert craft["states"] == ["x", "vx", "psi", "psi_dot", "tilt_right", "tilt_left"]
+    assert (A[1, 1], A[5, 5]) == (pytest.approx(-0.3546, abs=5e-5), pytest.approx(-11.31, abs=5e-3))
+    assert A[3, 4] == pytest.approx(41.85, abs=5e-3)
 
 
 # -- rows that are short enough to stand here -------------------------------------------------
 
 
 def test_the_shipped_protocol_is_app_d_2_where_it_differs_from_chapter_4() -> None:
-    protocol = read_protocol(BENCH)
-    tests, b = protocol.file.tests, Bench()
-    line, ground, sines = tests.thrust_line, tests.ground_effect, tests.frequency
-    projection, step, moment = tests.projection, tests.step, tests.moment
-    assert line is not None
-    assert ground is not None
-    assert sines is not None
-    assert projection is not None
-    assert step is not None
-    assert moment is not None
+    content, bench = YAML(typ="safe").load(BENCH.read_text(encoding="utf-8")), Bench()
+    line, ground, projection, step, sines, moment = (
+        content["tests"][name] for name in ("thrust_line", "ground_effect", "projection", "step", "frequency", "moment")
+    )
     # D.2.1: 6 to 7 % in 60 s, t_i = 820 rows of 0.02 s; the cell's end, 285 gf, is at 6.56 %
-    assert (list(line.phases[2]), list(line.phases[3]), line.repetitions) == ([5, 6, 0], [65, 7, 0], 20)
-    assert 6.0 + (line.window[0] - 5.0) / 60.0 == pytest.approx(6.19, abs=5e-4)
-    assert (285.0 - b.thrust_offset) / b.thrust_slope == pytest.approx(6.56, abs=5e-3)
+    assert line["phases"][2:4] == [[5, 6, 0], [65, 7, 0]]
+    assert 6.0 + (line["window"][0] - 5.0) / 60.0 == pytest.approx(6.19, abs=5e-4)
+    assert (285.0 - bench.thrust_offset) / bench.thrust_slope == pytest.approx(6.56, abs=5e-3)
     # D.2.2: four heights at one duty; §4.4's 119 gf for validation
-    assert (ground.heights, ground.repetitions) == ([0.68, 1.25, 2.0, 2.75], 10)
-    assert {p[1] for p in ground.phases} == {5, 6.3}
-    assert ground.validation_duty is not None
-    assert b.thrust_offset + b.thrust_slope * ground.validation_duty == pytest.approx(119.0, abs=0.5)
-    assert b.propeller_radius == 0.127
+    assert ground["heights"] == [0.68, 1.25, 2.0, 2.75]
+    assert {duty for _, duty, _ in ground["phases"]} == {5, 6.3}
+    assert bench.thrust_offset + bench.thrust_slope * ground["validation_duty"] == pytest.approx(119.0, abs=0.5)
+    assert bench.propeller_radius == 0.127
     # D.2.3: 25 deg in 21 s; D.2.4: 25 deg at once
-    assert [projection.phases[k][0] for k in (3, 4)] == [6, 27]
-    assert (projection.phases[4][1:], projection.repetitions) == ((6.3, 25), 15)
-    assert (step.phases[-1][1:], step.repetitions, step.at) == ((6.4, 25), 20, 6)
+    assert projection["phases"][3:5] == [[6, 6.3, 0], [27, 6.3, 25]]
+    assert (step["phases"][-1][1:], step["at"]) == ([6.4, 25], 6)
     # D.2.5 in rad/s; D.3.4 skips up to three periods, so they are recorded
-    assert sines.frequencies == [0.1, 1, 2, 4, 6, 8, 10]
-    assert sines.repetitions == 20
-    assert sines.thesis_skip == [0, 0, 0, 0, 2, 2, 3]
-    assert min(sines.periods[1:]) == 4
-    assert all(p - s >= 3 for p, s in zip(sines.periods[1:], sines.thesis_skip[1:], strict=True))
+    assert sines["frequencies"] == [0.1, 1, 2, 4, 6, 8, 10]
+    assert sines["thesis_skip"] == [0, 0, 0, 0, 2, 2, 3]
+    assert min(sines["periods"][1:]) == 4
+    assert all(p - s >= 3 for p, s in zip(sines["periods"][1:], sines["thesis_skip"][1:], strict=True))
     # D.2.6: 80 deg in 45 s
-    assert ([p[2] for p in moment.phases], moment.repetitions) == ([0, 0, 80, 80], 20)
-    assert b.assembly_mass == 0.145
-    assert [t.low_pass for t in (line, ground, projection, step, moment)] == [0.25, 0.25, 0.1, 0, 0.5]
+    assert [tilt for *_, tilt in moment["phases"]] == [0, 0, 80, 80]
+    assert bench.assembly_mass == 0.145
+    assert [t["repetitions"] for t in (line, ground, projection, step, sines, moment)] == [20, 10, 15, 20, 20, 20]
+    assert [t["low_pass"] for t in (line, ground, projection, step, moment)] == [0.25, 0.25, 0.1, 0, 0.5]
 
 
 @pytest.mark.thorough
 def test_tares_are_estimated_and_not_copied(tmp_path: Path) -> None:
     """D.3 takes 5 gf and 0.75e-4 N m off every run; a cell that is 0.1 V off all day changes nothing here."""
     content = YAML(typ="safe").load(BENCH.read_text(encoding="utf-8"))
-    content["tests"] = {n: content["tests"][n] | {"repetitions": 3} for n in ("step", "projection")}
+    content["tests"] = {"step": content["tests"]["step"] | {"repetitions": 3}}
     (tmp_path / "protocol.yaml").write_text(json.dumps(content))
     protocol = read_protocol(tmp_path / "protocol.yaml")
     play, found = play_plain(protocol.bench), []
     cells = calibrate(protocol, {c: play(runs) for c, runs in load_runs(protocol, 1).items()})
-    runs = {name: play(runs_of(protocol, name, 1)) for name, _ in protocol.file.tests.named_tests()}
+    runs = play(runs_of(protocol, "step", 1))
     for off in (0.0, 0.1):
-        moved = {n: [replace(r, volts={c: v + off for c, v in r.volts.items()}) for r in rs] for n, rs in runs.items()}
-        found.append([e for r in analyse(protocol, cells, moved) for e in r.estimates])
-    unbiased = [[e.value for e in group] for group in found]
-    assert unbiased[1] == pytest.approx(unbiased[0], rel=1e-9)
-    thesis = np.array([[e.thesis for e in group] for group in found])
-    assert (np.abs(thesis[1] / thesis[0] - 1.0) > 1e-3).any()
+        moved = [replace(r, volts={c: v + off for c, v in r.volts.items()}) for r in runs]
+        found.append(analyse(protocol, cells, {"step": moved})[0].estimates[0])
+    assert found[1].value == pytest.approx(found[0].value, rel=1e-9)
+    assert abs(found[1].thesis / found[0].thesis - 1.0) > 1e-3
 
 
 def test_the_angle_of_app_d_3_3_is_another_servo_s_than_that_of_eq_3_1() -> None:
@@ -198,15 +177,15 @@ def test_the_equations_of_5_14_are_the_one_body_with_what_is_ours_switched_off()
     gain = ground_effect(SCALAR, 0.095, 0.127, 1.902)
     craft = Hovercraft(friction=0.0, table_roll_stiffness=0.0, table_roll_damping=0.0, roll_ground_effect=False)
     phi, (TR, TL), (aR, aL) = 0.03, (2.1, 2.3), (0.15, -0.08)
-    at = {"vx": 0.4, "vy": -0.1, "psi_dot": 0.3, "phi_dot": 0.2, "phi": phi}
-    state = craft.start({**at, "thrust_right": TR, "thrust_left": TL, "tilt_right": aR, "tilt_left": aL})
+    moving = {"vx": 0.4, "vy": -0.1, "psi_dot": 0.3, "phi_dot": 0.2, "phi": phi}
+    state = craft.start(moving | {"thrust_right": TR, "thrust_left": TL, "tilt_right": aR, "tilt_left": aL})
     rates = craft.equations(SCALAR).derivative(0.0, state, (6.4, 6.4, aR, aL))
     found = dict(zip((q.name for q in craft.states), rates, strict=True))
     FRx, FLx = gain * TR * math.sin(aR), gain * TL * math.sin(aL)  # 5.12
     FRz, FLz = gain * TR * math.cos(aR), gain * TL * math.cos(aL)
     expected = {
-        "x": 0.4, "vx": (FRx + FLx) / m, "y": -0.1, "vy": -(FRz + FLz) / m * math.sin(phi),
-        "psi": 0.3, "psi_dot": L / Izz * (FRx - FLx), "phi": 0.2, "phi_dot": L / Ixx * (FRz - FLz),
+        "x": 0.4, "y": -0.1, "psi": 0.3, "phi": 0.2, "vx": (FRx + FLx) / m, "vy": -(FRz + FLz) / m * math.sin(phi),
+        "psi_dot": L / Izz * (FRx - FLx), "phi_dot": L / Ixx * (FRz - FLz),
     }  # fmt: skip
     assert {n: found[n] for n in expected} == pytest.approx(expected, rel=1e-12)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from pathlib import Path
 
@@ -11,9 +10,7 @@ import pytest
 from scipy.signal import lsim
 
 from cosim.fmi.building.file import own_terms
-from cosim.fmi.native.compiler import load_library
 from cosim.model.namespaces import SCALAR
-from cosim.model.quantities import Parameter, Quantity
 from cosim.terms.catalogue import (
     InputLag,
     Play,
@@ -22,8 +19,6 @@ from cosim.terms.catalogue import (
     Stribeck,
     bound_terms,
 )
-from cosim.terms.code import term_code
-from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Force, Place, bind, unit_of
 
 INPUT = Place("voltage", {"u": "V", "T": "s"}, {"u": 4.0, "T": 0.1}, input=0)
@@ -87,46 +82,6 @@ def test_friction_that_is_larger_at_rest_falls_to_its_level() -> None:
     term = bind(Stribeck, PAIR)(level=1.0, breakaway=2.0, speed=0.5, softness=0.02)
     assert -term.force(SCALAR, 0.0, 0.1) == pytest.approx(1.0 + math.exp(-0.04), rel=1e-3)
     assert -term.force(SCALAR, 0.0, 10.0) == pytest.approx(1.0)
-
-
-def _model() -> FmuModel:
-    """A motor behind a library: speed' = f(speed, voltage), angle' = speed."""
-    signals = (
-        [Quantity("angle", "rad", ""), Quantity("speed", "rad/s", "")],
-        [Quantity("voltage", "V", "")],
-        [Quantity("angle", "rad", "")],
-    )
-    depends = Dependencies(np.array([[0, 1], [0, 1], [1, 0]], bool), np.array([[0], [1], [0]], bool))
-    model = fmu_model(
-        "motor",
-        signals,
-        [Parameter("inertia", 0.1, "kg.m2", "")],
-        list(bound_terms([INPUT, PAIR])),
-        dependencies=depends,
-        rates={0: 1},
-        variables={n: n for n in ("angle", "speed", "voltage", "inertia")},
-    )
-    assert isinstance(model, FmuModel)
-    return model
-
-
-def test_printed_terms_compute_what_the_terms_state() -> None:
-    model = _model()
-    code = term_code(model, ["coulomb_at_speed", "dead_band_at_voltage"], ["angle", "speed"])
-    assert code.hooks == ("port_inputs",)
-    names = [p.name for p in code.parameters]
-    assert set(names) == {"dead_band_at_voltage.width", "coulomb_at_speed.level", "coulomb_at_speed.softness"}
-    export = (
-        "void call(const double *x, const double *u, const double *p, double *out) { port_inputs(0.0, x, u, p, out); }"
-    )
-    library = load_library(f"#include <math.h>\n{code.source}\n{export}")
-    values = {"dead_band_at_voltage.width": 0.5, "coulomb_at_speed.level": 0.3, "coulomb_at_speed.softness": 0.1}
-    p, x, u, out = (np.array(a, float) for a in ([*(values[n] for n in names), 0.01], [0.0, -2.0], [2.0], [0.0]))
-    library.call(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, u, p, out)))
-    assert out[0] == pytest.approx(1.5 + 0.3 * math.tanh(20.0))
-    dormant = np.array([*(p.neutral if p.neutral is not None else p.default for p in code.parameters), 0.01], float)
-    library.call(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, u, dormant, out)))
-    assert out[0] == 2.0
 
 
 def test_a_users_file_adds_terms(tmp_path: Path) -> None:

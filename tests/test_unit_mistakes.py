@@ -19,14 +19,6 @@ HOVERCRAFT = Path(__file__).parent.parent / "examples" / "hovercraft"
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 
 
-def scaled(folder: Path, **factors: float) -> Path:
-    """Write the recorded log with some columns scaled."""
-    header, *rows = (line.split(",") for line in RECORDED.read_text().splitlines())
-    table = [[float(cell) * factors.get(name, 1.0) for name, cell in zip(header, row, strict=True)] for row in rows]
-    write_table(folder / "log.csv", header, table)
-    return folder / "log.csv"
-
-
 def warnings_of(path: Path) -> list[str]:
     lines = log_findings(path, load_model("base", Path()))
     return [line.replace("\xa0", " ") for line in lines if line.startswith("warning")]
@@ -37,18 +29,17 @@ def test_a_genuine_log_has_the_units_of_the_model(file: Path) -> None:
     assert warnings_of(file) == []
 
 
-def test_check_names_a_duty_in_shares_of_one(tmp_path: Path) -> None:
-    found = warnings_of(scaled(tmp_path, duty_right=0.01))
-    assert found == [
-        "warning: duty_right reaches 0.0639 %, where the model starts at 6.39 %; is its unit 1? "
-        'Then call the column "duty_right [1]"'
-    ]
-
-
-@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm/s2"), (1.0 / 9.80665, "g")])
-def test_check_names_the_unit_of_an_acceleration(factor: float, unit: str, tmp_path: Path) -> None:
-    (found,) = warnings_of(scaled(tmp_path, ax=factor))
-    assert f'is its unit {unit}? Then call the column "ax [{unit}]"' in found
+@pytest.mark.parametrize(
+    ("column", "factor", "unit"),
+    [("duty_right", 0.01, "1"), ("ax", 1000.0, "mm/s2"), ("ax", 1.0 / 9.80665, "g")],
+)
+def test_check_names_the_unit_of_a_column(tmp_path: Path, column: str, factor: float, unit: str) -> None:
+    header, *rows = (line.split(",") for line in RECORDED.read_text().splitlines())
+    table = np.array(rows, dtype=float)
+    table[:, header.index(column)] *= factor
+    write_table(tmp_path / "log.csv", header, table.tolist())
+    (found,) = warnings_of(tmp_path / "log.csv")
+    assert f'is its unit {unit}? Then call the column "{column} [{unit}]"' in found
 
 
 @pytest.fixture
@@ -57,14 +48,14 @@ def log() -> Log:
 
 
 def test_an_input_far_beyond_its_bound_is_a_fault_if_a_unit_explains_it(log: Log) -> None:
-    log = replace(log, inputs={"u": np.linspace(0.0, 11_000.0, log.rows)}, units={**log.units, "u": "V"})
-    (found,) = input_unit_findings(log, {}, {"u": (-12.0, 12.0)})
-    assert (found.severity, found.channel) == ("fault", "u")
-    assert '"u [mV]"' in found.sentence
-    assert not [*input_unit_findings(log, {}, {"u": (-12_000.0, 12_000.0)})]
-    (found,) = input_unit_findings(replace(log, units={**log.units, "u": "%"}), {}, {"u": (0.0, 100.0)})
-    assert (found.severity, found.channel) == ("fault", "u")
-    assert "is it scaled" in found.sentence
+    log = replace(log, inputs={"u": np.linspace(0.0, 11_000.0, log.rows)})
+    for unit, bounds, words in (
+        ("V", (-12.0, 12.0), '"u [mV]"'),
+        ("%", (0.0, 100.0), "is it scaled"),
+        ("V", (-12_000.0, 12_000.0), ""),
+    ):
+        found = [*input_unit_findings(replace(log, units={**log.units, "u": unit}), {}, {"u": bounds})]
+        assert [(f.severity, f.channel, words in f.sentence) for f in found] == [("fault", "u", True)] * bool(words)
 
 
 WRONG_COLUMNS = {
@@ -89,7 +80,7 @@ def spoil(kind: str, header: list[str], table: np.ndarray) -> None:
     elif kind == "swapped":
         table[:, [ax, psi_dot]] = table[:, [psi_dot, ax]]
     elif kind == "delay":
-        outputs = [k for k, name in enumerate(header) if name != "time" and name not in {q.name for q in INPUTS}]
+        outputs = [header.index(q.name) for q in OUTPUTS if q.name in header]
         table[10:, outputs] = table[:-10, outputs]
     elif kind == "positions in cm":
         table[:, x] *= 100.0
@@ -97,10 +88,8 @@ def spoil(kind: str, header: list[str], table: np.ndarray) -> None:
         table[:, [x, y]] = table[:, [y, x]]
     elif kind == "a mirrored axis":
         table[:, x] *= -1.0
-    elif kind == "a jump of an angle":
-        table[200:, psi] += 0.5
-    elif kind == "a jump of a position":
-        table[200:, x] += 0.5
+    elif kind in ("a jump of an angle", "a jump of a position"):
+        table[200:, psi if kind.endswith("angle") else x] += 0.5
     else:
         table[len(table) // 2 :, psi] *= -1.0
 

@@ -24,59 +24,37 @@ BASE = {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}  # FMI 2.0, 2.2.2
 @pytest.mark.parametrize(
     ("written", "exponents", "size"),
     [
-        ("V", {"kg": 1, "m": 2, "s": -3, "A": -1}, 1.0),
-        ("A", {"A": 1}, 1.0),
-        ("ohm", {"kg": 1, "m": 2, "s": -3, "A": -2}, 1.0),
-        ("H", {"kg": 1, "m": 2, "s": -2, "A": -2}, 1.0),
-        ("F", {"kg": -1, "m": -2, "s": 4, "A": 2}, 1.0),
-        ("W", {"kg": 1, "m": 2, "s": -3}, 1.0),
-        ("Pa", {"kg": 1, "m": -1, "s": -2}, 1.0),
-        ("Hz", {"s": -1}, 1.0),
-        ("W/K", {"kg": 1, "m": 2, "s": -3, "K": -1}, 1.0),
-        ("N.m/A", {"kg": 1, "m": 2, "s": -2, "A": -1}, 1.0),
-        ("N·m·s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}, 1.0),
-        ("mm/s2", {"m": 1, "s": -2}, 1e-3),
-        ("gf/%", {"kg": 1, "m": 1, "s": -2}, 0.980665),
+        ("V", "A:-1 kg:1 m:2 s:-3", 1.0),
+        ("ohm", "A:-2 kg:1 m:2 s:-3", 1.0),
+        ("F", "A:2 kg:-1 m:-2 s:4", 1.0),
+        ("N·m·s/rad", "kg:1 m:2 rad:-1 s:-1", 1.0),
+        ("mm/s2", "m:1 s:-2", 1e-3),
+        ("gf/%", "kg:1 m:1 s:-2", 0.980665),
     ],
 )
-def test_a_unit_is_what_its_symbols_make(written: str, exponents: dict[str, int], size: float) -> None:
+def test_a_unit_is_what_its_symbols_make(written: str, exponents: str, size: float) -> None:
     unit = parse(written)
     assert unit is not None
-    assert unit.exponents == exponents
+    assert " ".join(sorted(f"{name}:{power}" for name, power in unit.exponents.items())) == exponents
     assert unit.factor == pytest.approx(size, rel=1e-15)  # one or two roundings
 
 
-@pytest.mark.parametrize("one", ["rpm", "U/min", "1/min", "min-1", "rev/min"])
-@pytest.mark.parametrize("other", ["rpm", "U/min", "1/min", "min-1", "rev/min"])
-def test_turns_per_minute_are_one_unit_however_they_are_written(one: str, other: str) -> None:
-    assert factor(one, other) == pytest.approx(1.0, rel=1e-12)
-    assert factor(one, "rad/s") == pytest.approx(math.pi / 30.0, rel=1e-12)
-    assert factor("rad/s", one) == pytest.approx(30.0 / math.pi, rel=1e-12)
+@pytest.mark.parametrize("written", ["rpm", "U/min", "1/min", "min-1", "rev/min"])
+def test_turns_per_minute_are_one_unit_however_they_are_written(written: str) -> None:
+    assert factor(written, "rpm") == pytest.approx(1.0, rel=1e-12)
+    assert factor(written, "rad/s") == pytest.approx(math.pi / 30.0, rel=1e-12)
+    assert factor("rad/s", written) == pytest.approx(30.0 / math.pi, rel=1e-12)
     assert factor("1/s", "rad/s") is None
     assert factor("1/min", "Hz") == pytest.approx(1.0 / 60.0)
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("V/A", "ohm"),
-        ("Ω", "ohm"),
-        ("\u2126", "ohm"),
-        ("V.s/A", "H"),
-        ("V.A", "W"),
-        ("J", "N.m"),
-        ("A.s/V", "F"),
-        ("Wb", "V.s"),
-        ("T", "Wb/m2"),
-        ("S", "1/ohm"),
-        ("C", "A.s"),
-        ("Pa", "N/m2"),
-        ("1/s", "Hz"),
-        ("W.s", "J"),
-    ],
-)
-def test_units_of_one_dimension_are_one(one: str, other: str) -> None:
-    assert factor(one, other) == 1.0
+    "pair",
+    ["V/A=ohm", "Ω=ohm", "\u2126=ohm", "V.s/A=H", "V.A=W", "J=N.m", "A.s/V=F", "Wb=V.s", "T=Wb/m2", "S=1/ohm", "C=A.s",
+     "Pa=N/m2", "1/s=Hz"],
+)  # fmt: skip
+def test_units_of_one_dimension_are_one(pair: str) -> None:
+    assert factor(*pair.split("=")) == 1.0
 
 
 @pytest.mark.parametrize("text", ["", "furlong", "N.m/", "rad^", "N m²/(rad s)"])
@@ -96,11 +74,13 @@ def test_every_symbol_has_a_size_and_the_base_units_of_fmi() -> None:
 def test_a_definition_has_exponents_factor_and_the_degrees_of_angles() -> None:
     root = unit_definitions({"V", "mA", "rad", "1"})
     found = {node.get("name"): {child.tag: dict(child.attrib) for child in node} for node in root}
-    assert found["V"] == {"BaseUnit": {"kg": "1", "m": "2", "s": "-3", "A": "-1"}}
-    assert found["mA"] == {"BaseUnit": {"A": "1", "factor": "0.001"}}
-    assert found["1"] == {"BaseUnit": {}}
-    assert found["rad"]["BaseUnit"] == {"rad": "1"}
-    assert found["rad"]["DisplayUnit"] == {"name": "deg", "factor": repr(180.0 / math.pi)}
+    degrees = {"name": "deg", "factor": repr(180.0 / math.pi)}
+    assert found == {
+        "V": {"BaseUnit": {"kg": "1", "m": "2", "s": "-3", "A": "-1"}},
+        "mA": {"BaseUnit": {"A": "1", "factor": "0.001"}},
+        "1": {"BaseUnit": {}},
+        "rad": {"BaseUnit": {"rad": "1"}, "DisplayUnit": degrees},
+    }
 
 
 def test_volts_and_amperes_of_a_log_come_in_other_sizes() -> None:
@@ -113,14 +93,13 @@ def test_volts_and_amperes_of_a_log_come_in_other_sizes() -> None:
     ("written", "taken"),
     [
         ("degC", ("K", 1.0, 273.15)),
-        ("mV", ("V", 1e-3, 0.0)),
         ("l/min", ("m3/s", 1e-3 / 60.0, 0.0)),
-        ("m", ("m", 1.0, 0.0)),
     ],
 )
 def test_signals_without_unit_are_taken_in_si(written: str, taken: tuple[str, float, float]) -> None:
     assumed = assume_si(written)
-    assert (assumed.unit, assumed.factor, assumed.offset) == (taken[0], pytest.approx(taken[1]), taken[2])
+    assert assumed.unit == taken[0]
+    assert (assumed.factor, assumed.offset) == pytest.approx(taken[1:])
 
 
 def test_a_definition_of_an_fmu_comes_before_a_known_unit() -> None:

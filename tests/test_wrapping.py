@@ -14,7 +14,6 @@ from tests.wrapped import (
     EXCHANGE,
     STEP,
     STEPS,
-    WAYS,
     exact,
     fmu_of,
     off,
@@ -30,9 +29,7 @@ EACH = pytest.mark.parametrize(
     [
         ("slider", 2, EXCHANGE),
         ("slider", 3, STEPS),
-        pytest.param("slider", 2, STEPS, marks=pytest.mark.thorough),
-        pytest.param("slider", 3, EXCHANGE, marks=pytest.mark.thorough),
-        *(pytest.param("drive", v, w, marks=pytest.mark.thorough) for v in (2, 3) for w in WAYS),
+        *(pytest.param("drive", *both, marks=pytest.mark.thorough) for both in ((2, STEPS), (3, EXCHANGE))),
     ],
 )
 VERSIONS = pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.thorough), 3])
@@ -84,24 +81,19 @@ def test_an_added_rate_acts_in_model_exchange_alone(fmi: int, tmp_path: Path) ->
 
 
 @EACH
-def test_what_acts_at_an_input_is_another_input(name: str, fmi: int, way: str, tmp_path: Path) -> None:
+def test_what_acts_at_an_input_is_another_input_and_an_offset_of_a_sensor_is_added(
+    name: str, fmi: int, way: str, tmp_path: Path
+) -> None:
     original, force = fmu_of(name, fmi, way, tmp_path), push()
-    for kind, parameter, value, course in (
-        ("bias", "bias_at_force.offset", 3.0, lambda f: f + 3.0),
-        ("dead_band", "dead_band_at_force.half_width", 20.0, lambda f: np.sign(f) * np.maximum(0.0, np.abs(f) - 20.0)),
+    for kind, parameter, value, course, shift in (
+        ("bias", "bias_at_force.offset", 3.0, lambda f: f + 3.0, 0.0),
+        ("dead_band", "dead_band_at_force.half_width", 20.0, lambda f: np.sign(f) * np.maximum(0, abs(f) - 20.0), 0.0),
+        ("sensor", "bias_at_position.offset", 0.25, lambda f: f, 0.25),
     ):
         wrap(original, terms_of(kind), {parameter: value}, tmp_path / f"{kind}.fmu", substep=1e-3)
-        changed = np.column_stack([force[:, 0], course(force[:, 1])])
-        assert off(simulated(original, way, changed), simulated(tmp_path / f"{kind}.fmu", way, force)) < 1e-12
-
-
-@EACH
-def test_an_offset_of_a_sensor_is_added(name: str, fmi: int, way: str, tmp_path: Path) -> None:
-    original, force = fmu_of(name, fmi, way, tmp_path), push()
-    wrap(original, terms_of("sensor"), {"bias_at_position.offset": 0.25}, tmp_path / "w.fmu")
-    expected = simulated(original, way, force)
-    expected[:, 1] += 0.25
-    assert off(expected, simulated(tmp_path / "w.fmu", way, force)) == 0.0
+        expected = simulated(original, way, np.column_stack([force[:, 0], course(force[:, 1])]))
+        expected[:, 1] += shift
+        assert off(expected, simulated(tmp_path / f"{kind}.fmu", way, force)) < 1e-12
 
 
 @VERSIONS

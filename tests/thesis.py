@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from controller.design_model import discrete_model, measurement_matrix
+from controller.loop import Loop
 from controller.settings import Settings
 from cosim.core.arrays import Array
 from cosim.model.namespaces import arrays
@@ -27,8 +29,7 @@ MODES = (30.52, 78.67)  # [Hz], modes 1 and 2 of Table 3.3
 PROPELLER = 6500.0  # [rpm], §3.3.2
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """Numbers of one row: as the thesis prints or computes it, and as it should be."""
 
     unit: str
@@ -152,38 +153,31 @@ def single_precision() -> list[Row]:
 
     Synthetic: 3000 updates of the filter's own model under tilts of ±5° for 2 s each, with the noise of 5.46, seed 1.
     """
-    single, double = (_filtered(kind, 3000) for kind in (np.float32, np.float64))
-    last = double[1]
+    (single, sigma), (double, true) = (_filtered(kind, 3000) for kind in (np.float32, np.float64))
+    position, _, heading, *_ = np.abs(single - double).max(axis=0)
     return [
-        Row("m", float(single[1][0]), float(last[0]), "σ(x̂) after 3000 updates in single and in double precision"),
-        Row("m", float(np.abs(single[0][:, 0] - double[0][:, 0]).max()), 0.0, "largest difference of x̂ over 60 s"),
-        Row("rad", float(np.abs(single[0][:, 2] - double[0][:, 2]).max()), 0.0, "largest difference of ψ̂ over 60 s"),
+        Row("m", float(sigma), float(true), "σ(x̂) after 3000 updates in single and in double precision"),
+        Row("m", float(position), 0.0, "largest difference of x̂ over 60 s"),
+        Row("rad", float(heading), 0.0, "largest difference of ψ̂ over 60 s"),
     ]
 
 
-def _filtered(kind: type[np.floating], updates: int) -> tuple[Array, Array]:
-    """Return estimates by row and the last standard deviations of App. F, in one precision."""
-    p, rng = Settings(), np.random.default_rng(1)
-    discrete, observed = discrete_model(p), np.asarray(measurement_matrix(p, p.estimator))
-    F, G, H = (np.asarray(matrix, dtype=kind) for matrix in (*discrete, observed))
+def _filtered(kind: type[np.floating], updates: int) -> tuple[Array, float]:
+    """Return estimates by row and the last σ(x̂) of App. F, in one precision."""
+    p, rng, truth, rows = Settings(), np.random.default_rng(1), np.zeros(5), []
+    model = (*discrete_model(p), np.asarray(measurement_matrix(p, p.estimator)))
+    F, G, H = (np.asarray(matrix, dtype=kind) for matrix in model)
     V, W = (np.diag(v).astype(kind) for v in (p.process_variances, p.measurement_variances))
-    x, P, rows = np.zeros(5, kind), np.zeros((5, 5), kind), []
-    truth = np.zeros(5)
+    x, P = np.zeros(5, kind), np.zeros((5, 5), kind)
     for k, noise in enumerate(rng.standard_normal((updates, 3)) * np.sqrt(p.measurement_variances)):
         u = np.full(2, math.radians(5.0 if k % 200 < 100 else -5.0))
-        truth = discrete[0] @ truth + discrete[1] @ u
-        z = (observed @ truth + noise).astype(kind)
-        x, P = _sampled(F @ x + G @ u.astype(kind), P, z, (F, H, V, W))
+        truth = model[0] @ truth + model[1] @ u
+        x, P = F @ x + G @ u.astype(kind), F @ P @ F.T + V
+        gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + W)
+        x = x + gain @ ((model[2] @ truth + noise).astype(kind) - H @ x)
+        P = (np.eye(5, dtype=kind) - gain @ H) @ P
         rows.append(x)
-    return np.array(rows, dtype=np.float64), np.sqrt(np.diag(P)).astype(np.float64)
-
-
-def _sampled(x: Array, P: Array, z: Array, matrices: tuple[Array, ...]) -> tuple[Array, Array]:
-    """Return the predicted x and P = F·P·Fᵀ + V after an update with z."""
-    F, H, V, W = matrices
-    P = F @ P @ F.T + V
-    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + W)
-    return x + gain @ (z - H @ x), (np.eye(5, dtype=P.dtype) - gain @ H) @ P
+    return np.array(rows, dtype=np.float64), math.sqrt(P[0, 0])
 
 
 def noise_on_states() -> list[Row]:
@@ -192,32 +186,22 @@ def noise_on_states() -> list[Row]:
     Both at rest on the linear model (5.33, 5.34), 60 s, the noise of 5.46, seed 1. Fig 6.1: noise on ψ, ψ̇ and a, and
     the true x and ẋ, which nothing on the craft measures. Ours: the filter of App. F, which knows where it starts.
     """
-    direct, filtered = _closed_loop(observed=False), _closed_loop(observed=True)
-    return [
-        Row("deg", math.degrees(direct[0]), math.degrees(filtered[0]), "RMS of the tilt command"),
-        Row("m", direct[1], filtered[1], "RMS of the position x"),
-    ]
-
-
-def _closed_loop(*, observed: bool, seconds: float = 60.0) -> tuple[float, float]:
-    """Return the RMS of the tilt command [rad] and of x [m] of the regulator at rest."""
-    p, rng = Settings(), np.random.default_rng(1)
+    p, found = Settings(), []
     F, G = discrete_model(replace(p, estimator="lagged"))
     K, H = np.array(p.gain_matrix), np.asarray(measurement_matrix(p, "appendix_f"))
-    Fe, Ge = discrete_model(p)
-    V, W = np.diag(p.process_variances), np.diag(p.measurement_variances)
-    x, estimate, P, u = np.zeros(5), np.zeros(5), np.zeros((5, 5)), np.zeros(2)
-    tilts, places = [], []
-    for noise in rng.standard_normal((round(seconds / p.sample_time), 3)) * np.sqrt(p.measurement_variances):
-        x = F @ x + G @ u
-        if observed:
-            estimate, P = _sampled(Fe @ estimate + Ge @ u, P, H @ x + noise, (Fe, H, V, W))
-        else:
-            estimate = x + np.array([0.0, 0.0, *noise])
-        u = -K @ estimate
-        tilts.append(u)
-        places.append(x[0])
-    return float(np.sqrt(np.mean(np.square(tilts)))), float(np.sqrt(np.mean(np.square(places))))
+    noises = np.random.default_rng(1).standard_normal((3000, 3)) * np.sqrt(p.measurement_variances)
+    for observed in (False, True):
+        loop, x, u, rows = Loop(p, np.zeros(5).tolist(), 0.0, 0.0), np.zeros(5), np.zeros(2), []
+        for noise in noises:
+            x = F @ x + G @ u
+            u = np.array(loop.step(H @ x + noise, 0.0, 0.0)) if observed else -K @ (x + np.r_[0.0, 0.0, noise])
+            rows.append((*u, x[0]))
+        squares = np.square(rows)
+        found.append((math.degrees(math.sqrt(squares[:, :2].mean())), math.sqrt(squares[:, 2].mean())))
+    return [
+        Row("deg", found[0][0], found[1][0], "RMS of the tilt command"),
+        Row("m", found[0][1], found[1][1], "RMS of the position x"),
+    ]
 
 
 ROWS: dict[str, Callable[[], list[Row]]] = {
@@ -234,11 +218,7 @@ ROWS: dict[str, Callable[[], list[Row]]] = {
 }
 
 
-def printed(name: str) -> list[str]:
-    """Return the lines of a row."""
-    return [f"{name}: {r.note}: thesis {r.thesis:.4g}, ours {r.ours:.4g} {r.unit}" for r in ROWS[name]()]
-
-
 if __name__ == "__main__":
     for row in sys.argv[1:] or ROWS:
-        print("\n".join(printed(row)))
+        for r in ROWS[row]():
+            print(f"{row}: {r.note}: thesis {r.thesis:.4g}, ours {r.ours:.4g} {r.unit}")

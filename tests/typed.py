@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import platform
 import re
-import subprocess
-import tempfile
 import zipfile
-from functools import cache
 from pathlib import Path
+from typing import Any
 
-import pytest
-
-from cosim.fmi.native.compiler import compiler
 from tests.corpus.inputs import FMU_SOURCES
+from tests.deeds import compiled
 
-HERE = Path(__file__).parent
 FOLDERS = {2: "linux64", 3: "x86_64-linux"}
 TYPED2 = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="typed" guid="g" generationTool="tests" numberOfEventIndicators="1">
@@ -97,18 +91,6 @@ TYPED3 = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-@cache
-def library(version: int) -> Path:
-    """Return the library compiled for this machine; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="typed-")) / "typed.so"
-    source = FMU_SOURCES / f"typed{version}.c"
-    subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source)], check=True)
-    return made
-
-
 def typed_fmu(
     folder: Path, version: int = 2, name: str = "typed", *, units: tuple[str, str] = ("", ""), **replaced: str
 ) -> Path:
@@ -122,7 +104,8 @@ def typed_fmu(
     path = folder / f"{name}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
-        archive.write(library(version), f"binaries/{FOLDERS[version]}/typed.so")
+        library = compiled(FMU_SOURCES / f"typed{version}.c", "-O1")
+        archive.write(library, f"binaries/{FOLDERS[version]}/typed.so")
     return path
 
 
@@ -130,4 +113,5 @@ def numbers_fmu(folder: Path) -> Path:
     """Return an FMU of FMI 3.0 without variables outside the row of doubles."""
     dropped = [line + "\n" for line in TYPED3.splitlines() if re.search("Int64|String|Binary", line)]
     dropped += [f'<Output valueReference="{k}" dependencies=""/>' for k in (4, 8, 10)]
-    return typed_fmu(folder, 3, **dict.fromkeys(dropped, ""))
+    replaced: dict[str, Any] = dict.fromkeys(dropped, "")
+    return typed_fmu(folder, 3, **replaced)

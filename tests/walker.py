@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import platform
-import subprocess
-import tempfile
 import zipfile
-from functools import cache
 from pathlib import Path
 
-import pytest
-
-from cosim.fmi.native.compiler import compiler
+from tests.compiled import library
 from tests.decay import decay_fmu
 
 HEAD2 = """<?xml version="1.0" encoding="UTF-8"?>
@@ -57,18 +51,6 @@ SAVES = {"2": 'canGetAndSetFMUstate="true" canSerializeFMUstate="true"',
          "3": 'canGetAndSetFMUState="true" canSerializeFMUState="true"'}  # fmt: skip
 
 
-@cache
-def library() -> Path:
-    """Return the library compiled for this machine; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="walker-")) / "walker.so"
-    source = Path(__file__).with_name("walker.c")
-    subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source)], check=True)
-    return made
-
-
 def walker_fmu(path: Path, *, saves: bool, version: str = "2", mood: bool = False) -> Path:
     """Return an FMU that saves its state, or one that does not and whose output follows its input at once.
 
@@ -83,7 +65,7 @@ def walker_fmu(path: Path, *, saves: bool, version: str = "2", mood: bool = Fals
     platform_ = "linux64" if version == "2" else "x86_64-linux"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
-        archive.write(library(), f"binaries/{platform_}/walker.so")
+        archive.write(library(Path(__file__).with_name("walker.c")), f"binaries/{platform_}/walker.so")
     return path
 
 

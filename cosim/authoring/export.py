@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,11 +16,19 @@ from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Names
+from cosim.core.text import join_names
 from cosim.core.units import computed_in
 from cosim.files.files import FilePath, named_path
 from cosim.files.table import read_columns
 from cosim.fmi.description import enumeration_items, ways
-from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
+from cosim.fmi.native.signal_source import (
+    CompilerFailed,
+    NoCompiler,
+    SignalChange,
+    TimeSignal,
+    build_gain,
+    build_source,
+)
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.manifest import check_pinned
@@ -29,6 +37,7 @@ from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, w
 from cosim.system.system import System, build_system
 from cosim.system.wiring import assumed_conversion
 
+IDENTITY = (1.0, 0.0)  # factor and offset
 TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
 
 
@@ -41,7 +50,12 @@ class Exported:
 
 
 def export_ssp(
-    scenario: FilePath, path: FilePath | None = None, overrides: Names = (), *, nearest: bool = False
+    scenario: FilePath,
+    path: FilePath | None = None,
+    overrides: Names = (),
+    *,
+    nearest: bool = False,
+    insert_gains: bool = False,
 ) -> Exported:
     """Write a scenario as an SSP 1.0 without noise; reference components become FMUs in C.
 
@@ -50,6 +64,8 @@ def export_ssp(
         path: SSP file; None writes NAME.ssp into the current folder.
         overrides: Texts "path=value" that replace values of the scenario.
         nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
+        insert_gains: Convert by a small FMU in C on each connection that converts, for importers that ignore linear
+            transformations. A value then takes one more step.
 
     Returns:
         The path, and notes about parts that SSP cannot hold.
@@ -77,20 +93,41 @@ def export_ssp(
             else _model(file, name, system)
             for name, component in s.components.items()
         ]
-        ends = []
+        ends = list[tuple[tuple[str, str], tuple[str, str], tuple[float, float]]]()
+        converted = list[str]()
         for c in s.connections:
             (source, _, output), (component, _, input_) = c.source.partition("."), c.target.partition(".")
-            ends.append(((source, output), (component, input_)))
+            first, last, linear = (source, output), (component, input_), _conversion(file, system, c)
+            if linear != IDENTITY:
+                converted.append(c.target)
+            if linear != IDENTITY and insert_gains:
+                gain, units_of_ends = (
+                    f"gain_{component}_{input_}",
+                    [system.signals[n].unit for n in (c.source, c.target)],
+                )
+                models.append(_gain(file, gain, linear, (units_of_ends[0], units_of_ends[1]), folder))
+                ends.append((first, (gain, "u"), IDENTITY))
+                first, linear = (gain, "y"), IDENTITY
+            ends.append((first, last, linear))
         descriptions = {name: description for name, (_, description) in system.fmus.items()}
         units = defined_units((descriptions.get(m.name), port.unit) for m in models for port in m.ports)
         stop = s.start_time + s.duration
         write_ssp(target, Whole(s.name, s.description, models, ends, units, s.start_time, stop, s.step))
-    return Exported(target, tuple(_notes(file)))
+    return Exported(target, tuple(_notes(file, () if insert_gains else converted)))
 
 
-def _notes(file: ScenarioFile) -> Iterator[str]:
-    """Yield notes on parts missing in the SSP, and on a coupling algorithm that importing tools lack."""
+def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
+    """Yield notes on parts missing in the SSP, and on what importing tools lack.
+
+    Args:
+        converted: Inputs of connections with a linear transformation.
+    """
     scenario = file.scenario
+    if converted:
+        yield Note(
+            f"the values of {join_names(converted)} are converted by linear transformations of SSP: libcosim and cosim "
+            "make them, FMPy and ecos ignore them. --insert-gains puts small FMUs in their place"
+        )
     if any(connection.noise for connection in scenario.connections):
         yield Note("noise was not exported: SSP cannot store it")
     tolerances = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
@@ -154,11 +191,14 @@ def _objections(file: ScenarioFile, system: System, connection: Connection) -> I
     if source.kind and target.kind and source.kind != target.kind:
         text = f"{from_} is {source.kind}, {to} {target.kind}: importers of SSPs convert no types"
         yield f"{text}; give both one type"
-    assumed = assumed_conversion(file, connection, source, target)
-    conversion = connection.conversion or source.conversion(target)
-    if (conversion if assumed is None else (assumed.factor, assumed.offset)) != (1.0, 0.0):
-        text = f"the connection converts: {from_} [{source.unit}] to {to} [{target.unit}]; not all importers of SSPs"
-        yield f"{text} convert; let both ends have one unit, or an FMU between them convert"
+
+
+def _conversion(file: ScenarioFile, system: System, connection: Connection) -> tuple[float, float]:
+    """Return factor and offset of a connection."""
+    source, target = system.signals[connection.source], system.signals[connection.target]
+    if (assumed := assumed_conversion(file, connection, source, target)) is not None:
+        return assumed.factor, assumed.offset
+    return connection.conversion or source.conversion(target) or IDENTITY
 
 
 # -- models ---------------------------------------------------------------------------------------
@@ -219,3 +259,14 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
         text = f"becomes an FMU of C, which cannot be compiled: {error}"
         raise InputError([file.fault(("components", name), text)]) from None
     return SspFmu(name, fmu, [SspConnector(n, "output", "Real", s.unit) for n, s in signals.items()])
+
+
+def _gain(file: ScenarioFile, name: str, linear: tuple[float, float], units: tuple[str, str], folder: Path) -> SspFmu:
+    """Return an FMU in C that converts a signal."""
+    try:
+        fmu = build_gain(name, linear, units, folder / f"{name}.fmu", file.scenario.step)
+    except (NoCompiler, CompilerFailed) as error:
+        text = f"a gain becomes an FMU of C, which cannot be compiled: {error}"
+        raise InputError([file.fault(("connections",), text)]) from None
+    ports = zip(("u", "y"), ("input", "output"), units, strict=True)
+    return SspFmu(name, fmu, [SspConnector(port, kind, "Real", unit) for port, kind, unit in ports])

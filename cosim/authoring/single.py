@@ -23,8 +23,8 @@ from cosim.core.arrays import Array
 from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
-from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
-from cosim.core.text import split_assignment
+from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, column_names, normalize_settings
+from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.times import difference
 from cosim.core.units import computed_in
 from cosim.files.artefact import LOG
@@ -32,6 +32,7 @@ from cosim.files.files import FilePath, check_writable
 from cosim.files.folders import new_run, results_in
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import Document, NotYaml, short
+from cosim.logs.log import read_column_names
 from cosim.simulation.run_signals import Run
 from cosim.simulation.workflow import run
 
@@ -44,6 +45,7 @@ def simulate(
     set: Given | None = None,
     *,
     input: FilePath | None = None,
+    columns: Given | None = None,
     interpolation: str = "held",
     stop: Seconds | None = None,
     step: PositiveSeconds | None = None,
@@ -62,6 +64,7 @@ def simulate(
         out: Folder for scenario.yaml, results.csv, manifest.json and report.html; None writes nothing.
         set: Parameter or input → value, or texts "name=value".
         input: CSV file with time and columns named as inputs.
+        columns: Column of `input` → input of the FMU, if their names differ.
         interpolation: Values of `input` between two rows: "held" from a row until the next, or "linear".
         stop: End of the simulation, in seconds or with a unit ("4 min"); by default that of the FMU or of `input`.
         step: Communication step, in seconds or with a unit; by default that of the FMU.
@@ -94,7 +97,7 @@ def simulate(
         first, matches, notes = experiment_of(description).get("start"), Matches((), ()), list[str]()
         source, end, more = path, stop, dict[str, Any]()
         if csv is not None:
-            matches, unused, time = _read_recording(csv, part)
+            matches, unused, time = _read_recording(csv, part, read_column_names(column_names(columns), csv))
             if unused:
                 notes.append(Note(f"{csv.name}: {part.name} has no inputs {', '.join(unused)}: they drive nothing"))
             begin, last = float(time[0]), float(time[-1])
@@ -132,31 +135,42 @@ def simulate(
     return replace(made, manifest=manifest, folder=None if out is None else made.folder)
 
 
-def _read_recording(path: Path, part: DraftPart) -> tuple[Matches, list[str], Array]:
+def _read_recording(path: Path, part: DraftPart, names: Mapping[str, str]) -> tuple[Matches, list[str], Array]:
     """Return the connections of a recording's columns to inputs, its other columns, and its times [s].
+
+    Args:
+        names: Column → input, if their names differ.
 
     Raises:
         InputError: No column is an input, or one has a start value.
     """
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.inputs}
-    kinds = {signal.name: signal.kind for signal in part.block.exact_inputs}
-    log, exact = read_recording(path, inputs, kinds)
+    refuse(
+        Fault(path, 0, 0, f"--column {column}={name}: {part.path.name} has no input {name}{did_you_mean(name, inputs)}")
+        for column, name in names.items()
+        if name not in inputs
+    )
+    fed = {name: name for name in inputs if name not in names.values()} | dict(names)
+    every = {signal.name: signal.kind for signal in part.block.exact_inputs}
+    kinds = {column: every[name] for column, name in fed.items() if name in every}
+    log, exact = read_recording(path, fed, kinds)
     columns = [*(column.name for column in log.columns if column.name != "time"), *exact]
-    driving = [name for name in columns if name in inputs]
+    driving = [column for column in columns if column in fed]
     if not driving:
-        names = f"its columns: {', '.join(columns) or 'none'}; inputs of {part.name}: {', '.join(inputs) or 'none'}"
-        raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({names}); rename a column")])
+        found = f"its columns: {', '.join(columns) or 'none'}; inputs of {part.name}: {', '.join(inputs) or 'none'}"
+        cure = "say which column is one, as --column COLUMN=INPUT"
+        raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({found}); {cure}")])
     refuse(
         Fault(part.path, 0, 0, f"--set {n}={part.start[n]}: {path.name} plays it; leave out --set, or the column")
-        for n in driving
+        for n in map(fed.__getitem__, driving)
         if n in part.start
     )
     source, connections = "recorded" if part.name != "recorded" else "played", []
     for name in driving:
         signal = Signal(name, kind=kinds[name]) if name in exact else None
         signal = signal or Signal(name, computed_in(log.by_name[name].unit)[0], relative=True)
-        connections.append(Match((source, signal), inputs[name]))
+        connections.append(Match((source, signal), inputs[fed[name]]))
     unused = [*(name for name in columns if name not in driving), *sorted(log.spoiled)]
     return Matches(tuple(connections), ()), unused, log["time"]
 

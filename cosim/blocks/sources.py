@@ -28,7 +28,13 @@ WHOLE = re.compile(r"[-+]?\d+")
 
 
 class SourceBlock(Component):
-    """Signals as functions of time; their `over` equals single calls at ordered times."""
+    """Signals as functions of time; their `over` equals single calls at ordered times.
+
+    Attributes:
+        assumed: What was assumed to read a file, in words.
+    """
+
+    assumed: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -127,7 +133,8 @@ def playback(
 ) -> SourceBlock:
     """Return the columns of a CSV file as signals.
 
-    The first column is `time`; header cells are `name` or `name [unit]`. Degrees become radians.
+    The time is the column `time`, one with another usual name, or the first that increases; header cells are `name` or
+    `name [unit]`. Degrees become radians.
 
     Args:
         names: Names used by connections, whose brackets are not units. Other columns with non-numbers are ignored.
@@ -144,7 +151,9 @@ def playback(
         unit, factor = computed_in(column.unit)
         values = [factor * v for v in table[column.name].tolist()]
         signals[column.name] = (unit, Recorded(times, values, step, is_linear=linear))
-    return SourceBlock(name, signals, {n: (exact[n], Recorded(times, held, step)) for n, held in exactly.items()})
+    block = SourceBlock(name, signals, {n: (exact[n], Recorded(times, held, step)) for n, held in exactly.items()})
+    block.assumed = tuple(f"{path.name}: {text}" for text in table.assumed)
+    return block
 
 
 def read_recording(

@@ -14,6 +14,7 @@ from cosim.files.artefact import FMU
 from cosim.files.kinds import check_given
 from cosim.fmi.description import (
     PARTS,
+    display_unit_of,
     platform_of,
     platforms_among,
     read_description,
@@ -159,7 +160,7 @@ def _variable(v: Any) -> Variable:
         variability=v.variability or "continuous",
         type=v.type,
         unit=unit_of(v),
-        display_unit=v.displayUnit or getattr(declared, "displayUnit", None) or "",
+        display_unit=display_unit_of(v),
         start=_text(v.start),
         min=_text(getattr(declared, "min", None) if v.min is None else v.min),
         max=_text(getattr(declared, "max", None) if v.max is None else v.max),

@@ -135,5 +135,8 @@ class Record(BaseModel):
     simulations: int = Field(description="runs over a whole log until the estimate, failed ones included")
     failed_simulations: int
     seconds: Finite
+    display: dict[str, tuple[str, Finite, Finite]] = Field(
+        default={}, description="unit → name of its display unit, factor and offset to its values"
+    )
     warnings: list[str]
     notes: list[str]

@@ -14,7 +14,18 @@ from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_record import LogEntry, ParameterEntry, Record
 from cosim.calibration.outcome import Part
-from cosim.core.text import MISSING, amount, counted, display, join_names, percent, plain, size, split_sentence
+from cosim.core.text import (
+    MISSING,
+    amount,
+    counted,
+    displayed,
+    join_names,
+    percent,
+    plain,
+    shown_unit,
+    size,
+    split_sentence,
+)
 from cosim.core.version import __version__
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.report.charts import Charts, Plot
@@ -101,13 +112,14 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
         channels = proof.errors.channels.items()
         ratios = {n: 1.0 if c.after is None or not c.before else c.after / c.before for n, c in channels}
         for name in sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]:
-            unit, factor = display(log.units[name])
+            unit = log.units[name]
             curves = (
                 (log.outputs[name], "measured", "estimate"),
                 (proof.before[name], "before", "s1"),
                 (proof.after[name], "after", "true"),
             )
-            panels.append(Panel(name, unit or "1", [Trace(label, v * factor, style) for v, label, style in curves]))
+            traces = [Trace(label, displayed(v, unit), style) for v, label, style in curves]
+            panels.append(Panel(name, shown_unit(unit) or "1", traces))
         plots = charts.over(log.time).plots(panels)
     return render(
         TEMPLATE,
@@ -155,9 +167,9 @@ def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:
     notes = {"estimated": "", "at_bound": "at its bound", "held": "held at its start"}
     bounds = MISSING
     if p.tolerance is not None:
-        bounds = f"± {amount(p.tolerance, p.unit, 2)}, prior"
+        bounds = f"± {amount(p.tolerance, p.unit, 2, difference=True)}, prior"
     elif p.low is not None or p.high is not None:
-        ends = ["" if end is None else plain(display(p.unit)[1] * end) for end in (p.low, p.high)]
+        ends = ["" if end is None else plain(displayed(end, p.unit)) for end in (p.low, p.high)]
         bounds = f"{ends[0] or '−∞'} … {ends[1] or '∞'}"
     return {
         "name": name,
@@ -175,29 +187,27 @@ def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:
 def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
     """Draw the deviance over a parameter, with the level of 95 %."""
     assert p.profile is not None
-    symbol, factor = display(p.unit)
-    values, deviance = factor * np.array(p.profile.values), np.array(p.profile.deviance)
+    values, deviance = displayed(np.array(p.profile.values), p.unit), np.array(p.profile.deviance)
     ends = float(values[0]), float(values[-1])
     from scipy.interpolate import PchipInterpolator
 
-    roots = np.sign(values - factor * p.value) * np.sqrt(deviance)  # nearly a straight line
+    roots = np.sign(values - displayed(p.value, p.unit)) * np.sqrt(deviance)  # nearly a straight line
     grid = np.linspace(*ends, CURVE)
     curve = Trace("deviance", PchipInterpolator(values, roots)(grid) ** 2, "true", x=grid)
     points = Trace("fits", deviance, "s0 dots", x=values)
     level = Trace("95 %", np.full(2, NORMAL_95**2), "reference", x=np.array(ends))
-    return charts.alone(Panel(f"Profile of {name}", "1", [curve, points, level]), ends, (name, symbol))
+    return charts.alone(Panel(f"Profile of {name}", "1", [curve, points, level]), ends, (name, shown_unit(p.unit)))
 
 
 def _range(entry: ParameterEntry | LogEntry) -> str:
     """Return a confidence interval with as many digits as its width deserves."""
     if entry.ci95 is None:
         return MISSING
-    low, high = entry.ci95
-    symbol, factor = display(entry.unit)
+    low, high = (displayed(end, entry.unit) for end in entry.ci95)
     half, centre = 0.5 * (high - low), 0.5 * abs(high + low)
     digits = 2 + max(0, math.ceil(math.log10(centre / half))) if half > 0.0 and centre > half else 3
-    ends = " … ".join(plain(end * factor, min(digits, 8)) for end in (low, high))
-    return f"{ends} {symbol}".strip()
+    ends = " … ".join(plain(end, min(digits, 8)) for end in (low, high))
+    return f"{ends} {shown_unit(entry.unit)}".strip()
 
 
 def _repeat(record: Record, estimate: Estimate) -> list[str]:

@@ -23,11 +23,11 @@ from cosim.calibration.outcome import Part, prove, write_record
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
 from cosim.core.settings import Files, Given, Names, column_names, texts
-from cosim.core.text import did_you_mean, join_names
+from cosim.core.text import did_you_mean, join_names, showing
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
 from cosim.files.folders import name_of_file, remove_earlier, results_in
-from cosim.fmi.description import read_description, unit_definition, unit_of
+from cosim.fmi.description import display_units, read_description, unit_definition, unit_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log
@@ -110,6 +110,8 @@ def fit(
     ):
         place = named_path(folder)
         read, chosen, given, fixed = _read(request)
+        display = display_units([read_description(path)])
+        stack.enter_context(showing({"display": display}))
         files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
         check_writable(place, FILES, files)
         progress("probing the FMU", 0.0)
@@ -158,6 +160,7 @@ def fit(
             raise stop
         hold_stops()
         record = write_record(request, estimate, parts, fixed, time.monotonic() - begin)
+        record.display = display
         record.notes += [f"{log.path.name}: {text}" for log in read for text in log.assumed]
         if request.unused:
             unused = f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"

@@ -223,7 +223,7 @@ def compare_text(
 
 def format_size(d: Difference, value: float) -> str:
     """Return a difference as text in the signal's unit; a dash if the signal is not comparable."""
-    return amount(value if d.alike else math.nan, d.unit)
+    return amount(value if d.alike else math.nan, d.unit, difference=True)
 
 
 def format_share(d: Difference) -> str:
@@ -525,4 +525,4 @@ def describe_largest(d: Difference) -> str:
         return f"{d.name} is {d.note}"
     if not math.isfinite(d.share):
         return f"most {d.name}, which has no number in one run at {d.at:.6g} s"
-    return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
+    return f"most {d.name}, by {format_size(d, d.largest)} at {d.at:.6g} s ({format_share(d)} of its range)"

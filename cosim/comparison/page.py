@@ -21,11 +21,11 @@ from cosim.comparison.differences import (
 )
 from cosim.comparison.several import ComparedRuns
 from cosim.core.arrays import Array, far_beyond
-from cosim.core.text import amount, counted, some
+from cosim.core.text import amount, counted, display, displayed, is_difference, some
 from cosim.core.version import __version__
 from cosim.files.run_inputs import input_text
 from cosim.report.charts import Charts
-from cosim.report.panels import Panel, Trace, display_unit
+from cosim.report.panels import Panel, Trace, axis_unit
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
@@ -53,19 +53,20 @@ def styles_of(c: ComparedRuns) -> dict[int, str]:
 def panels_of(c: Compared | ComparedRuns, name: str, curves: Sequence[Array], *, on_page: bool = False) -> list[Panel]:
     """Return the panel of a signal in all runs; of two runs, and on a page, with the differences from the baseline."""
     runs = of_pair(c) if isinstance(c, Compared) else c
-    unit, factor = display_unit(runs.units[name])
+    own = runs.units[name]
+    unit, (fine, factor) = axis_unit(own), display(own)
     by_run, styles = dict(zip(runs.drawn, curves, strict=True)), styles_of(runs)
     labels = runs.shorts if on_page and len(runs.drawn) > MOST_LABELS else runs.labels
     base = by_run[runs.baseline]
     if name in runs.equal:
-        return [Panel(name, unit, [Trace("all runs", base * factor, BASELINE)])]
-    panels = [Panel(name, unit, [Trace(labels[k], values * factor, styles[k]) for k, values in by_run.items()])]
+        return [Panel(name, unit, [Trace("all runs", displayed(base, own), BASELINE)])]
+    panels = [Panel(name, unit, [Trace(labels[k], displayed(v, own), styles[k]) for k, v in by_run.items()])]
     if on_page or runs is not c:
         with np.errstate(invalid="ignore"):
             differences = {k: (values - base) * factor for k, values in by_run.items() if k != runs.baseline}
         title = f"minus {runs.shorts[runs.baseline]}" if runs is c else "b − a"
         traces = [Trace(labels[k], values, styles[k]) for k, values in differences.items()]
-        panels.append(Panel(f"{name}, {title}", unit, traces))
+        panels.append(Panel(f"{name}, {title}", fine or unit, traces))
     return panels
 
 
@@ -159,7 +160,7 @@ def _difference_cell(d: Difference | None) -> tuple[str, str, bool]:
 
 
 def _criterion_limit(entry: Mapping[str, Any]) -> str:
-    return amount(float(entry.get("max", np.nan)), str(entry.get("unit") or ""))
+    return amount(float(entry.get("max", np.nan)), str(entry.get("unit") or ""), difference=is_difference(entry))
 
 
 def _criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool) -> tuple[str, str]:
@@ -170,5 +171,9 @@ def _criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool) -> tuple[st
     if entry is None:
         return "not asked", ""
     value = entry.get("value")
-    text = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
+    text = (
+        "never"
+        if value is None
+        else amount(float(value), str(entry.get("unit") or ""), difference=is_difference(entry))
+    )
     return f"{text} of {_criterion_limit(entry)}" if limit else text, "good" if entry.get("met") else "bad"

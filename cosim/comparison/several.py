@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from cosim.comparison.differences import (
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.extras import pandas_for_frames
-from cosim.core.text import counted
+from cosim.core.text import counted, showing
 from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier, replay_record
 from cosim.files.results import Results, is_rounded, rows_in
@@ -338,6 +338,12 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
     return sources, place
 
 
+def displays(comparison: Compared | ComparedRuns) -> list[Mapping[str, Any]]:
+    """Return the records of the runs, which have their display units."""
+    runs = (comparison.a, comparison.b) if isinstance(comparison, Compared) else comparison.runs
+    return [run.manifest or replay_record(run.path) for run in runs]
+
+
 @far_beyond
 def compare(
     sides: Sequence[Any],
@@ -400,5 +406,6 @@ def compare(
         if report:
             from cosim.comparison.page import comparison_page
 
-            write_text(out / "report.html", comparison_page(comparison))
+            with showing(*displays(comparison)):
+                write_text(out / "report.html", comparison_page(comparison))
     return comparison, out

@@ -6,15 +6,17 @@ import difflib
 import json
 import math
 import re
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import islice
+from types import MappingProxyType
 from typing import Any
 
-from cosim.core.units import DISPLAY
-
-DEGREES = DISPLAY["rad"][1]  # displayed value per radian
-ANGLE = re.compile(r"rad([./]s\d?)?")  # an angle, its rates and its time integral
+DisplayUnits = Mapping[str, Sequence[Any]]  # unit → name of its display unit, factor and offset to its values
+_display_units: ContextVar[DisplayUnits] = ContextVar("display units", default=MappingProxyType({}))
 POWER = re.compile(r"(?<=[A-Za-z])\d")
+DEGREE, TEMPERATURE = re.compile(r"\bdeg(?=[CF]?\b)"), re.compile("°[CF]")
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOT_IN_YAML = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 MINUS = "\u2212"
@@ -42,17 +44,28 @@ def plain(value: float, digits: int | None = 3) -> str:
     return f"{value:.{decimals}f}".replace("-", MINUS)
 
 
-def amount(value: float, unit: str = "", digits: int | None = 3) -> str:
-    """Return an SI value with its displayed unit."""
+def amount(value: float, unit: str = "", digits: int | None = 3, *, difference: bool = False) -> str:
+    """Return a value in its display unit.
+
+    Args:
+        difference: Whether it is a difference, such as an error, which has no zero of its own.
+    """
     symbol, factor = display(unit)
-    return append_unit(plain(value * factor, digits), symbol)
+    if difference:
+        return append_unit(plain(value * factor, digits), symbol)
+    return append_unit(plain(displayed(value, unit), digits), shown_unit(unit))
 
 
 def append_unit(number: str, unit: str) -> str:
     """Return a displayed number with its unit: `12°`, `3 m`."""
     if number == MISSING or not unit:
         return number
-    return f"{number}{'' if unit.startswith('°') else chr(0xA0)}{unit}"
+    return f"{number}{'' if unit.startswith('°') and not TEMPERATURE.match(unit) else chr(0xA0)}{unit}"
+
+
+def is_difference(criterion: Mapping[str, Any]) -> bool:
+    """Return whether a figure of merit is a difference, as all but a peak without a target."""
+    return criterion.get("kind") != "peak" or bool(criterion.get("to"))
 
 
 def length(value: float) -> str:
@@ -67,7 +80,7 @@ def length(value: float) -> str:
 
 def size(value: float, unit: str) -> str:
     """Return a size with two digits, lengths in mm, cm or m."""
-    return length(value) if unit == "m" else amount(value, unit, 2)
+    return length(value) if unit == "m" else amount(value, unit, 2, difference=True)
 
 
 def percent(share: float) -> str:
@@ -112,20 +125,53 @@ def split_sentence(text: str) -> tuple[str, str]:
     return f"{first}{stop}".strip(), others
 
 
+@contextmanager
+def showing(*records: Mapping[str, Any]) -> Iterator[None]:
+    """Show values in the display units of records, such as manifests, under the key `display`.
+
+    A unit for which the records name several display units is shown as it is.
+    """
+    found: dict[str, list[Any]] = {}
+    for record in records:
+        units = record.get("display")
+        for unit, entry in units.items() if isinstance(units, Mapping) else ():
+            if isinstance(entry, list | tuple) and len(entry) == 3 and [*entry] not in found.setdefault(unit, []):
+                found[unit].append([*entry])
+    token = _display_units.set({unit: entries[0] for unit, entries in found.items() if len(entries) == 1})
+    try:
+        yield
+    finally:
+        _display_units.reset(token)
+
+
 def display(unit: str) -> tuple[str, float]:
-    """Return the displayed unit and the factor to its values. For example `°/s²` and 57.3 for `rad/s2`."""
-    if ANGLE.fullmatch(unit):
-        return written(unit, "\u00a0").replace("rad", "°"), DEGREES
-    return written(unit, "\u00a0"), 1.0
+    """Return the display unit of differences, and the factor to their values: `°` and 57.3 for `rad` shown in `deg`.
+
+    Differences of temperatures stay in K.
+    """
+    name, factor, offset = _display_units.get().get(unit, (unit, 1.0, 0.0))
+    return (written(unit, "\u00a0"), 1.0) if offset else (written(name, "\u00a0"), factor)
+
+
+def shown_unit(unit: str) -> str:
+    """Return the display unit of values: `°` for `rad` shown in `deg`."""
+    return written(_display_units.get().get(unit, (unit,))[0], "\u00a0")
+
+
+def displayed(values: Any, unit: str) -> Any:
+    """Return values in the display unit of their unit."""
+    _, factor, offset = _display_units.get().get(unit, (unit, 1.0, 0.0))
+    return values if factor == 1.0 and not offset else factor * values + offset
 
 
 def written(unit: str, times: str = "·") -> str:
-    """Return a unit in print: `N·s²/m²` for `N.s2/m2`.
+    """Return a unit in print: `N·s²/m²` for `N.s2/m2`, `°` for `deg`.
 
     Args:
         times: Sign between factors.
     """
-    return "" if unit == "1" else POWER.sub(lambda match: match[0].translate(RAISED), unit).replace(".", times)
+    text = "" if unit == "1" else POWER.sub(lambda match: match[0].translate(RAISED), unit).replace(".", times)
+    return DEGREE.sub("°", text)
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:

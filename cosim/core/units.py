@@ -65,9 +65,9 @@ PER_TIME, ROTATION = {"s": -1}, {"rad": 1, "s": -1}  # `1/min` of a speed of rot
 NO_DEFINITIONS: Mapping[str, Sequence[float]] = MappingProxyType({})
 AMBIGUOUS = "may be gram or standard gravity", "; write kg, or m/s2"  # of g
 STANDARD_GRAVITY = 9.80665  # [m/s²]
-# Displayed units: unit → display unit, and display value per value.
-DEGREE = 180.0 / math.pi
-DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
+DEGREES = 180.0 / math.pi  # per radian
+# of the FMUs of models: unit → display unit, factor and offset to its values
+DISPLAY = {"rad": ("deg", DEGREES, 0.0), "rad/s": ("deg/s", DEGREES, 0.0)}
 
 
 def _words(text: str) -> list[tuple[str, int]] | None:
@@ -313,7 +313,7 @@ def unit_product(factors: Iterable[tuple[str, int]]) -> str:
 
 def computed_in(displayed: str) -> tuple[str, float]:
     """Return the unit behind a display unit, and the factor. For example rad for deg."""
-    for unit, (display, _) in DISPLAY.items():
+    for unit, (display, *_) in DISPLAY.items():
         if display == displayed:
             return unit, factor(displayed, unit) or 1.0
     return displayed, 1.0
@@ -347,6 +347,6 @@ def unit_definitions(names: set[str]) -> Element:
             base["offset"] = repr(unit.offset)
         SubElement(node, "BaseUnit", base)
         if name in DISPLAY:
-            display, factor = DISPLAY[name]
+            display, factor, _ = DISPLAY[name]
             SubElement(node, "DisplayUnit", name=display, factor=repr(factor))
     return root

@@ -20,7 +20,7 @@ from cosim.core import registry
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
-from cosim.core.text import counted, join_names
+from cosim.core.text import counted, join_names, showing
 from cosim.estimation.posing import build_problem, coarsen
 from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
@@ -35,6 +35,7 @@ EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
 MAX_RIVALS = 4  # drawn beside the model; more are not simulated for every preferred experiment, but at the end
 EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
+SMALLER = 5  # times that an input is made smaller for a rival that exceeds the limits
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
 TONES = 12
 MAX_PARTS = 6  # parts of a trial in which an axis moves or rests
@@ -66,9 +67,14 @@ class Excitation:
     usual_trial: Trial
 
     @property
+    def excess(self) -> float:
+        """Return the largest excursion relative to its limit, whichever hypothesis is true."""
+        return max(trial.excess(self.question.limits) for trial in (self.trial, *self.rivals.values()))
+
+    @property
     def score(self) -> tuple[int, float]:
         """Return the merit (see `merit_of`), reduced if a rival exceeds the limits."""
-        return merit_of(self.apart, max([1.0, *(trial.excess(self.question.limits) for trial in self.rivals.values())]))
+        return merit_of(self.apart, max(1.0, self.excess))
 
     @property
     def headline(self) -> str:
@@ -112,6 +118,11 @@ class Excitation:
     def warnings(self) -> list[str]:
         """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
         warnings = []
+        if self.excess > 1.0:
+            far = "diverges" if math.isinf(self.excess) else f"goes {self.excess:.2g} times as far as --limit allows"
+            warnings.append(
+                f"the input {far} if a rival is true, however small it was made: play it with care, or not at all"
+            )
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
             warnings.append(
                 f"the best input does not tell {join_names(pairs)} (less than {MIN_SEPARATION:g} standard "
@@ -212,7 +223,8 @@ def excite(
         if report:
             from cosim.experiment.report import page
 
-            write_text(place / REPORT, page(excitation, place / "excitation.yaml"))
+            with showing({"display": question.subject.display}):
+                write_text(place / REPORT, page(excitation, place / "excitation.yaml"))
         return excitation
 
 
@@ -265,7 +277,19 @@ def _choose(
             rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS else {}
             other = Excitation(question, rig, trial, rivals, apart, usual, usual_trial)
             best = other if best is None or other.score > best.score else best
-    return best and replace(best, rivals=play_rivals(best.trial))
+    if best is None:
+        return None
+    best = replace(best, rivals=play_rivals(best.trial))
+    for _ in range(SMALLER):  # until the limits hold whichever rival is true
+        if (excess := best.excess) <= 1.0:
+            break
+        share = EXCURSION_SHARE / excess if math.isfinite(excess) else 0.5
+        report("keeping the limits if a rival is true", 0.0)
+        trial = rig.play(model, {name: signal * share for name, signal in best.trial.signals.items()})
+        best = replace(
+            best, trial=trial, rivals=play_rivals(trial), apart=apart_in(trial.log(model, question.measured))
+        )
+    return best
 
 
 # -- signals -----------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.text import append_unit, counted, display, join_names, plain
+from cosim.core.text import append_unit, counted, display, displayed, join_names, plain, shown_unit
 from cosim.core.version import __version__
 from cosim.experiment.excite import MAX_RIVALS, Excitation
 from cosim.experiment.separation import MIN_SEPARATION
@@ -38,16 +38,15 @@ def page(excitation: Excitation, scenario: Path) -> str:
     panels = []  # each output of the model and of its rivals with its limits: limited outputs first
     limited = [name for name in excitation.trial.outputs if name in question.limits]
     for name in list(dict.fromkeys((*limited, *names)))[:MAX_OUTPUTS]:
-        unit_text, factor = display(units[name])
-        values = excitation.trial.outputs[name] * factor
-        traces = [Trace("model", values, "true")]
+        unit, values = units[name], excitation.trial.outputs[name]
+        traces = [Trace("model", displayed(values, unit), "true")]
         for k, (rival, trial) in enumerate(list(excitation.rivals.items())[:MAX_RIVALS]):
-            other = trial.outputs[name] * factor
+            other = displayed(trial.outputs[name], unit)
             traces.append(Trace(f"if {rival} is true", np.where(np.isfinite(other), other, np.nan), f"s{k}"))
         limit = question.limits.get(name)
-        edges = () if limit is None else (float(values[0] - limit * factor), float(values[0] + limit * factor))
-        panels.append(Panel(name, unit_text or "1", traces, None, edges, "limit" if edges else ""))
-    rows = []
+        edges = () if limit is None else tuple(float(displayed(values[0] + x, unit)) for x in (-limit, limit))
+        panels.append(Panel(name, shown_unit(unit) or "1", traces, None, edges, "limit" if edges else ""))
+    separates, rows = min(excitation.apart.values()) >= MIN_SEPARATION, []
     for pair in pairs[:MAX_PAIRS]:
         distances = excitation.apart[pair], excitation.usual[pair]
         widths = [round(100.0 * min(1.0, d / largest), 2) if math.isfinite(d) else 100.0 for d in distances]
@@ -58,7 +57,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
         {
             "name": f"Excitation of {question.loaded.model.title}",
             "outcome": excitation.headline,
-            "tone": "good" if min(excitation.apart.values()) >= MIN_SEPARATION else "bad",
+            "tone": "warn" if excitation.excess > 1.0 else "good" if separates else "bad",
             "badges": [
                 Badge(f"{plain(seconds)} s"),
                 Badge(counted(len(question.rivals), "rival")),

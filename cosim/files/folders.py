@@ -332,10 +332,11 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
         "rows": int,
         "criteria": [CRITERION],
         "units": {EACH: str},
+        "display": {EACH: list},
         "unit_definitions": {EACH: [Number]},
         "fmus": {EACH: dict},
     },
-    "replay.json": {"log": str, "fmu": str, "units": {EACH: str}, "start": dict},
+    "replay.json": {"log": str, "fmu": str, "units": {EACH: str}, "display": {EACH: list}, "start": dict},
     "sweep.json": {"runs": int, "failed": int, "criteria": [dict]},
     "comparison.json": {"signals": [dict], "criteria": [dict]},
 }

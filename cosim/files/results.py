@@ -24,6 +24,7 @@ from cosim.files.table import (
     read_source,
     source_named,
     suffixes,
+    time_first,
     time_scale,
 )
 
@@ -126,9 +127,9 @@ def is_rounded(values: Any) -> bool:
 def read_results(
     path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = (), *, words: Collection[str] = ()
 ) -> Results:
-    """Return written results, or any table with time first.
+    """Return written results, or any table with a time.
 
-    Times in other units become seconds.
+    Times in other units, and dates, become seconds; `notes` say what was assumed.
 
     Args:
         units: Units of columns without unit in the header.
@@ -141,6 +142,9 @@ def read_results(
     faults, units = Faults(path), units or {}
     table = read_source(faults, units, text)
     faults.raise_any()
+    if table.columns and not is_time(table.columns[0].name):  # a table of another tool
+        cells = [replace(column, cell=k) for k, column in enumerate(table.columns, 1)]
+        table = time_first(replace(table, columns=cells), faults, (), ())
     first = table.columns[0] if table.columns else Column("")
     if not is_time(first.name):
         note_wrong_first(faults, table)
@@ -167,7 +171,8 @@ def read_results(
     own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
     words = frozenset(exact) & {*words, *(c.name for c in table.columns[1:] if c.is_text)}
-    return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), words=words)
+    notes = tuple(f"{path.name}: {text}" for text in table.assumed)
+    return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), notes, words=words)
 
 
 def rows_name(stem: str, format_: str) -> str:

@@ -6,17 +6,18 @@ Results are named by path, number, name or pattern; earlier runs can be removed.
 from __future__ import annotations
 
 import fnmatch
+import math
 import os
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.text import did_you_mean
+from cosim.core.text import amount, did_you_mean, is_difference, showing
 from cosim.core.version import __version__
 from cosim.files.artefact import artefacts
 from cosim.files.folders import (
@@ -64,6 +65,8 @@ class Entry:
         version: Version of cosim that wrote the record, or its schema, if it is another one; otherwise "".
         warnings: Values of wrong types in the record.
         is_newest: Whether no later run has the same name.
+        criteria: Judged criteria in the record.
+        display: Unit → name of its display unit, factor and offset to its values.
     """
 
     number: int
@@ -78,6 +81,30 @@ class Entry:
     version: str = ""
     warnings: tuple[str, ...] = ()
     is_newest: bool = False
+    criteria: tuple[Mapping[str, Any], ...] = ()
+    display: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def merits(self) -> dict[str, tuple[float, str]]:
+        """Return title of each criterion → its value, and the value in its display unit."""
+        found = {}
+        with showing({"display": self.display}):
+            for c in self.criteria:
+                title = f"{str(c.get('kind', 'criterion')).replace('_', ' ')} of {c.get('of', '?')}"
+                value, unit = c.get("value"), str(c.get("unit") or "")
+                is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+                text = (
+                    amount(float(value), unit, difference=is_difference(c))
+                    if is_number and value is not None
+                    else "never"
+                )
+                found[title] = (float(value) if is_number and value is not None else math.inf, text)
+        return found
+
+    @property
+    def met(self) -> bool | None:
+        """Return whether all criteria were met; None without criteria."""
+        return all(bool(c["met"]) for c in self.criteria) if self.criteria else None
 
     def check_current(self) -> None:
         """Raise InputError if the results were removed or replaced since they were listed."""
@@ -215,6 +242,8 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         changes={},
         version=version if schema == SCHEMA_VERSION else f"{by or '?'} (schema {schema})",
         warnings=warnings,
+        criteria=_judged(content),
+        display=content.get("display") or {},
     )
     return entry, content
 
@@ -227,11 +256,17 @@ def _outcome(content: Mapping[str, Any]) -> str:
         return counts if met is None else f"{counts}, {met} met all criteria"
     if "signals" in content and "within" in content:  # of a comparison
         return {True: "within the tolerance", False: "beyond the tolerance"}.get(content["within"], "")
-    criteria = content.get("criteria")
-    judged = [c for c in criteria if isinstance(c, dict) and "met" in c] if isinstance(criteria, list) else []
-    if judged:
+    if judged := _judged(content):
         return f"{sum(bool(c['met']) for c in judged)} of {len(judged)} criteria met"
     return next((content[key] for key in OUTCOMES if isinstance(content.get(key), str)), "")
+
+
+def _judged(content: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
+    """Return the judged criteria of a run."""
+    criteria = content.get("criteria")
+    if not isinstance(criteria, list) or "sweep" in content:
+        return ()
+    return tuple(c for c in criteria if isinstance(c, dict) and "met" in c)
 
 
 def numbered_lines(root: Path) -> dict[str, int]:

@@ -269,7 +269,7 @@ def read_table(
         return None
     table = replace(table, columns=[replace(column, cell=k) for k, column in enumerate(table.columns, 1)])
     if times is not None:
-        table = _time_first(table, faults, times, names)
+        table = time_first(table, faults, times, names)
     has_time = is_time(table.columns[0].name)
     if not has_time:
         note_wrong_first(faults, table)
@@ -296,7 +296,7 @@ def read_table(
     return replace(table, columns=columns, lines=table.row_lines, spoiled=spoiled)
 
 
-def _time_first(table: Table, faults: Faults, named: Collection[str], signals: Container[str]) -> Table:
+def time_first(table: Table, faults: Faults, named: Collection[str], signals: Container[str]) -> Table:
     """Return a table with the time as first column, in seconds if it holds dates.
 
     The time is the column that the user names, else `time`, else one with another usual name, else the first with
@@ -485,7 +485,7 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
         spare = bool(names) and column.name not in names
         return Use(column.name, role="" if spare else "a column played back", spare=spare)
 
-    table = read_table(faults, choose, "signals", names=names, jumps=True)
+    table = read_table(faults, choose, "signals", names=names, times=(), jumps=True)
     if table is not None and not table.rows and not table.faults:
         faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
     faults.raise_any()

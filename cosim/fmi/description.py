@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
@@ -212,6 +212,28 @@ def unit_of(variable: Any) -> str:
     """Return the unit of a variable or its type."""
     unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
     return unit or ""
+
+
+def display_unit_of(variable: Any) -> str:
+    """Return the display unit of a variable or its type, "" without one."""
+    declared = variable.declaredType
+    return variable.displayUnit or (declared is not None and declared.displayUnit) or ""
+
+
+def display_units(descriptions: Iterable[Any]) -> dict[str, tuple[str, float, float]]:
+    """Return unit → name of its display unit, factor and offset to its values, where all FMUs agree on one."""
+    found: dict[str, set[tuple[str, float, float]]] = {}
+    for description in descriptions:
+        known = {(u.name, d.name): d for u in description.unitDefinitions for d in u.displayUnits}
+        for variable in description.modelVariables:
+            unit, name = unit_of(variable), display_unit_of(variable)
+            display = known.get((unit, name))
+            if display is None or unit == name or getattr(display, "inverse", False):
+                continue
+            factor, offset = float(display.factor), float(display.offset)
+            if 0.0 < factor < math.inf and math.isfinite(offset):
+                found.setdefault(unit, set()).add((name, factor, offset))
+    return {unit: displays.pop() for unit, displays in found.items() if len(displays) == 1}
 
 
 def states_of(description: Any) -> list[Any]:

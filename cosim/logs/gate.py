@@ -171,7 +171,9 @@ def _inputs(log: Log) -> Iterator[Finding]:
             low, high, slack = float(values.min()), float(values.max()), 1e-6 * float(np.ptp(values))
             ends = [int(np.count_nonzero(np.abs(values - end) <= slack)) for end in (low, high)]
             share = sum(ends) / values.size if max(ends) > 2 else 0.0
-            typical, least, most = (amount(size, log.units[name]) for size in (float(values.std()), low, high))
+            unit = log.units[name]
+            typical = amount(float(values.std()), unit, difference=True)
+            least, most = (amount(size, unit) for size in (low, high))
             at_ends = f", there {percent(share)} of the rows" if share else ""
             message = (
                 f"moves {typical} (rms) with 95 % of its power below {bandwidth}, between {least} and {most}{at_ends}"
@@ -234,7 +236,7 @@ def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
     """Yield a warning for each channel with outliers."""
     for name, rows in spikes.items():
         first, worst = float(log.time[rows[0]]), float(out_of_line(log, log.outputs[name])[rows].max())
-        count, deviation = counted(rows.size, "reading"), amount(worst, log.units[name])
+        count, deviation = counted(rows.size, "reading"), amount(worst, log.units[name], difference=True)
         message = (
             f"has {count} that its neighbours and the model do not explain, first at t = {first:.6g} s, the "
             f"farthest off by {deviation}; `cosim refine` leaves such readings out, other commands take them as "
@@ -347,7 +349,7 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         )
         yield Finding("warning", "scale", rate, message)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
-        bias = amount(float(-drift / slope), log.units[rate], 2)
+        bias = amount(float(-drift / slope), log.units[rate], 2, difference=True)
         message = f"is {bias} above d {name}/dt throughout: a bias of one of the sensors"
         yield Finding("note", "drift", rate, message)
 
@@ -366,8 +368,8 @@ def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], m
         return
     if float(np.corrcoef(change, integral)[0, 1]) > MIN_AGREEMENT:
         message = (
-            f"jumps by {amount(abs(float(miss[k])), log.units[name])} at one place, and {rate} shows no such "
-            "motion: was the sensor set anew?"
+            f"jumps by {amount(abs(float(miss[k])), log.units[name], difference=True)} at one place, and {rate} shows "
+            "no such motion: was the sensor set anew?"
         )
         yield Finding("warning", "jumps", name, message)
 
@@ -403,7 +405,7 @@ def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
         )
         if abs(after - before) > 0.5 * largest:
             message = (
-                f"jumps by {amount(largest, log.units[name])} in the row at t = "
+                f"jumps by {amount(largest, log.units[name], difference=True)} in the row at t = "
                 f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: was the sensor set anew, or "
                 "are two logs joined?"
             )

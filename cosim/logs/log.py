@@ -265,7 +265,7 @@ def _check_header(
     if missing and not known and not any(closest(name, unread) for name in signals):
         message = (
             f"holds none of the columns of the model: {name_list(signals)}; a log of another model is checked "
-            f"with --model FILE:CLASS and replayed with --plant FMU; {other}"
+            f"with --model FILE:CLASS and replayed with --fmu FMU; {other}"
         )
         faults.note(line, 1, message)
         return

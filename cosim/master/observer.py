@@ -11,6 +11,7 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, SimulationError, refuse
+from cosim.core.text import DisplayUnits
 from cosim.master.inbox import Control, targets_of
 from cosim.system.system import System
 
@@ -28,6 +29,7 @@ class ObservedRun:
         step: Communication step [s].
         units: Column → unit, "" without unit.
         control: Control of the run: changes of parameters and inputs, and pauses.
+        display: Unit → name of its display unit, factor and offset to its values.
     """
 
     columns: Sequence[str]
@@ -36,6 +38,7 @@ class ObservedRun:
     step: float
     units: Mapping[str, str] = field(default_factory=dict)
     control: Control | None = None
+    display: DisplayUnits = field(default_factory=dict)
 
 
 class Observer:
@@ -94,7 +97,7 @@ class Feed:
         self._observers, self._time, self._delivered = observers, system.start + h * np.arange(steps + 1), 0
         self.table, self.stop = table, False
         self.failure: SimulationError | None = None
-        run = ObservedRun(system.columns, steps + 1, system.start, h, system.units, control)
+        run = ObservedRun(system.columns, steps + 1, system.start, h, system.units, control, system.display)
         self._call("begin", run)
 
     def __call__(self, done: int) -> None:

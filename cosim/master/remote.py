@@ -112,7 +112,13 @@ def simulate_in(
         control = Control(system, exchange, counters)
         table, rows = _begin_rows(stack, worker, folder, steps + 1, columns, kept)
         units = {name: system.units.get(name, "") for name in system.columns}
-        about = {"units": units, "start": system.start, "step": h, "progress": str(worker.progress_file)}
+        about = {
+            "units": units,
+            "display": {**system.display},
+            "start": system.start,
+            "step": h,
+            "progress": str(worker.progress_file),
+        }
         followed = table.with_name(FOLLOWED)
         stack.callback(followed.unlink, missing_ok=True)
         with suppress(OSError):  # without space the run is only not followed

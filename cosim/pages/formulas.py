@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
-from cosim.core.text import counted
+from cosim.core.text import counted, showing, shown_unit
 from cosim.pages.rows import TIME, Recording
 from cosim.pages.runs import ViewedRun
 
@@ -245,5 +245,7 @@ class Derivations:
         number, name = signal
         definition, unit = self._definitions[signal], self._runs[number].rows.added[name]
         of = {letter: list(other) for letter, other in definition.of.items()}
-        about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": unit}
+        with showing(*(run.record for run in self._runs)):
+            shown = shown_unit(unit)
+        about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": shown}
         return {**about, "stated_unit": definition.unit, "notes": self._notes[signal]}

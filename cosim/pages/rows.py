@@ -91,6 +91,7 @@ class Recording:
         texts: Signals that doubles do not hold, each with all its texts; those of integers are numbers too.
         rounded: Signals with integers that are drawn as doubles, and of which all digits are there as texts.
         inexact: Signals with integers that are read as doubles, without their last digits.
+        assumed: What was assumed to read the table, in words.
     """
 
     def __init__(
@@ -104,6 +105,7 @@ class Recording:
         self.added = dict[str, str]()
         self.rounded = [name for name in texts if name in columns and is_rounded(columns[name])]
         self.inexact: list[str] = []
+        self.assumed: Sequence[str] = ()
         self._columns = dict(columns)
         self._levels: dict[str, tuple[int, Extremes]] = {}  # number of rows that they cover, and extremes
         self._lock = threading.RLock()

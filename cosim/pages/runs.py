@@ -63,6 +63,7 @@ class ViewedRun:
         rows: Rows that another one adds to; by default those of the file.
 
     Attributes:
+        record: Manifest of the run, or the record of a replay, with the display units.
         notes: Warnings on its rows.
         lost: Reason why no more rows are read; "" in general.
 
@@ -71,23 +72,25 @@ class ViewedRun:
     """
 
     def __init__(self, place: RunPlace, progress: Progress = None, rows: Recording | None = None) -> None:
-        self.place, self.lost, self.notes = place, "", list[str]()
+        self.place, self.lost, self.notes, self.record = place, "", list[str](), dict[str, Any]()
         self._due = 0.0  # [s] next time at which a growing file may be read again
         self._state, self._is_fed = file_state(place.file), rows is not None
         self.rows = self._open(progress) if rows is None else rows
 
     def _open(self, progress: Progress) -> Recording:
         if self.place.file.name == FOLLOWED:
-            about = json.loads(self.place.file.read_text(encoding="utf-8"))
+            about = self.record = json.loads(self.place.file.read_text(encoding="utf-8"))
             return self._with_new_rows(Store(Path(mkdtemp(dir=process_folder())), about["units"]))
         folder, begin = self.place.file.parent, time.monotonic()
         manifest = manifest_in(folder)
-        units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
-        columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
+        self.record = manifest or replay_record(folder)
+        columns = ColumnTypes(
+            self.record.get("units") or {}, manifest.get("beside", ()), frozenset(manifest.get("texts", ()))
+        )
         rows = open_rows(self.place.file, columns, progress)
         if self.place.entry is not None and not self._due:
             self.place.entry.check_current()
-        self.notes = [*warnings_on(folder)]
+        self.notes = [*warnings_on(folder), *map(Note, rows.assumed)]
         for names, text in (
             (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),
             (rows.inexact, "read as the nearest double"),
@@ -97,6 +100,14 @@ class ViewedRun:
                 self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
         self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
         return rows
+
+    @property
+    def judged(self) -> list[tuple[str, str]]:
+        """Return the signals of the criteria, each with its target, "" for a number."""
+        criteria = self.record.get("criteria")
+        entries = [c for c in criteria if isinstance(c, dict)] if isinstance(criteria, list) else []
+        pairs = ((str(c.get("of")), c.get("to")) for c in entries)
+        return [*dict.fromkeys((of, to if isinstance(to, str) else "") for of, to in pairs)]
 
     def _with_new_rows(self, rows: Store) -> Store:
         """Add the rows that a run under way has made since; raise OSError if it has ended."""

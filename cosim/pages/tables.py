@@ -84,6 +84,7 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
         units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
         texts = {printable(name): values for name, values in shown.texts().items()}
         recording = Recording(numbers, units, shown.time.size, texts)
+        recording.assumed = results.notes
         recording.inexact = [name for name in results.columns if name in results.whole and is_rounded(results[name])]
         return recording
     place = cache_folder() / FOLDER / _key(path, status, columns)
@@ -205,9 +206,10 @@ def _strings(column: Any) -> Any:
 
 def _opened(path: Path, columns: ColumnTypes) -> tuple[Heads, list[Any], Read]:
     """Return the columns of a table, their types of pyarrow, and a function that reads them."""
-    source, size = source_of(path), path.stat().st_size
-    if source is CSV:
-        heads, line = read_heading(path, columns.units)
+    source, size, heads, line = source_of(path), path.stat().st_size, list[tuple[str, str]](), 0
+    with suppress(ValueError):  # of another tool, such as one with semicolons
+        heads, line = read_heading(path, columns.units) if source is CSV else (heads, line)
+    if heads and is_time(heads[0][0]):
         reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])
         with csv.open_csv(path, read_options=reading) as first:
             kinds = [pa.string() if pa.types.is_boolean(kind) else kind for kind in first.schema.types]

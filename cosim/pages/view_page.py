@@ -19,6 +19,7 @@ from starlette.responses import FileResponse, Response
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import InputError
 from cosim.core.scratch import process_folder
+from cosim.core.text import displayed, showing, shown_unit
 from cosim.core.version import __version__
 from cosim.files.csv_source import cell_text, write_table
 from cosim.files.files import parse_json
@@ -103,12 +104,15 @@ class Viewer:
         sets: list[Any] = []
         runs = []
         for number, run in enumerate(self.runs):
-            signals = [[*run.rows.units], [*run.rows.units.values()], [*run.rows.texts]]
+            with showing(*(run.record for run in self.runs)):
+                units = [shown_unit(unit) for unit in run.rows.units.values()]
+            signals = [[*run.rows.units], units, [*run.rows.texts]]
             if signals not in sets:
                 sets.append(signals)
             first, last = run.rows.span()
             place = {"name": run.place.name, "label": run.place.label, "file": str(run.place.file)}
-            about = {"set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last}
+            about: dict[str, Any] = {"set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last}
+            about["judged"] = run.judged
             runs.append({**place, **about, "derived": self._derivations.of_run(number)})
         layouts = self._layouts.read() if self._layouts is not None else {}
         return Json({"runs": runs, "sets": sets, "layouts": layouts, "notes": self._notes})
@@ -127,7 +131,7 @@ class Viewer:
             if is_first := id(run) not in pictures:
                 pictures[id(run)] = run.rows.picture(wanted.begin, wanted.end, wanted.width)
             picture = pictures[id(run)]
-            low, high = picture.points(name)
+            low, high = (self._shown(run, name, values) for values in picture.points(name))
             is_row = picture.starts is None
             head = np.array([low.size, float(is_row), float(is_first)])
             return [head, *([picture.time] if is_first else []), low, *([] if is_row else [high])]
@@ -142,7 +146,7 @@ class Viewer:
             rows = run.rows
             first, stop = max(0, rows.locate(wanted.begin) - 1), min(rows.rows, rows.locate(wanted.end, "right") + 1)
             step = max(1, -(-(stop - first) // max(2, wanted.width)))
-            columns = [rows.read(name, first, stop)[::step] for name in (TIME, x, y)]
+            columns = [self._shown(run, name, rows.read(name, first, stop)[::step]) for name in (TIME, x, y)]
             return [np.array([columns[0].size, float(step)]), *columns]
 
         curves, across = self._curves(wanted.curves), self._curves(wanted.across)
@@ -156,7 +160,9 @@ class Viewer:
 
         def value(run: ViewedRun, name: str) -> list[Array]:
             row = run.rows.locate(wanted.at, "right") - 1
-            return [run.rows.read(each, row, row + 1) if row >= 0 else np.array([np.nan]) for each in (TIME, name)]
+            if row < 0:
+                return [np.full(2, np.nan)]
+            return [self._shown(run, each, run.rows.read(each, row, row + 1)) for each in (TIME, name)]
 
         return self._arrays(value, self._curves(wanted.curves), [np.full(2, np.nan)])
 
@@ -245,6 +251,12 @@ class Viewer:
         parts = [part for curve in curves for part in _unless_lost(curve[0], read, *curve, lost=lost)]
         body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts)
         return Response(body, media_type="application/octet-stream")
+
+    def _shown(self, run: ViewedRun, name: str, values: Array) -> Array:
+        """Return values of a signal in its display unit."""
+        with showing(*(each.record for each in self.runs)):
+            shown: Array = displayed(values, run.rows.unit(name))
+        return shown
 
     # -- content of requests ----------------------------------------------------------------------------
 

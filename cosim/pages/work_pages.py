@@ -155,6 +155,7 @@ class LiveRun(WorkPage, Observer):
             self._run, self._control = run, run.control
             self._rows = Store(folder, {name: run.units.get(name, "") for name in run.columns})
             self._runs[:] = [ViewedRun(RunPlace(title, title, folder), rows=self._rows)]
+            self._runs[0].record = {"display": run.display}
         names = {v.name for v in (run.control.variables if run.control is not None else ()) if v.is_input}
         self._inputs = [column for column in run.columns if column in names]
         self.update(phase="starting", total=run.rows, start=run.start, step=run.step, made=id(run))

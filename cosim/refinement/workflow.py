@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.errors import Fault, TimedOut, refuse
-from cosim.core.text import counted, join_names, plain
+from cosim.core.text import counted, join_names, plain, showing
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.per_log import drop_own_parameters
@@ -105,7 +105,15 @@ def refine(
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
-    subject = study.subject
+    with showing({"display": study.subject.display}):
+        return _refine(study, folder, problem, limited, report=report, in_process=in_process)
+
+
+def _refine(
+    study: Study, folder: Path, problem: Problem, limited: _Limited, *, report: bool, in_process: bool
+) -> Refinement:
+    """Search, decide and prove."""
+    subject, progress, start = study.subject, limited.progress, limited.start
     try:
         result = attribute(subject, problem, _candidates(study), limited)
         limited("weighing what was found", 0.0)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.core.text import display
+from cosim.core.text import displayed, shown_unit
 
 OTHERS_PER_PANEL = 6
 WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant
@@ -81,10 +81,9 @@ class Panel:
     symbol: str = ""
 
 
-def display_unit(unit: str) -> tuple[str, float]:
-    """Return the label of an axis for a unit, and the factor to the displayed values."""
-    shown, factor = display(unit)
-    return shown or unit or NO_UNIT_TEXT, factor
+def axis_unit(unit: str) -> str:
+    """Return the label of an axis for the values of a unit."""
+    return shown_unit(unit) or unit or NO_UNIT_TEXT
 
 
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
@@ -120,7 +119,6 @@ def held_panels(signals: Mapping[str, Array], units: Mapping[str, str]) -> list[
     """Return panels of signals that hold their values between rows, grouped by unit."""
     panels = []
     for unit, names in by_unit(signals, units.__getitem__, signals.__getitem__):
-        shown, factor = display(unit)
-        traces = [Trace(n, signals[n] * factor, f"s{k}", held=True) for k, n in enumerate(names)]
-        panels.append(Panel(", ".join(names), shown or "1", traces))
+        traces = [Trace(n, displayed(signals[n], unit), f"s{k}", held=True) for k, n in enumerate(names)]
+        panels.append(Panel(", ".join(names), shown_unit(unit) or "1", traces))
     return panels

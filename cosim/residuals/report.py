@@ -10,7 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
+from cosim.core.text import (
+    MISSING,
+    amount,
+    counted,
+    display,
+    displayed,
+    percent,
+    plain,
+    shown_unit,
+    size,
+    split_sentence,
+)
 from cosim.core.version import __version__
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
@@ -67,7 +78,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         provenance.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
     measured = [f"{n} ({percent(float(np.isfinite(v).mean()))})" for n, v in log.outputs.items()]
     provenance.append(Row("Measured", ", ".join(measured), "share of the rows"))
-    words = [] if passing else ["--plant", str(drive.fmu)]
+    words = [] if passing else ["--fmu", str(drive.fmu)]
     for name, value in drive.given.items():
         words += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
     for column, name in log.called.items():
@@ -120,9 +131,10 @@ def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
     label = "model, free run" if horizon == FREE_RUN else f"model, restarted every {horizon_name(horizon)}"
     panels = []
     for name, measured in log.outputs.items():
-        unit, factor = display(log.units[name])
-        traces = [Trace("measured", measured * factor, "estimate"), Trace(label, outputs[name] * factor, "true")]
-        panels.append(Panel(name, unit or "1", traces))
+        unit = log.units[name]
+        pairs = ("measured", measured, "estimate"), (label, outputs[name], "true")
+        traces = [Trace(text, displayed(values, unit), style) for text, values, style in pairs]
+        panels.append(Panel(name, shown_unit(unit) or "1", traces))
     return panels
 
 

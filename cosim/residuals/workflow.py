@@ -15,11 +15,12 @@ import numpy as np
 from cosim.blocks.compiling import compiling
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.drafts import is_full
-from cosim.core.errors import DiskFull, SimulationError, Terminated, stop_error
+from cosim.core.errors import DiskFull, InputError, SimulationError, Terminated, stop_error
 from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, column_names, texts
-from cosim.core.text import as_yaml, join_names
+from cosim.core.text import as_yaml, join_names, showing
+from cosim.files.artefact import LOG
 from cosim.files.files import (
     FilePath,
     check_writable,
@@ -39,9 +40,12 @@ from cosim.files.folders import (
     remove_earlier,
     results_in,
 )
+from cosim.files.kinds import check_given
 from cosim.files.results import Results, rows_name
+from cosim.files.table import read_header, split_heading
 from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import ANSWER, folder_of
+from cosim.fmi.description import display_units, read_description
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
@@ -117,11 +121,13 @@ def replay(
         if worker is not None:
             worker.start()  # The worker starts while files are read.
         scratch = stack.enter_context(temporary_folder("replay"))
-        driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
         names = read_column_names(column_names(columns), path)
+        driven = Path(fmu) if fmu else _plant_of(path, names, scratch)
+        measured = log_of_fmu(path, driven, names)
+        stack.enter_context(showing({"display": display_units([read_description(driven)])}))
         comparison = write_replay(
             place,
-            log_of_fmu(path, driven, names),
+            measured,
             driven,
             given=start_values(driven, values),
             report=report and out is not None,
@@ -135,6 +141,16 @@ def replay(
         result = read_replay(folder, kept=out is not None)
     assert result is not None  # else an error was raised
     return replace(result, comparison=comparison)
+
+
+def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:
+    """Build the FMU of the base model, for a log that has one of its signals; raise InputError for another log."""
+    check_given(log, LOG)
+    base = load_model(BASE, Path())
+    known = {q.name for q in (*base.model.inputs, *base.model.outputs)}
+    if known.isdisjoint({*columns.values(), *(split_heading(h)[0] for h in read_header(log))}):
+        raise InputError.at(log, f"names no signal of a registered model; name its FMU: cosim replay {log} --fmu FMU")
+    return build_fmu(base.recipe(), folder / "plant.fmu")
 
 
 @far_beyond
@@ -199,6 +215,7 @@ def write_replay(
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
             content = {"schema_version": SCHEMA_VERSION, **sources, "sentence": verdict(comparison), "units": units}
+            content["display"] = display_units([drive.description])
             write_json(folder / REPLAY, content, indent=1)
             if proposed and not claimed and not all(c.is_explained for c in comparison.channels):
                 write_text(folder / NEXT_STUDY, proposed)

@@ -144,6 +144,7 @@ class FmuComponent(Part):
 
     fmu:     file, relative to the scenario
     start:   variable → value, for parameters and unconnected inputs
+    parameters: parameter sets (SSV), files relative to the scenario, such as fitted.ssv; a later one, and `start`, wins
     process: `own` for a process shared with no other FMU
     interface: FMI interface, if the FMU offers several
     event_mode: whether FMI 3.0 co-simulation uses event mode; by default if the FMU has clocks
@@ -162,6 +163,7 @@ class FmuComponent(Part):
 
     fmu: str
     process: Literal["own"] | None = None
+    parameters: str | list[str] = Field(default_factory=list)
     start: dict[str, Annotated[Any, AfterValidator(scalar)]] = Field(default_factory=dict)
     interface: Literal["co-simulation", "model-exchange", "scheduled-execution"] | None = None
     event_mode: bool | None = None
@@ -364,6 +366,8 @@ class Scenario(Part):
     limits:      limits on time and memory of a run
     checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` goes on
     pace:        simulated seconds per second: 1 for real time; by default as fast as possible
+    display:     unit → unit in which reports, tables and charts show it; by default the display unit of the FMUs.
+        Files keep declared units
     """
 
     name: str
@@ -395,6 +399,7 @@ class Scenario(Part):
     limits: Limits | None = None
     checkpoint: PositiveSeconds | None = None
     pace: Positive | None = None
+    display: dict[str, str] = Field(default_factory=dict)
 
     @property
     def control(self) -> StepControl | None:

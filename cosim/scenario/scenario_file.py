@@ -24,10 +24,11 @@ from cosim.files.yaml_file import MOST_FAULTS, Document, Location, NotYaml, Orig
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario
 from cosim.scenario.start_values import STAND_IN, waiting_texts
+from cosim.ssp.read import read_parameter_set
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
-FILES = ("fmu", "file")  # keys of file names of a component
+FILES = ("fmu", "file", "parameters")  # keys of file names of a component
 SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
 LONGEST = 2000  # of a message [characters]
 Place = tuple[str | int, ...]  # keys of a part of the scenario
@@ -51,6 +52,7 @@ class ScenarioFile:
         scenario: Scenario without its faulty parts.
         broken: Names of removed components.
         places: Indices in the file of the remaining connections, faults and events.
+        sets: Component → files of its parameter sets, whose values are among its start values.
     """
 
     scenario: Scenario
@@ -91,6 +93,8 @@ class ScenarioFile:
         if texts:
             form_faults = self._read(data)  # Ranges hold for numbers.
         self.faults += form_faults
+        self.sets: dict[str, list[Path]] = {}
+        self._take_parameter_sets()
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
         self.faults += [self.fault(where, message) for where, message in self._time_faults()]
@@ -146,6 +150,30 @@ class ScenarioFile:
             for part in parts:
                 part[key] = [entry for k, entry in enumerate(part[key]) if k not in faulty]
 
+    def _take_parameter_sets(self) -> None:
+        """Add the values of parameter sets to the start values of their components."""
+        components: dict[str, Any] = {}
+        for name, component in self.scenario.components.items():
+            if not isinstance(component, FmuComponent) or not component.parameters:
+                continue
+            named = [component.parameters] if isinstance(component.parameters, str) else component.parameters
+            self.sets[name], values = [self.resolve(file) for file in named], dict[str, Any]()
+            for k, path in enumerate(self.sets[name]):
+                try:
+                    read = read_parameter_set(path)
+                except InputError as error:
+                    is_there = path.is_file()
+                    at = ("components", name, "parameters", *(() if isinstance(component.parameters, str) else (k,)))
+                    self.faults += error.faults if is_there else [self.fault(at, f"no such file: {path}")]
+                    continue
+                for p in read:  # a text with its unit is converted with the FMU's
+                    has_unit = p.unit and not isinstance(p.value, (bool, str))
+                    values[p.name] = f"{p.value!r} {p.unit}" if has_unit else p.value
+            start = {**values, **component.start}
+            components[name] = component.model_copy(update={"start": start, "parameters": []})
+        if components:
+            self.scenario = self.scenario.model_copy(update={"components": {**self.scenario.components, **components}})
+
     def resolve(self, name: str) -> Path:
         """Return a file's path relative to the scenario's folder."""
         path = self.path.parent / name
@@ -163,11 +191,18 @@ class ScenarioFile:
 
     @property
     def files(self) -> list[Path]:
-        """Return the FMUs and recordings of the components."""
-        return [path for _, _, path in self.component_files()]
+        """Return the FMUs, recordings and parameter sets of the components."""
+        files = [path for _, _, path in self.component_files()]
+        return files + [path for paths in self.sets.values() for path in paths]
 
     def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
         """Return a fault at a place of the scenario."""
+        name, variable = (location[1], location[3]) if len(location) > 3 and location[2] == "start" else ("", "")
+        if sets := self.sets.get(str(name)):
+            written = self.yaml.root.get("components", {}).get(name, {}).get("start") or {}
+            if variable not in written:
+                location = ("components", name, "parameters")
+                message = f"{', '.join(path.name for path in sets)}: {message}"
         return self.yaml.fault(location, message, exit_code=exit_code)
 
     def _time_faults(self) -> list[tuple[Location, str]]:
@@ -264,6 +299,9 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
     if sign and target.strip():
         node: Any = data
         keys = keys_of(target.strip())
+        components = data.get("components")
+        if len(keys) > 1 and keys[0] not in data and isinstance(components, dict) and keys[0] in components:
+            keys = ["components", keys[0], "start", target.strip().partition(".")[2]]  # a variable, as it is printed
         at: list[str | int] = []
         for depth, key in enumerate(keys):
             index: str | int = key

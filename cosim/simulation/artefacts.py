@@ -30,7 +30,7 @@ ARTEFACTS = (
     ),
     Artefact(
         RESULTS,
-        "`cosim compare {file} OTHER` compares it with another, `cosim replay {file} --plant FMU --column "
+        "`cosim compare {file} OTHER` compares it with another, `cosim replay {file} --fmu FMU --column "
         "COMPONENT.INPUT=INPUT` drives an FMU with it, a --column for each name",
         beside=("results.csv", "manifest.json"),
         taken_as=LOG,
@@ -38,7 +38,7 @@ ARTEFACTS = (
     Artefact(
         FMU,
         "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
-        "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
+        "a scenario names it as fmu:, `cosim replay LOG.csv --fmu` drives it",
         endings=(".fmu",),
         member="modelDescription.xml",
         check="cosim.simulation.trial:check_fmu",

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, far_beyond
+from cosim.core.text import append_unit, display, displayed, is_difference, shown_unit
 from cosim.core.times import roundings
 from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
@@ -58,9 +59,12 @@ def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
 def sentence(outcome: dict[str, Any]) -> str:
     """Return the sentence on a criterion for the terminal."""
     verdict = "met" if outcome["met"] else "MISSED"
-    sizes = math.inf if outcome["value"] is None else outcome["value"], outcome["max"]
+    sizes = [math.inf if outcome["value"] is None else outcome["value"], outcome["max"]]
+    unit, factor = display(outcome["unit"])
+    if not is_difference(outcome):
+        unit, factor, sizes = shown_unit(outcome["unit"]), 1.0, [displayed(size, outcome["unit"]) for size in sizes]
     for digits in range(DIGITS, MOST_DIGITS):
-        value, limit = (f"{size:.{digits}g} {outcome['unit']}".rstrip() for size in sizes)
+        value, limit = (append_unit(f"{size * factor:.{digits}g}", unit) for size in sizes)
         if value != limit:
             break
     value = "never" if outcome["value"] is None else value

@@ -76,6 +76,7 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
         **({"texts": texts} if (texts := sorted(system.texts & recorded)) else {}),
         "discrete": sorted(system.discrete & recorded),
         "units": {column: unit for column, unit in system.units.items() if unit and column in recorded},
+        "display": {unit: [*shown] for unit, shown in system.display.items()},
         "unit_definitions": {
             column: list(signal.definition)
             for column, signal in system.signals.items()

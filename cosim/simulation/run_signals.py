@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.extras import pandas_for_frames
-from cosim.core.messages import printable
+from cosim.core.messages import Note, printable
 from cosim.core.text import MISSING, counted, plain
 from cosim.files.artefact import LOG, folder_kind
 from cosim.files.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
@@ -201,7 +201,7 @@ def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -
 def read_run(path: Path) -> Run | Signals:
     """Return the run in a folder or the signals of a table; raise InputError if none."""
     ran = read_ran(path)
-    for text in ran.warnings:
+    for text in (t for t in ran.warnings if not isinstance(t, Note)):
         warnings.warn(printable(text), stacklevel=2)
     return run_of(ran.results, ran.manifest, ran.path) if path.is_dir() else Signals(ran.name, ran.results)
 
@@ -231,7 +231,8 @@ def read_ran(path: Path) -> RecordedRun:
             raise InputError.at(path, f"no such folder or file; give {WANTED}")
         if not path.is_dir():
             check_given(path, LOG)
-            return RecordedRun(path, path.stem, read_results(path))
+            results = read_results(path)
+            return RecordedRun(path, path.stem, results, {}, tuple(map(Note, results.notes)))
         rows = rows_in(path)
         if rows is None:
             kind = folder_kind(path)

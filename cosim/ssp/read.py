@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cosim.blocks.component import Signal
-from cosim.core.errors import Fault, FmuError, InputError
+from cosim.core.errors import Fault, FmuError, InputError, refuse
 from cosim.core.text import did_you_mean
 from cosim.core.units import SI
 from cosim.files.yaml_file import MOST_FAULTS, format_value
@@ -115,48 +115,12 @@ class SignalLink:
     element: Element
 
 
-class SspSystem:
-    """The system of a package, without nested systems and without faulty parts; InputError without a system.
+class Reader:
+    """Reader of values, which collects faults and warnings with their places."""
 
-    Attributes:
-        parts: FMUs by place.
-        start, stop, step: Times [s], None if absent.
-        element, experiment: Elements of the system and of its times, for messages.
-    """
-
-    def __init__(self, package: Package) -> None:
-        self.package = package
+    def __init__(self) -> None:
         self.faults: list[Fault] = []
         self.warnings: list[str] = []
-        self.systems: dict[Place, tuple[Element, list[str]]] = {}  # with the names of their elements
-        self.parts: dict[Place, FmuPart] = {}
-        self.connectors: dict[End, Connector] = {}
-        self.connections: list[Connection] = []
-        self.into: dict[End, Connection] = {}  # by end; of two sources, a noted fault, the first counts
-        self.bindings: list[tuple[Place, Element]] = []  # holders of parameters, the inner ones first
-        root = package.element(package.structure)
-        if root.tag != "ssd:SystemStructureDescription":
-            raise InputError([root.fault("it should be ssd:SystemStructureDescription")])
-        self.check_version(root)
-        system, experiment = root.first("ssd:System"), root.first("ssd:DefaultExperiment")
-        if system is None:
-            raise InputError([*self.faults, root.fault("it has no ssd:System; add one")])
-        self.element, self.experiment, self.name = system, experiment or root, root.get("name") or "system"
-        self.description = system.get("description") or root.get("description") or ""
-        self.units = self.units_in(root, "ssd:Units")
-        self.read_system(system, ())
-        for place, (element, _) in self.systems.items():
-            self.read_connections(element, place)
-        self.set_parameters()
-        self.start, self.stop = (self.number(self.experiment, name, None) for name in ("startTime", "stopTime"))
-        if self.stop is not None and self.stop <= (self.start or 0.0):
-            cure = f"startTime {self.start or 0.0:g} s; give a later stopTime"
-            self.note(self.experiment, f"stopTime {self.stop:g} s is not after {cure}")
-            self.stop = None
-        self.links = [*self.read_links()]
-        self.step = self.read_step([holder for holder in (experiment, system, root) if holder])
-
-    # -- values and messages --------------------------------------------------------------------
 
     def note(self, element: Element, message: str) -> None:
         """Note a fault of an element; raise InputError at the limit of faults."""
@@ -209,6 +173,94 @@ class SspSystem:
                     self.note(base, "factor 0 is that of no unit; give another")
                     del units[name]
         return units
+
+    def value(self, typed: Element) -> Any:
+        """Return a typed value; None after noting a fault."""
+        kind, text = typed.tag.partition(":")[2], typed.get("value")
+        if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
+            self.note(typed, f"{len(entries)} values; arrays are not read here, bind their elements by name")
+        elif kind not in TYPES:
+            self.note(typed, f"is no type of a value{did_you_mean(kind, TYPES[:-1])}")
+        elif text is None:
+            self.note(typed, "it has no value; add it")
+        elif kind in (*REALS, *WHOLE):
+            number = self.number(typed, "value", None)
+            if number is None or kind in REALS:
+                return number
+            if number == int(number):
+                return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
+            self.note(typed, f"value {format_value(text)}: it is a whole number")
+        elif kind != "Boolean":
+            return text
+        elif text in BOOLEANS:
+            return BOOLEANS[text]
+        else:
+            self.note(typed, f"value {format_value(text)}: it is true or false")
+        return None
+
+    def values(self, holder: Element, prefix: str = "") -> list[Parameter]:
+        """Return the parameters of a parameter set."""
+        units, values = self.units_in(holder, "ssv:Units"), list[Parameter]()
+        for each in holder.all("ssv:Parameters", "ssv:Parameter"):
+            name = each.get("name")
+            typed = next((c for c in each.children if c.tag.startswith("ssv:")), None)
+            if not name or typed is None:
+                self.note(each, "it has no value; add one such as ssv:Real" if name else "it has no name; add one")
+            elif (value := self.value(typed)) is not None:
+                values.append(Parameter(prefix + name, value, typed.get("unit"), units, each))
+        return values
+
+
+def read_parameter_set(path: Path) -> list[Parameter]:
+    """Return the parameters of an SSV file; raise InputError with every fault."""
+    root, reader = Package(path, path.parent, path, packed=False).element(path), Reader()
+    if root.tag != "ssv:ParameterSet":
+        raise InputError([root.fault("it should be ssv:ParameterSet")])
+    reader.check_version(root)
+    values = reader.values(root)
+    refuse(reader.faults)
+    return values
+
+
+class SspSystem(Reader):
+    """The system of a package, without nested systems and without faulty parts; InputError without a system.
+
+    Attributes:
+        parts: FMUs by place.
+        start, stop, step: Times [s], None if absent.
+        element, experiment: Elements of the system and of its times, for messages.
+    """
+
+    def __init__(self, package: Package) -> None:
+        super().__init__()
+        self.package = package
+        self.systems: dict[Place, tuple[Element, list[str]]] = {}  # with the names of their elements
+        self.parts: dict[Place, FmuPart] = {}
+        self.connectors: dict[End, Connector] = {}
+        self.connections: list[Connection] = []
+        self.into: dict[End, Connection] = {}  # by end; of two sources, a noted fault, the first counts
+        self.bindings: list[tuple[Place, Element]] = []  # holders of parameters, the inner ones first
+        root = package.element(package.structure)
+        if root.tag != "ssd:SystemStructureDescription":
+            raise InputError([root.fault("it should be ssd:SystemStructureDescription")])
+        self.check_version(root)
+        system, experiment = root.first("ssd:System"), root.first("ssd:DefaultExperiment")
+        if system is None:
+            raise InputError([*self.faults, root.fault("it has no ssd:System; add one")])
+        self.element, self.experiment, self.name = system, experiment or root, root.get("name") or "system"
+        self.description = system.get("description") or root.get("description") or ""
+        self.units = self.units_in(root, "ssd:Units")
+        self.read_system(system, ())
+        for place, (element, _) in self.systems.items():
+            self.read_connections(element, place)
+        self.set_parameters()
+        self.start, self.stop = (self.number(self.experiment, name, None) for name in ("startTime", "stopTime"))
+        if self.stop is not None and self.stop <= (self.start or 0.0):
+            cure = f"startTime {self.start or 0.0:g} s; give a later stopTime"
+            self.note(self.experiment, f"stopTime {self.stop:g} s is not after {cure}")
+            self.stop = None
+        self.links = [*self.read_links()]
+        self.step = self.read_step([holder for holder in (experiment, system, root) if holder])
 
     def read_step(self, holders: Iterable[Element]) -> float | None:
         """Return the communication step [s] of another tool's annotation, if any."""
@@ -461,15 +513,7 @@ class SspSystem:
             holder = self.content(binding, "ssd:ParameterValues", "ssv:ParameterSet")
             if holder is None:
                 continue
-            units, prefix = self.units_in(holder, "ssv:Units"), binding.get("prefix") or ""
-            values = list[Parameter]()
-            for each in holder.all("ssv:Parameters", "ssv:Parameter"):
-                name = each.get("name")
-                typed = next((c for c in each.children if c.tag.startswith("ssv:")), None)
-                if not name or typed is None:
-                    self.note(each, "it has no value; add one such as ssv:Real" if name else "it has no name; add one")
-                elif (value := self.value(typed)) is not None:
-                    values.append(Parameter(prefix + name, value, typed.get("unit"), units, each))
+            values = self.values(holder, binding.get("prefix") or "")
             mapping = binding.first("ssd:ParameterMapping")
             yield from values if mapping is None else self.mapped(mapping, values)
 
@@ -497,30 +541,6 @@ class SspSystem:
             return None
         self.check_version(root)
         return root
-
-    def value(self, typed: Element) -> Any:
-        """Return a typed value; None after noting a fault."""
-        kind, text = typed.tag.partition(":")[2], typed.get("value")
-        if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
-            self.note(typed, f"{len(entries)} values; arrays are not read here, bind their elements by name")
-        elif kind not in TYPES:
-            self.note(typed, f"is no type of a value{did_you_mean(kind, TYPES[:-1])}")
-        elif text is None:
-            self.note(typed, "it has no value; add it")
-        elif kind in (*REALS, *WHOLE):
-            number = self.number(typed, "value", None)
-            if number is None or kind in REALS:
-                return number
-            if number == int(number):
-                return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
-            self.note(typed, f"value {format_value(text)}: it is a whole number")
-        elif kind != "Boolean":
-            return text
-        elif text in BOOLEANS:
-            return BOOLEANS[text]
-        else:
-            self.note(typed, f"value {format_value(text)}: it is true or false")
-        return None
 
     def mapped(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
         """Yield parameters renamed by a mapping, without unmapped ones."""

@@ -52,12 +52,17 @@ class SspFmu:
 
 @dataclass(frozen=True)
 class Whole:
-    """A system to write; connections are ((model, output), (model, input)), times in seconds."""
+    """A system to write.
+
+    Attributes:
+        connections: (model, output), (model, input), and factor and offset between them.
+        start, stop, step: Times [s].
+    """
 
     name: str
     description: str
     models: Sequence[SspFmu]
-    connections: Sequence[tuple[tuple[str, str], tuple[str, str]]]
+    connections: Sequence[tuple[tuple[str, str], tuple[str, str], tuple[float, float]]]
     units: Units
     start: float
     stop: float
@@ -138,9 +143,14 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
             SubElement(binding, "ssd:ParameterValues").append(_parameter_set(model.start.items()))
     if whole.connections:
         connections = SubElement(system, "ssd:Connections")
-        for (start, output), (end, target) in whole.connections:
+        for (start, output), (end, target), (factor, offset) in whole.connections:
             ends = {"startElement": start, "startConnector": output, "endElement": end, "endConnector": target}
-            SubElement(connections, "ssd:Connection", ends)
+            if (factor, offset) == (1.0, 0.0):
+                SubElement(connections, "ssd:Connection", ends)
+                continue
+            # the transformation is the whole conversion, that of units included
+            connection = SubElement(connections, "ssd:Connection", {**ends, "suppressUnitConversion": "true"})
+            SubElement(connection, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
     _write_units(root, "ssd:Units", whole.units)
     experiment = SubElement(root, "ssd:DefaultExperiment", startTime=repr(whole.start), stopTime=repr(whole.stop))
     annotation = SubElement(SubElement(experiment, "ssd:Annotations"), "ssc:Annotation", type=OSP_TYPE)

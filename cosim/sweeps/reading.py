@@ -216,12 +216,19 @@ def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def repeat_command(study: Sweep, run: int) -> str:
     """Return the command that makes a run of a sweep by itself."""
-    request = study.request_run(run)
+    return shlex.join(["cosim", "run", str(study.yaml.path), "--case", str(run)])
+
+
+def case_of(path: Path, number: int) -> tuple[Path, list[str], int | None]:
+    """Return scenario, settings `path=value` and seed of a run of a sweep; raise InputError if it has no such run."""
+    study = read_sweep(path)
+    if not 0 <= number < study.count:
+        raise InputError.at(Path("--case"), f"is {number}; {path.name} has the cases 0 … {study.count - 1}")
+    request = study.request_run(number)
     starts = [
         f"components.{component}.start.{name}={json.dumps(value)}"
         for component, values in request.starts.items()
         for name, value in values.items()
     ]
-    words = ["cosim", "run", os.path.normpath(study.yaml.path.parent / study.file.scenario)]
-    words += [word for text in (*study.job.overrides, *request.overrides, *starts) for word in ("--set", text)]
-    return shlex.join([*words, *(["--seed", str(request.seed)] if request.seed is not None else [])])
+    scenario = Path(os.path.normpath(path.parent / study.file.scenario))
+    return scenario, [*study.job.overrides, *request.overrides, *starts], request.seed

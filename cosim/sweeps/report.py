@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.core.text import append_unit, counted, display, percent, plain, some, written
+from cosim.core.text import append_unit, counted, display, displayed, percent, plain, shown_unit, some, written
 from cosim.core.version import __version__
 from cosim.files.kinds import shell_path
 from cosim.report.charts import Charts, Plot
@@ -28,7 +28,7 @@ MOST_POINTS = 2000  # runs in a scatter plot
 MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
 NEVER = "never"
 MOST_LISTED = 10  # runs farthest from meeting a criterion
-WIDE = 0.2  # half-width of a sensitivity's interval; the page asks for more runs above
+MARK = 0.012  # width of the mark at what chance reaches
 
 
 def page(swept: Swept) -> str:
@@ -53,11 +53,6 @@ def page(swept: Swept) -> str:
     warnings = [*record["warnings"]]
     if completed < MIN_RUNS:
         warnings.append(f"Too few runs for sensitivities: {completed} completed, {MIN_RUNS} are needed.")
-    widths = {s.outcome: max(half for _, half in (*s.first, *s.total)) for s in indices}
-    widest = max(widths, key=lambda n: widths[n], default="")
-    if widths and widths[widest] > WIDE:
-        reach = f"intervals of its indices reach ±{plain(widths[widest], 2)}"
-        warnings.append(f"Too few runs to rank the factors of {widest}: {reach}. Take more runs.")
     ways = {factor.way for factor in study.file.vary.values()}
     drawn, listed = not ways.isdisjoint(DISTRIBUTIONS), not ways.isdisjoint({"values", "grid"})
     note = "Every combination is run." if listed else ""  # how the values of several factors are combined
@@ -76,7 +71,7 @@ def page(swept: Swept) -> str:
         "tone": "plain",
         "criteria": [],
         "worst": [],
-        "scatters": _scatters(swept, table, values, {s.outcome: s.factors for s in indices}, charts),
+        "scatters": _scatters(swept, table, values, {s.outcome: s.ranked or s.factors for s in indices}, charts),
         "factors": [_factor(swept, factor) for factor in study.factors],
         "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
         "data": charts.data(),  # after all drawings
@@ -186,10 +181,11 @@ def _factor(swept: Swept, factor: Factor) -> Mapping[str, str]:
 
 
 def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
-    unit, factor = display(record["units"].get(name, ""))
+    own = record["units"].get(name, "")
+    unit = shown_unit(own)
     if not values.size or values.shape[1] != len(record["times"]):  # no run is complete
         return Panel(name, unit or "1", ())
-    q = np.quantile(values, QUANTILES, axis=0) * factor
+    q = displayed(np.quantile(values, QUANTILES, axis=0), own)
     traces = (Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"))
     return Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
 
@@ -198,9 +194,13 @@ def _indices(s: Sensitivity) -> Mapping[str, Any]:
     def pair(value: float, half: float) -> str:
         return f"{plain(value, 2)} ± {plain(half, 1)}"
 
-    others = [pair(*p) for p in s.total] or [plain(v, 2) for v in s.pawn]
-    rows = [
-        {"name": name, "first": pair(*first), "other": other, "bar": _bar(first[0], first[0] - first[1], sum(first))}
-        for name, first, other in zip(s.factors, s.first, others, strict=True)
-    ]
+    rows, ranks = [], {name: str(k) for k, name in enumerate(s.ranked, 1)}
+    for k, name in enumerate(s.factors):
+        if s.total:
+            size, half = s.total[k]
+            drawn, text = _bar(size, size - half, size + half), pair(size, half)
+        else:  # with a mark at what chance reaches
+            drawn, text = _bar(s.pawn[k], s.chance, s.chance + MARK), plain(s.pawn[k], 2)
+        rank = ranks.get(name, "not proven")
+        rows.append({"name": name, "rank": rank, "bar": drawn, "size": text, "first": pair(*s.first[k])})
     return {"outcome": s.outcome, "rows": rows, "total": bool(s.total), "chance": plain(s.chance, 2)}

@@ -19,7 +19,7 @@ from cosim.core.drafts import is_full
 from cosim.core.errors import DiskFull, Fault, InputError, SweepFailed, SweepStopped, Terminated
 from cosim.core.extras import optional
 from cosim.core.settings import Count
-from cosim.core.text import counted
+from cosim.core.text import counted, showing
 from cosim.core.version import __version__
 from cosim.files.files import (
     FilePath,
@@ -197,7 +197,8 @@ def sweep(
         if report:
             from cosim.sweeps.report import page
 
-            write_text(folder / REPORT, page(swept))
+            with showing(record):
+                write_text(folder / REPORT, page(swept))
     if record["failed"] == record["runs"]:
         first = record["failures"][0]
         raise SweepFailed(f"all {counted(study.count, 'run')} failed; run {first['run']}: {first['why']}")
@@ -269,6 +270,7 @@ def _record(study: Sweep, limits: Sequence[CriterionLimit], runs: Iterable[RunRe
         "warnings": list(study.warnings),
         "times": [scenario.start_time + scenario.step * k for k in sampled_rows(scenario.steps, study.job.samples)],
         "units": {name: study.system.units.get(name, "") for name in study.job.signals},
+        "display": {unit: [*shown] for unit, shown in study.system.display.items()},
         "criteria": [
             {
                 "name": limit.name,

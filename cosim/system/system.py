@@ -19,7 +19,10 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.core.errors import refuse
-from cosim.core.text import did_you_mean
+from cosim.core.messages import Note
+from cosim.core.text import DisplayUnits, did_you_mean
+from cosim.core.units import alternatives, conversion
+from cosim.fmi.description import display_units
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings
 from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
@@ -49,6 +52,7 @@ class System(Schedule):
         solving: Settings of their solution, None for the default.
         pace: Simulated seconds per second, set by runs that keep to the clock; None for as fast as possible.
         recording: Recorded part of the rows, None for all of them.
+        display: Unit → name of its display unit, factor and offset to its values.
     """
 
     columns: tuple[str, ...] = ()
@@ -67,6 +71,7 @@ class System(Schedule):
     solving: LoopSettings | None = None
     pace: float | None = None
     recording: RecordedPart | None = None
+    display: DisplayUnits = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -147,13 +152,22 @@ def build_system(file: ScenarioFile) -> System:
     check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     events = changes_of(file, blocks, diagnosis)
+    display = dict[str, Any](display_units(block.description for block in blocks.values()))
+    definitions = {signal.unit: signal.definition for signal in layout.signals.values() if signal.definition}
+    for unit, name in scenario.display.items():
+        if not name or (shown := conversion(unit, name, definitions=definitions)) is None:
+            message = f"{name} does not show {unit}, which is not of the same dimension or unknown"
+            diagnosis.note(("display", unit), f"{message}; give one of {', '.join(alternatives(unit))}")
+        else:
+            display[unit] = (name, *shown)
     for name, component in components.items():
         if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
             cure = f"record: [{name}.*] does so"
             diagnosis.warnings.append(f"{name} has no inputs and outputs, so nothing of it is recorded; {cure}")
     refuse(diagnosis.faults)
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
-    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
+    assumed = chain.from_iterable(map(Note, c.assumed) for c in components.values() if isinstance(c, SourceBlock))
+    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes, *assumed
     scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
         **scheduled,
@@ -171,6 +185,7 @@ def build_system(file: ScenarioFile) -> System:
         control=control,
         courses=courses,
         recording=recording,
+        display=display,
     )
 
 

@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.core.errors import InputError
+from cosim.core.errors import CriterionMissed, InputError
 from cosim.core.settings import Files, Port, Values
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, name_of, name_of_file, new_run
@@ -33,9 +33,10 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
         start (NAME=VALUE): Start value or parameter of the FMU, for example angle=12deg.
         columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
 
-    Example: cosim replay log.csv --plant motor.fmu --column speed=w
+    Example: cosim replay log.csv --fmu motor.fmu --column speed=w
     """
-    from cosim.core.text import plain, size
+    from cosim.core.text import plain, showing, size
+    from cosim.files.folders import replay_record
     from cosim.files.results import rows_in
     from cosim.residuals.compare import as_json, horizon_name, verdict
     from cosim.residuals.workflow import NEXT_STUDY, replay
@@ -47,11 +48,12 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     for finding in comparison.findings:
         if finding.severity == "warning" or finding.kind == "assumed":
             echo(finding.line, err=True)
-    say(verdict(comparison))
-    rows = []
-    for c in comparison.channels:  # the error of each, beside the noise of its sensor
-        error = size(c.scores[c.measure].rmse, c.unit)
-        rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
+    rows, record = [], replay_record(place)
+    with showing(record):
+        say(verdict(comparison))
+        for c in comparison.channels:  # the error of each, beside the noise of its sensor
+            error = size(c.scores[c.measure].rmse, c.unit)
+            rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
     say(*table(("channel", "error (rms)", "over", "noise σ", "error / noise floor"), rows))
     if (study := place / NEXT_STUDY).is_file():
         name = shlex.quote(str(study))
@@ -85,7 +87,7 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
     """
     from cosim.calibration.workflow import fit
-    from cosim.core.text import amount
+    from cosim.core.text import amount, showing
 
     with progress_bar() as progress:
         fitted = fit(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
@@ -95,17 +97,17 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
     if json:
         say_json({**fitted.record, "files": files})
     say(fitted.sentence)
-    rows = []
-    for name, p in fitted.record["parameters"].items():
-        unit, interval = p["unit"], " … ".join(amount(end, p["unit"], 4) for end in p["ci95"] or ())
-        rows.append((name, amount(p["start"], unit, 4), amount(p["value"], unit, 5), interval, p["status"]))
+    rows, profiles = [], []
+    with showing(fitted.record):
+        for name, p in fitted.record["parameters"].items():
+            unit, interval = p["unit"], " … ".join(amount(end, p["unit"], 4) for end in p["ci95"] or ())
+            rows.append((name, amount(p["start"], unit, 4), amount(p["value"], unit, 5), interval, p["status"]))
+            if p["profile"]:
+                ends = ("open" if end is None else amount(end, unit, 4) for end in p["profile"]["ci95"])
+                profiles.append(f"{name}: 95 % interval by its profile {' … '.join(ends)}")
+        own = [(e["name"], Path(e["log"]).name, amount(e["value"], e["unit"], 5)) for e in fitted.record["per_log"]]
     say(*table(("parameter", "before", "estimate", "95 % interval", "status"), rows))
-    own = [(e["name"], Path(e["log"]).name, amount(e["value"], e["unit"], 5)) for e in fitted.record["per_log"]]
-    say(*(table(("parameter", "log", "estimate"), own) if own else []))
-    for name, p in fitted.record["parameters"].items():
-        if p["profile"]:
-            ends = ("open" if end is None else amount(end, p["unit"], 4) for end in p["profile"]["ci95"])
-            say(f"{name}: 95 % interval by its profile {' … '.join(ends)}")
+    say(*(table(("parameter", "log", "estimate"), own) if own else []), *profiles)
     others = [(c["name"], c["reason"]) for c in fitted.record["screening"] if not c["estimated"]]
     say(*(table(("not estimated", "reason"), others) if others else []))
     say(*(f"{name + ':':9}{path}" for name, path in files.items()))
@@ -260,4 +262,6 @@ def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     show(place / "report.html", open)
     if json:
         apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in choice.apart.items()]
-        say_json({"apart": apart, "warning": "; ".join(choice.warnings), **files, **pages})
+        say_json({"apart": apart, "warning": "; ".join(choice.warnings), "excess": choice.excess, **files, **pages})
+    if choice.excess > 1.0:
+        raise CriterionMissed("the planned input exceeds a limit if a rival is true")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -33,7 +34,13 @@ if TYPE_CHECKING:
 
 MAX_SIGNALS = 12  # on the terminal
 OTHER_RECORDS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
-WIDEST = 60  # characters of an outcome, and of the changes
+WIDEST = 60  # characters of an outcome, of values and of changes
+SORTED: Mapping[str, Callable[[Any], Any]] = {  # key of --sort → order of entries
+    "when": lambda e: e.time,
+    "command": lambda e: e.verb,
+    "name": lambda e: e.name,
+    "outcome": lambda e: (e.met is not False, e.outcome),
+}
 NAMED_RUNS = 5  # on the terminal
 LAYOUTS = "view.json"
 GRACE_S = 10.0  # [s] without a page until the command ends
@@ -115,6 +122,8 @@ def compare_command(
     """
     from cosim.comparison.differences import Compared
     from cosim.comparison.several import compare as compare_runs
+    from cosim.comparison.several import displays
+    from cosim.core.text import showing
 
     if absolute and tolerance is None:
         tolerance = 0.0
@@ -130,10 +139,12 @@ def compare_command(
     )
     if isinstance(comparison, Compared):
         warn(*comparison.a.warnings, *comparison.b.warnings)
-        lines = _lines(comparison)
+        with showing(*displays(comparison)):
+            lines = _lines(comparison)
     else:
         warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
-        lines = _lines_of_several(comparison)
+        with showing(*displays(comparison)):
+            lines = _lines_of_several(comparison)
     if json:
         say_json(comparison.as_json())
     say(lines[0], met=comparison.same if comparison.judged else None)
@@ -228,18 +239,32 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
     show(page, open)
 
 
-def list_command(names: list[str] | None = None, *, results: Path | None = None, json: bool = False) -> None:
-    """List results: when, what, criteria, and the inputs that changed.
+def list_command(
+    names: list[str] | None = None, *, results: Path | None = None, sort: str = "when", json: bool = False
+) -> None:
+    """List results: when, what, values of criteria, and the inputs that changed.
 
     Args:
         names ([RUN]): Numbers, names or patterns such as 'tank/*' (default: all).
+        sort (KEY): when, command, name, outcome, or a criterion such as 'peak of tank.h', the smallest first.
 
     Example: cosim list 'tank*'
     """
+    from cosim.core.text import did_you_mean
     from cosim.files.run_entries import find_entries
 
     root = results or RESULTS
-    found = [(entry, datetime.fromtimestamp(entry.time)) for entry in find_entries(names, root)]
+    listed = find_entries(names, root)
+    titles = {title for entry in listed for title in entry.merits}
+    if sort in titles:
+        listed = sorted(listed, key=lambda e: e.merits.get(sort, (math.inf, ""))[0])
+    elif sort in SORTED:
+        listed = sorted(listed, key=SORTED[sort])
+    else:
+        keys = ", ".join((*SORTED, *sorted(titles)))
+        text = f"no results have {sort!r}{did_you_mean(sort, (*SORTED, *titles))}; sort by one of {keys}"
+        raise InputError.at(Path("--sort"), text)
+    found = [(entry, datetime.fromtimestamp(entry.time)) for entry in listed]
     warn(*(text for entry, _ in found for text in entry.warnings))
     if json:
         say_json(
@@ -252,6 +277,7 @@ def list_command(names: list[str] | None = None, *, results: Path | None = None,
                         "command": e.verb,
                         "time": when.astimezone().isoformat(timespec="seconds"),
                         "outcome": e.outcome,
+                        "criteria": [*e.criteria],
                         "changes": dict(e.changes),
                         "other_version": e.version or None,
                         "warnings": [*e.warnings],
@@ -262,10 +288,14 @@ def list_command(names: list[str] | None = None, *, results: Path | None = None,
         )
     rows = []
     for e, when in found:
-        outcome, changes = (t if len(t) <= WIDEST else f"{t[: WIDEST - 1]}…" for t in (e.outcome, e.changed))
-        rows.append((str(e.number), f"{when:%Y-%m-%d %H:%M}", e.verb, e.name, outcome, changes, e.version))
-    heads = ("no.", "when", "command", "name", "outcome", "changed", "of cosim")
-    say("\n".join(table(heads, rows)) if rows else f"no results in {root}")  # a write for all lines
+        merits = ", ".join(f"{title} {text}" for title, (_, text) in e.merits.items())
+        texts = (t if len(t) <= WIDEST else f"{t[: WIDEST - 1]}…" for t in (e.outcome, merits, e.changed))
+        rows.append((str(e.number), f"{when:%Y-%m-%d %H:%M}", e.verb, e.name, *texts, e.version))
+    heads = ("no.", "when", "command", "name", "outcome", "values", "changed", "of cosim")
+    head, *lines = table(heads, rows) if rows else [f"no results in {root}"]
+    say(head)
+    for (e, _), line in zip(found, lines, strict=False):
+        say(line, met=False if e.met is False or e.outcome.startswith("failed") else None)
 
 
 def open_command(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.core.errors import CriterionMissed
 from cosim.core.settings import Port
+from cosim.core.text import displayed, showing, shown_unit
 from cosim.files.folders import NUMBERED
 from cosim.verbs.cli import OUTPUT, echo, live_page, progress_bar, say, say_json, show, table, warn
 
@@ -19,6 +20,7 @@ MAX_PRINTED = 12  # signals whose values are printed
 
 def run_command(
     *,
+    case: int | None = None,
     coupling_error: bool = False,
     live: bool = False,
     port: Port | None = None,
@@ -35,6 +37,7 @@ def run_command(
             run.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the scenario).
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
+        case (N): Run of a sweep to simulate by itself, by its number in the sweep's table.
         coupling_error: Run again with half the step and print the largest change of each output.
 
     Example: cosim run scenario.yaml --set noise=off --seed 7
@@ -42,6 +45,12 @@ def run_command(
     from cosim.simulation.workflow import overrides_of, run
 
     given["out"] = given["out"] or NUMBERED
+    if case is not None:
+        from cosim.sweeps.reading import case_of
+
+        given["scenario"], settings, seed = case_of(Path(given["scenario"]), case)
+        given["set"] = [*settings, *(given["set"] or ())]
+        given["seed"] = seed if given["seed"] is None else given["seed"]
     title = Path(given["scenario"]).stem
     with progress_bar() as progress, live_page("LiveRun", title, live=live, port=port) as page:
         observers = () if page is None else (page,)
@@ -69,6 +78,8 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     assert run.folder is not None  # a command writes
     rows, warnings, timings = rows_in(run.folder), run.manifest["warnings"], run.manifest["timings"]
     warn(*warnings)
+    with showing(run.manifest):
+        sentences = [(sentence(criterion), criterion["met"]) for criterion in run.criteria]
     if OUTPUT.as_json:
         say_json(
             {
@@ -85,8 +96,8 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
             }
         )
     say(*lines)
-    for criterion in run.criteria:
-        say(sentence(criterion), met=criterion["met"])
+    for text, met in sentences:
+        say(text, met=met)
     if OUTPUT.verbose:
         speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
         order = f"order: {', '.join(run.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}"
@@ -96,7 +107,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
         say(f"report:  {run.report}")
         show(run.report, opens)
     if run.missed:
-        details = ": " + "; ".join(map(sentence, run.missed)) if OUTPUT.quiet or OUTPUT.as_json else ""
+        details = ": " + "; ".join(text for text, met in sentences if not met) if OUTPUT.quiet or OUTPUT.as_json else ""
         raise CriterionMissed(f"{len(run.missed)} of {len(run.criteria)} criteria missed{details}")
 
 
@@ -110,6 +121,7 @@ def simulate_command(*, open: bool = False, json: bool = False, **given: Any) ->
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the FMU).
         set (NAME=VALUE): Value of a parameter or input, for example angle=12deg.
         input (FILE): CSV file with time and columns named as inputs; each row holds until the next.
+        columns (--column COLUMN=INPUT): Input that a column of --input drives, for example volts=voltage.
         interpolation (held|linear): Values of --input between two rows.
         stop (TIME): End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
         step (TIME): Communication step, for example 0.02 or 20ms (default: that of the FMU).
@@ -123,11 +135,13 @@ def simulate_command(*, open: bool = False, json: bool = False, **given: Any) ->
         made = simulate(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
     lines, results = [f"scenario: {made.folder}/scenario.yaml (change it, and `cosim run` it)"], made.results
     shown = results.columns[:MAX_PRINTED] if len(made) else ()
-    rows = [
-        (f"  {name}", made.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max())))
-        for name in shown
-        for v in [results[name]]
-    ]
+    rows = []
+    with showing(made.manifest):
+        for name in shown:
+            unit = made.units.get(name, "")
+            values = displayed(results[name], unit)
+            ends = values[0], values[-1], values.min(), values.max()
+            rows.append((f"  {name}", shown_unit(unit), *(f"{x:.6g}" for x in ends)))
     lines += table(("  signal", "unit", "first", "last", "least", "largest"), rows) if len(made) else []
     if shown and len(results.columns) > MAX_PRINTED:
         lines.append(f"  … and {len(results.columns) - MAX_PRINTED} more signals")

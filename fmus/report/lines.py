@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.core.text import DEGREES
-from cosim.report.panels import Band, Panel, Trace, display_unit
+from cosim.core.text import amount, displayed
+from cosim.report.panels import Band, Panel, Trace, axis_unit
 from fmus.report.craft import COLOURS, SIDES, Craft
 from plant.hovercraft import Hovercraft
 
@@ -26,14 +26,15 @@ def state_panels(craft: Craft) -> list[Panel]:
     """Return panels of states with references and estimates ±2σ."""
     panels = []
     for name, title in TITLES.items():
-        true, estimate, (unit, factor) = craft.signal(name), craft.estimate(f"{name}_hat"), display_unit(UNITS[name])
+        true, estimate, unit = craft.signal(name), craft.estimate(f"{name}_hat"), UNITS[name]
         if true is None:
             continue
         lines = [("reference", craft.reference(name), "reference", True), ("estimate", estimate, "estimate", False)]
         lines.append(("craft", true, "true", False))
-        traces = [Trace(label, line * factor, style, held) for label, line, style, held in lines if line is not None]
+        drawn = [(label, displayed(line, unit), style, held) for label, line, style, held in lines if line is not None]
+        traces = [Trace(*line) for line in drawn]
         band = _band(craft, name, estimate, "estimate ±2σ")
-        panels.append(Panel(title, unit, traces, band, symbol=SYMBOLS[name]))
+        panels.append(Panel(title, axis_unit(unit), traces, band, symbol=SYMBOLS[name]))
     return panels
 
 
@@ -41,19 +42,19 @@ def error_panels(craft: Craft) -> list[Panel]:
     """Return panels of estimation errors, with the estimator's ±2σ about zero."""
     panels = []
     for name, symbol in SYMBOLS.items():
-        true, estimate, (unit, factor) = craft.signal(name), craft.estimate(f"{name}_hat"), display_unit(UNITS[name])
+        true, estimate, unit = craft.signal(name), craft.estimate(f"{name}_hat"), UNITS[name]
         if true is not None and estimate is not None:
             band = _band(craft, name, np.zeros(true.size), "±2σ claimed")
-            trace = Trace("estimate − craft", (estimate - true) * factor, "error")
-            panels.append(Panel(f"Error of {symbol}", unit, [trace], band))
+            trace = Trace("estimate − craft", displayed(estimate - true, unit), "error")
+            panels.append(Panel(f"Error of {symbol}", axis_unit(unit), [trace], band))
     return panels
 
 
 def _band(craft: Craft, name: str, centre: Array | None, label: str) -> Band | None:
-    sigma, (_, factor) = craft.estimate(f"{name}_sigma"), display_unit(UNITS[name])
+    sigma, unit = craft.estimate(f"{name}_sigma"), UNITS[name]
     if centre is None or sigma is None:
         return None
-    return Band(label, (centre - 2 * sigma) * factor, (centre + 2 * sigma) * factor)
+    return Band(label, displayed(centre - 2 * sigma, unit), displayed(centre + 2 * sigma, unit))
 
 
 def tilt_panels(craft: Craft) -> list[Panel]:
@@ -62,12 +63,14 @@ def tilt_panels(craft: Craft) -> list[Panel]:
     for side in SIDES:
         command, actual = craft.command(f"tilt_{side}"), craft.signal(f"tilt_{side}_actual")
         lines = [("command", command, COLOURS[side], True), ("actual", actual, "actual", False)]
-        traces = [Trace(name, line * DEGREES, style, held) for name, line, style, held in lines if line is not None]
+        traces = [
+            Trace(name, displayed(line, "rad"), style, held) for name, line, style, held in lines if line is not None
+        ]
         limit = craft.tilt_limit
-        limits = () if limit is None else (-limit * DEGREES, limit * DEGREES)
-        label = "" if limit is None else f"limit ±{limit * DEGREES:.4g}°"
+        limits = () if limit is None else (displayed(-limit, "rad"), displayed(limit, "rad"))
+        label = "" if limit is None else f"limit ±{amount(limit, 'rad', None)}"
         if traces:
-            panels.append(Panel(f"Tilt, {side} propeller", "°", traces, None, limits, label))
+            panels.append(Panel(f"Tilt, {side} propeller", axis_unit("rad"), traces, None, limits, label))
     return panels
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array, Rows
-from cosim.core.text import DEGREES, MINUS
+from cosim.core.text import MINUS
+from cosim.core.units import DEGREES
 from cosim.report.charts import Charts, round_values
 from cosim.report.panels import extent
 from cosim.simulation.report.recorded import number

@@ -12,18 +12,21 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares as minimise
+from scipy.signal import savgol_filter
+
+from tests.blind.field_rig import LOGS, Array, Random, base_numbers, csv, log_uniform, show, write_study
+from tests.blind.field_rig import stream as any_stream
 
 PLANT = Path(__file__).with_name("plants") / "arm.py"
-LOGS = ("e1", "e2", "v1")
 STEP, ROWS, HORIZON = 0.005, 2000, 0.3  # [s], rows of a log, [s] of a prediction
 QUANTUM = 1e-4  # [rad] of the encoders
 CREEP = 0.02  # [rad/s]
@@ -50,32 +53,25 @@ class ArmStudy:
 class Log:
     """Times, measured torques and encoder readings, with a row per sample."""
 
-    time: np.ndarray
-    torque: np.ndarray
-    angle: np.ndarray
+    time: Array
+    torque: Array
+    angle: Array
 
 
-def stream(seed: int, *purpose: int) -> np.random.Generator:
-    """Return an independent random stream for a purpose of a seed."""
-    return np.random.default_rng([77261, seed, *purpose])
+stream = partial(any_stream, 77261)
 
 
 def draw(seed: int) -> ArmStudy:
     """Return the study of a seed."""
     rng = stream(seed, 0)
-    base = {}
-    for name, (value, tolerance) in SHEET.items():
-        away = math.inf
-        while abs(away) > tolerance:
-            away = float(rng.normal(0.0, 0.5 * tolerance))
-        base[name] = value * (1.0 + away)
-    truth = {name: {"level": float(np.exp(rng.uniform(*np.log(between))))} for name, between in FRICTION.items()}
+    base = base_numbers(SHEET, rng)
+    truth = {name: {"level": log_uniform(rng, between)} for name, between in FRICTION.items()}
     stiffness, phase = float(rng.uniform(40.0, 90.0)), float(rng.uniform(0.0, 2.0 * math.pi))
     gains = tuple(1.0 + 0.01 * rng.standard_normal(2))
     return ArmStudy(seed, {} if seed % 6 == 5 else truth, base, stiffness, (0.02, 12.0, phase), (gains[0], gains[1]))
 
 
-def _elastic(study: ArmStudy, x: np.ndarray, torque: Sequence[float]) -> list[float]:
+def _elastic(study: ArmStudy, x: Array, torque: Sequence[float]) -> list[float]:
     """Return the derivatives of q₁, motor angle of joint 2, q₂ and their rates, with elastic belt and ripple."""
     p, (share, turns, phase) = study.base, study.ripple
     q1, motor, q2, w1, spin, w2 = x
@@ -97,7 +93,7 @@ def _elastic(study: ArmStudy, x: np.ndarray, torque: Sequence[float]) -> list[fl
     ]  # fmt: skip
 
 
-def _path(rng: np.random.Generator) -> np.ndarray:
+def _path(rng: Random) -> Array:
     """Return reference angles of both joints: six sines of different frequency around a posture."""
     t = STEP * np.arange(ROWS)
     paths = []
@@ -132,15 +128,13 @@ def record(study: ArmStudy, number: int) -> Log:
 
 def write(study: ArmStudy, folder: Path) -> Path:
     """Write study.yaml, the model file and the logs; return the path of study.yaml."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, name in enumerate(LOGS):
+    logs = []
+    for number in range(len(LOGS)):
         log = record(study, number)
         rows = np.column_stack([log.time, log.torque, log.angle])
-        lines = [",".join(f"{v:.7g}" for v in row) for row in rows.tolist()]
-        (folder / f"{name}.csv").write_text("\n".join(["time,torque_1,torque_2,angle_1,angle_2", *lines]) + "\n")
+        logs.append(csv(["time", "torque_1", "torque_2", "angle_1", "angle_2"], (".7g", rows)))
+    path = write_study(folder, "arm.py:Arm", logs)
     shutil.copyfile(PLANT, folder / "arm.py")
-    path = folder / "study.yaml"
-    path.write_text("model: arm.py:Arm\nlogs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n")
     return path
 
 
@@ -156,7 +150,7 @@ def answer(study: ArmStudy) -> str:
 # -- the yardstick ------------------------------------------------------------------------------------------
 
 
-def least_squares(logs: Sequence[Log], *, dry: bool) -> np.ndarray:
+def least_squares(logs: Sequence[Log], *, dry: bool) -> Array:
     """Return base parameters, and with `dry` both frictions, fitted to predictions over 0.3 s."""
     start = np.array([value for value, _ in SHEET.values()] + ([0.1, 0.05] if dry else []))
     low, high = 0.3 * start, 3.0 * start
@@ -164,54 +158,44 @@ def least_squares(logs: Sequence[Log], *, dry: bool) -> np.ndarray:
         low[-2:], high[-2:] = 0.0, 3.0
     scale = np.std(np.concatenate([missed(start, log) for log in logs]), axis=0)
 
-    def off(values: np.ndarray) -> np.ndarray:
+    def off(values: Array) -> Array:
         return np.concatenate([(missed(values, log) / scale).ravel() for log in logs])
 
     return minimise(off, start, bounds=(low, high), x_scale=start, loss="linear", max_nfev=15).x
 
 
-def missed(values: np.ndarray, log: Log) -> np.ndarray:
+def missed(values: Array, log: Log) -> Array:
     """Return the errors of consecutive predictions over 0.3 s, each started from smoothed rates."""
     length = round(HORIZON / STEP)
     starts = np.arange(10, len(log.time) - length - 10, length)
     dry = values[8:] if len(values) > 8 else np.zeros(2)
     a, b, c, g1, g2, rotor, d1, d2 = values[:8]
-    rate = _smooth_rate(log.angle)
-    q, w = log.angle[starts].T.copy(), rate[starts].T.copy()
+    rate = savgol_filter(log.angle, 11, 2, deriv=1, delta=STEP, axis=0)  # a parabola through eleven rows
+    x = np.concatenate([log.angle[starts], rate[starts]], axis=1).T
     errors = np.empty((length, starts.size, 2))
 
-    def slopes(q: np.ndarray, w: np.ndarray, u: np.ndarray) -> np.ndarray:
-        sin, cos = np.sin(q[1]), np.cos(q[1])
-        lower = g2 * np.cos(q[0] + q[1])
-        t1 = u[0] + c * sin * (2 * w[0] + w[1]) * w[1] - g1 * np.cos(q[0]) - lower - d1 * w[0]
-        t2 = u[1] - c * sin * w[0] ** 2 - lower - d2 * w[1]
-        t1, t2 = t1 - dry[0] * np.tanh(w[0] / CREEP), t2 - dry[1] * np.tanh(w[1] / CREEP)
+    def slopes(x: Array, u: Array) -> Array:
+        q1, q2, w1, w2 = x
+        sin, cos = np.sin(q2), np.cos(q2)
+        lower = g2 * np.cos(q1 + q2)
+        t1 = u[0] + c * sin * (2 * w1 + w2) * w2 - g1 * np.cos(q1) - lower - d1 * w1
+        t2 = u[1] - c * sin * w1**2 - lower - d2 * w2
+        t1, t2 = t1 - dry[0] * np.tanh(w1 / CREEP), t2 - dry[1] * np.tanh(w2 / CREEP)
         m11, m12, m22 = a + b + 2 * c * cos, b + c * cos, b + rotor
         determinant = m11 * m22 - m12**2
-        return np.stack([(t1 * m22 - t2 * m12) / determinant, (t2 * m11 - t1 * m12) / determinant])
+        return np.stack([w1, w2, (t1 * m22 - t2 * m12) / determinant, (t2 * m11 - t1 * m12) / determinant])
 
     h = STEP / 2
     for k in range(length):
         u = log.torque[starts + k].T
         for _ in range(2):
-            k1 = slopes(q, w, u)
-            k2 = slopes(q + h / 2 * w, w + h / 2 * k1, u)
-            k3 = slopes(q + h / 2 * (w + h / 2 * k1), w + h / 2 * k2, u)
-            k4 = slopes(q + h * (w + h / 2 * k2), w + h * k3, u)
-            q = q + h * w + h * h / 6 * (k1 + k2 + k3)
-            w = w + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        errors[k] = (log.angle[starts + k + 1].T - q).T
+            k1 = slopes(x, u)
+            k2 = slopes(x + h / 2 * k1, u)
+            k3 = slopes(x + h / 2 * k2, u)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slopes(x + h * k3, u))
+        errors[k] = (log.angle[starts + k + 1].T - x[:2]).T
     return np.clip(errors.reshape(-1, 2), -10.0, 10.0)
 
 
-def _smooth_rate(angle: np.ndarray) -> np.ndarray:
-    """Return rates from a parabola through eleven rows (Savitzky and Golay)."""
-    from scipy.signal import savgol_filter
-
-    return savgol_filter(angle, 11, 2, deriv=1, delta=STEP, axis=0)
-
-
 if __name__ == "__main__":
-    drawn = draw(int(sys.argv[1]))
-    print(write(drawn, Path(sys.argv[2])), file=sys.stderr)
-    print(answer(drawn), end="")
+    show("arm", draw, write, answer)

@@ -7,18 +7,16 @@
     python -m tests.blind.baseline --confirmatory --revision SHA --against OLD      its table, new beside old
 
 This tree draws a study, the environment of the revision refines it, both in processes of their own. Ctrl-C loses the
-studies that are under way. Model files of plants are those of the revision, whose classes they use. A study that
-`fmu_apart` cannot tell from another is a near-tie: it stays, and figures are printed with and without such studies.
+studies that are under way. Model files of plants are those of the revision, whose classes they use. A near-tie is a
+study that cannot be told from another: it stays, and figures are printed with and without such studies.
 """
 
 from __future__ import annotations
 
 import argparse
-import fcntl
 import json
 import math
 import os
-import resource
 import shlex
 import signal
 import statistics
@@ -27,17 +25,15 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tests.blind import field_score, fmu_apart, fmu_study, harness, parts, score
-from tests.blind.harness import ARM, FIELD, FMU, LABORATORY, MIXED, SCORES, RefinerFailed
-from tests.blind.score import Line, wilson
+from tests.blind import harness, score
+from tests.blind.harness import ROOT, STAGES
+from tests.blind.score import ARM, FIELD, FMU, LABORATORY, MIXED, Line
 from tests.corpus import revisions
 
-ROOT = Path(__file__).resolve().parents[2]
 LINES = Path(__file__).with_name("baseline.jsonl")
 SUITES = {  # suite → first seed, number of studies; chosen before any of these seeds was drawn
     LABORATORY: (410000, 40),
@@ -51,8 +47,6 @@ TIMEOUT = 3600.0  # time limit of a study [s]
 STUDY = ("kind", "plant", "way", "version", "size", "disturbance", "disturbed", "truth", "strangers", "costs")
 ANSWER = ("error_true", "yardstick")
 FOUND = ("verdict", "grade", "rivals", "not_excluded", "alike", "failure")
-STAGES = ("before", "recalibrated", "after", "nearest")
-CLAIM = ("value", "ci95")
 ONE_SIDED = statistics.NormalDist().inv_cdf(0.95)
 BEST = 5  # candidates with scores
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -64,31 +58,27 @@ ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_
 def conduct(suite: str, seed: int, python: str, revision: str, folder: Path, *, near_ties: bool = True) -> Line:
     """Draw a study in a folder, refine it with the Python of an environment, and return its line.
 
-    Whether it is a near-tie takes longer than to refine it, and is not asked in the confirmatory comparison.
+    Args:
+        suite: of the study.
+        seed: of the study.
+        python: of the environment.
+        revision: whose model files of plants are used; one that ends in + is this tree.
+        folder: for the study and what is found.
+        near_ties: whether the line says if the study is a near-tie; the confirmatory comparison does not ask.
     """
-    study, told = harness.invent(suite, seed, folder / "study")
-    if not revision.endswith("+"):
-        for path in study.parent.glob("*.py"):
+    command = harness.command_refiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
+
+    def refiner(study: Path, out: Path) -> None:
+        for path in study.parent.glob("*.py") if not revision.endswith("+") else ():
             shown = ["git", "show", f"{revision}:tests/blind/plants/{path.name}"]
             path.write_bytes(subprocess.run(shown, cwd=ROOT, capture_output=True, check=True).stdout)
-    refine = harness.command_refiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
-    begin = _processor_seconds()
-    try:
-        refine(study, folder / "out")
-        found = json.loads((folder / "out" / "refine.json").read_text())
-    except (RefinerFailed, OSError, ValueError) as e:
-        found = {"verdict": "failed", "failure": str(e)[-300:]}
-    seconds = _processor_seconds() - begin
-    line = line_of(suite, json.loads(told), found)
-    if near_ties:
-        line["near_tie"] = suite == FMU and is_near_tie(seed)
-    return line | {"revision": revision, "processor_seconds": round(seconds, 1)}
+        command(study, out)
 
-
-def _processor_seconds() -> float:
-    """Return the processor seconds of the child processes that have ended, and of theirs."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    told, found = harness.refined(suite, seed, folder, refiner)
+    line = line_of(suite, told, found)
+    if near_ties:  # of the first revision, which was compared with the nearest other effect of each study
+        line["near_tie"] = any((x["suite"], x["seed"]) == (suite, seed) and x["near_tie"] for x in harness.read(LINES))
+    return line | {"revision": revision, "processor_seconds": round(found["processor_seconds"], 1)}
 
 
 def line_of(suite: str, told: Line, found: dict[str, Any]) -> Line:
@@ -99,13 +89,12 @@ def line_of(suite: str, told: Line, found: dict[str, Any]) -> Line:
     """
     line = {"suite": suite, "seed": told["seed"]}
     line |= {key: told[key] for key in (*STUDY, *ANSWER) if key in told}
-    line |= {"sensors": sorted(set(told.get("sensors", ())) & set(told["truth"]))}
+    line["sensors"] = sorted(set(told.get("sensors", ())) & set(told["truth"]))
     line |= {key: found[key] for key in FOUND if found.get(key)}
-    line["rivals"] = [r if isinstance(r, str) else r["name"] for r in found.get("rivals", ())]
-    line["effects"] = [
-        {"name": e["name"], "parameters": {p: {k: v.get(k) for k in CLAIM} for p, v in e["parameters"].items()}}
-        for e in found.get("effects", ())
-    ]
+    line["rivals"], line["effects"] = harness.names_of_rivals(found), []
+    for effect in found.get("effects", ()):
+        claimed = {p: {k: v.get(k) for k in ("value", "ci95")} for p, v in effect["parameters"].items()}
+        line["effects"].append({"name": effect["name"], "parameters": claimed})
     line["scores"] = [
         [" + ".join(c["names"]), c.get("log_likelihood_gain"), c.get("score_gain")]
         for c in found.get("candidates", ())[:BEST]
@@ -118,12 +107,6 @@ def line_of(suite: str, told: Line, found: dict[str, Any]) -> Line:
     }
     line["noise_floor"] = found.get("noise_floor") or {}
     return dict(_rounded(line))
-
-
-def is_near_tie(seed: int) -> bool:
-    """Return whether a study of an FMU hides an effect that cannot be told from a replacement, or not be seen."""
-    study = fmu_study.draw(seed)
-    return study.kind == "known" and not fmu_apart.can_be_told(study)
 
 
 def _rounded(value: Any) -> Any:
@@ -139,8 +122,7 @@ def _rounded(value: Any) -> Any:
 
 def read(path: Path, revision: str) -> dict[tuple[str, int], Line]:
     """Return (suite, seed) → line of a revision."""
-    texts = path.read_text().splitlines() if path.exists() else []
-    return {(line["suite"], line["seed"]): line for line in map(json.loads, texts) if line["revision"] == revision}
+    return {(line["suite"], line["seed"]): line for line in harness.read(path) if line["revision"] == revision}
 
 
 def missing(
@@ -155,13 +137,6 @@ def missing(
     return [(suite, seed) for _, suite, seed in table if (suite, seed) not in have and (not suites or suite in suites)]
 
 
-def append(path: Path, line: Line) -> None:
-    """Add a line to a file that several commands may write."""
-    with path.open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
-
-
 def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path, jobs: int, *further: str) -> int:
     """Conduct studies, several at a time; return how many could not be drawn."""
     running: set[subprocess.Popen[str]] = set()
@@ -169,14 +144,14 @@ def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path,
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, signal.default_int_handler)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | ONE_THREAD
+    words = [sys.executable, "-m", "tests.blind.baseline", "--python", python, "--revision", revision, *further]
 
-    def one(suite: str, seed: int) -> tuple[Line | None, str]:
+    def one(key: tuple[str, int]) -> tuple[Line | None, str]:
         with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
             if stopped.is_set():
                 return None, ""
-            words = [sys.executable, "-m", "tests.blind.baseline", "--python", python, "--revision", revision, *further]
             process = subprocess.Popen(
-                [*words, "--study", suite, str(seed), folder], cwd=ROOT, env=environment | {"TMPDIR": folder},
+                [*words, "--study", *map(str, key), folder], cwd=ROOT, env=environment | {"TMPDIR": folder},
                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
             )  # fmt: skip
             running.add(process)
@@ -187,30 +162,25 @@ def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path,
                 running.discard(process)
             return (json.loads(told), "") if process.returncode == 0 else (None, why[-1000:])
 
-    with ThreadPoolExecutor(jobs) as pool:
-        pending = {pool.submit(one, *key): key for key in todo}
-        try:
-            for number, done in enumerate(as_completed(pending), start=1):
-                line, why = done.result()
-                suite, seed = pending[done]
-                if line is None:
-                    failed += 1
-                    print(f"{number:4d}/{len(todo)}  {suite} {seed}: {why}", file=sys.stderr)
-                    continue
-                append(path, line)
-                outcome = line.get("failure") or SCORES[suite].outcome_text(scored(line))
-                label = SCORES[suite].label(line)
-                seconds = line["processor_seconds"]
-                print(f"{number:4d}/{len(todo)}  {suite:10} {seed}  {label:50} {outcome}  {seconds} s", file=sys.stderr)
-        except KeyboardInterrupt:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-            print("stopped; the same command goes on", file=sys.stderr)
-            raise SystemExit(130) from None
-        finally:
-            stopped.set()
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in list(running):
-                _kill(process)
+    try:
+        for number, ((suite, seed), (line, why)) in enumerate(harness.conducted(todo, one, jobs), start=1):
+            begin = f"{number:4d}/{len(todo)}  "
+            if line is None:
+                failed += 1
+                print(f"{begin}{suite} {seed}: {why}", file=sys.stderr)
+                continue
+            harness.append(path, line)
+            outcome = line.get("failure") or score.outcome_text(suite, scored(line))
+            told = f"{suite:10} {seed}  {score.label(suite, line):50} {outcome}  {line['processor_seconds']} s"
+            print(begin + told, file=sys.stderr)
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        print("stopped; the same command goes on", file=sys.stderr)
+        raise SystemExit(130) from None
+    finally:
+        stopped.set()
+        for process in list(running):
+            _kill(process)
     return failed
 
 
@@ -231,12 +201,10 @@ def scored(line: Line) -> Line:
 def counts(suite: str, lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
     """Return figure → (number of hits, number of cases), without those of a size of disturbance."""
     lines = [scored(line) for line in lines]
-    counted: dict[str, tuple[int, int]] = SCORES[suite].counts(lines)
+    counted = score.counts(suite, lines)
     if suite in (MIXED, ARM):
-        nothing = [line for line in lines if line["kind"] == "nothing"]
-        hits = [hit for line in lines for hit in field_score.claims(line)]
-        counted |= {"false_alarms": (sum(map(field_score.is_false_alarm, nothing)), len(nothing))}
-        counted |= {"coverage": (sum(hits), len(hits))}
+        alarms = [score.is_false_alarm(line) for line in lines if line["kind"] == "nothing"]
+        counted |= {"false_alarms": (sum(alarms), len(alarms)), "coverage": score.coverage(lines)}
     return {name: pair for name, pair in counted.items() if "disturbed" not in name}
 
 
@@ -250,7 +218,9 @@ def table(lines: Sequence[Line]) -> str:
         text += ["", f"{suite}: {len(every)} of {of} studies, {failed} failed, {len(every) - len(apart)} near-ties"]
         groups = [counts(suite, every)] + ([counts(suite, apart)] if len(apart) < len(every) else [])
         for name in groups[0]:
-            text.append(f"  {name:25}" + "   without near-ties".join(_share(*group[name]) for group in groups))
+            text.append(
+                f"  {name:25}" + "   without near-ties".join(score.share_text(*group[name], 3) for group in groups)
+            )
         if every:
             seconds = sorted(line["processor_seconds"] for line in every)
             late = seconds[math.ceil(0.95 * len(seconds)) - 1]
@@ -260,33 +230,24 @@ def table(lines: Sequence[Line]) -> str:
     return "\n".join(text[1:])
 
 
-def _share(hits: int, of: int) -> str:
-    low, high = wilson(hits, of)
-    part = f"{100 * hits / of:5.1f} %" if of else "    – "
-    return f" {hits:3d} of {of:3d}  {part}  [{100 * low:5.1f}, {100 * high:5.1f}]"
-
-
 def is_right(line: Line) -> bool:
     """Return whether a known study gets its names and no others, of several parts also as rivals or in part."""
     if line["suite"] in (MIXED, ARM):
-        return parts.named_parts(line) == parts.parts(line) and not parts.wrong_parts(line)
-    return bool((score if line["suite"] == LABORATORY else field_score).is_right(line))
+        return score.named_parts(line) == score.parts(line) and not score.wrong_parts(line)
+    return score.is_right(line)
 
 
 def is_wrong(line: Line) -> bool:
     """Return whether a study gets a name that is not in the truth."""
     if line["suite"] in (MIXED, ARM):
-        return bool(parts.wrong_parts(line))
-    return field_score.is_wrong(line) if line["kind"] == "known" else field_score.is_misnamed(line)
+        return bool(score.wrong_parts(line))
+    return (score.is_wrong if line["kind"] == "known" else score.is_misnamed)(line)
 
 
 def comparison(old: Mapping[tuple[str, int], Line], new: Mapping[tuple[str, int], Line]) -> str:
     """Return the announced figures of two revisions on the same studies."""
-    keys = sorted(old.keys() & new.keys())
-    pairs = [(old[key], new[key]) for key in keys]
-    known, outside, nothing = (
-        [pair for pair in pairs if pair[0]["kind"] == kind] for kind in ("known", "outside", "nothing")
-    )
+    pairs = [(old[key], new[key]) for key in sorted(old.keys() & new.keys())]
+    known, nothing, outside = ([pair for pair in pairs if pair[0]["kind"] == kind] for kind in score.KINDS)
 
     def points(chosen: Sequence[tuple[Line, Line]], holds: Callable[[Line], bool]) -> str:
         gains = [100.0 * (holds(b) - holds(a)) for a, b in chosen]
@@ -303,23 +264,19 @@ def comparison(old: Mapping[tuple[str, int], Line], new: Mapping[tuple[str, int]
         both = [[b[n] / a[n] for n in a.keys() & b.keys() if a[n] and b[n]] for a, b in each]
         return [statistics.geometric_mean(found) for found in both if found]
 
-    def delivered(line: Line) -> Mapping[str, float]:
-        stage = "nearest" if field_score.grade(line) != "claimed" and "nearest" in line["error"] else "after"
-        errors: Mapping[str, float] = line["error"][stage]["validation"]
-        return errors
-
-    hits = [hit for _, b in pairs for hit in field_score.claims(b)]
-    alarms = [(field_score.is_false_alarm(a), field_score.is_false_alarm(b)) for a, b in nothing]
+    alarms = [[score.is_false_alarm(pair[side]) for pair in nothing] for side in (0, 1)]
     text = [f"{len(pairs)} studies", f"right: {points(known, is_right)}"]
     text += [f"  {s}: {points([pair for pair in known if pair[0]['suite'] == s], is_right)}" for s in SUITES]
     text.append(f"wrong or misnamed: {points([*known, *outside], is_wrong)}")
-    text.append(f"false alarms: {sum(a for a, _ in alarms)} → {sum(b for _, b in alarms)} of {len(nothing)}")
+    text.append(f"false alarms: {sum(alarms[0])} → {sum(alarms[1])} of {len(nothing)}")
     for suite in SUITES:
         chosen = [pair for pair in outside if pair[0]["suite"] == suite]
-        text.append(f"outside flagged, {suite}: {points(chosen, field_score.is_flagged)}")
-    text.append(f"95 % intervals that hold the truth:{_share(sum(hits), len(hits))}")
+        text.append(f"outside flagged, {suite}: {points(chosen, score.is_flagged)}")
+    hold = score.share_text(*score.coverage(new_line for _, new_line in pairs), 3)
+    text.append(f"95 % intervals that hold the truth:{hold}")
     if pairs:
-        text.append(f"sealed error, geometric mean of new over old: {statistics.geometric_mean(ratios(delivered)):.3f}")
+        errors = ratios(lambda line: score.delivered(scored(line)))
+        text.append(f"sealed error, geometric mean of new over old: {statistics.geometric_mean(errors):.3f}")
         seconds = statistics.median(ratios(lambda line: {"": line["processor_seconds"]}))
         text.append(f"processor time of a study, median of new over old: {seconds:.2f}")
     return "\n".join(text)

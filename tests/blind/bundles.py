@@ -10,11 +10,9 @@ line of the study in `build/bundles`, which is not in the repository. Alternativ
 from __future__ import annotations
 
 import argparse
-import json
 import pickle
 import tempfile
-import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
@@ -27,7 +25,7 @@ import numpy as np
 from cosim.refinement.decision import posterior as rules
 from cosim.refinement.decision.posterior import Bundle, Decision, Evidence, decide
 from cosim.refinement.workflow import refine
-from tests.blind import baseline, field_score, harness
+from tests.blind import baseline, harness, score
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "bundles"
 RESAMPLED = 100  # bootstrap samples of the blocks
@@ -36,14 +34,16 @@ Rule = Callable[[Bundle], Decision]
 
 def keep(suite: str, seed: int) -> str:
     """Refine a study, and keep its bundle, truth and line."""
+    results: list[Any] = []
     with tempfile.TemporaryDirectory() as folder:
-        study, told = harness.invent(suite, seed, Path(folder) / "study")
-        begin = time.process_time()
-        result = refine(study, Path(folder) / "out", report=False)
-        line = baseline.line_of(suite, json.loads(told), json.loads(json.dumps(result.record)))
-    line |= {"seed": seed, "processor_seconds": round(time.process_time() - begin, 1)}
+        told, found = harness.refined(
+            suite, seed, Path(folder), lambda study, out: results.append(refine(study, out, report=False))
+        )
+    if not results:
+        raise RuntimeError(f"{suite} {seed}: {found['failure']}")
+    line = baseline.line_of(suite, told, found) | {"processor_seconds": round(found["processor_seconds"], 1)}
     place = FOLDER / f"{suite}_{seed}.pickle"
-    place.with_suffix(".part").write_bytes(pickle.dumps((result.verdict.bundle, line)))
+    place.with_suffix(".part").write_bytes(pickle.dumps((results[0].verdict.bundle, line)))
     place.with_suffix(".part").rename(place)
     return f"{suite} {seed}: {outcome(line)}"
 
@@ -52,15 +52,15 @@ def outcome(line: Mapping[str, Any]) -> str:
     """Return the score of a line in a word."""
     given = dict(line)
     if line["kind"] == "nothing":
-        return "false alarm" if field_score.is_false_alarm(given) else "quiet"
+        return "false alarm" if score.is_false_alarm(given) else "quiet"
     if line["kind"] == "outside":
-        if field_score.is_misnamed(given):
+        if score.is_misnamed(given):
             return "misnamed"
-        return "flagged" if field_score.is_flagged(given) else "missed"
+        return "flagged" if score.is_flagged(given) else "missed"
     for name, holds in (("right", baseline.is_right), ("wrong", baseline.is_wrong)):
         if holds(given):
             return name
-    return "in set" if field_score.is_in_set(given) else "open"
+    return "in set" if score.is_in_set(given) else "open"
 
 
 def judged(line: Mapping[str, Any], decision: Decision) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def bagged(bundle: Bundle) -> Decision:
 
     def mean(hypotheses: Sequence[Evidence], count: int) -> Any:
         kappa = plain(hypotheses, count)[1]
-        total: Counter[frozenset[str]] = Counter()
+        total: dict[frozenset[str], float] = defaultdict(float)
         for weight in weights:
             for parts, p in plain([resampled(h, weight) for h in hypotheses], count)[0].items():
                 total[parts] += p / RESAMPLED

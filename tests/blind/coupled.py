@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from tests.blind.field_rig import Array, Random
 from tests.blind.fmu_build import PLANTS, WAYS, build
 from tests.logs import write_log
 
 STEP, ROWS, NOISE = 0.02, 2001, 1e-3  # [s], rows of a log, noise of both angles [rad]
 PUSH, LASTS = 8e-4, 0.5  # disturbing torque [N·m] and its correlation time [s]
 TOLERANCE = {"J1": 0.03, "J2": 0.03, "c1": 0.03, "c2": 0.03, "k": 0.03, "d1": 0.1, "d2": 0.1}
-CASES: dict[
-    str, dict[str, float]
-] = {  # changed parameters; gap, cubic, dry, skew of the coupling; dry1, drag1 of the first
+# changed parameters; gap, cubic, dry, skew of the coupling; dry1, drag1 of the first
+CASES: dict[str, dict[str, float]] = {
     "nothing": {},
     "stiffness": {"k": 0.9},
     "inertia": {"J1": 0.115},
@@ -51,7 +51,7 @@ def coupling(case: Mapping[str, float], d: float, speed: float) -> float:
     return spring + case.get("cubic", 0.0) * d**3 + case.get("dry", 0.0) * math.tanh(speed / 1e-3)
 
 
-def torque(rng: np.random.Generator) -> np.ndarray:
+def torque(rng: Random) -> Array:
     """Return steps, ramps and sines, one after another."""
     u, row = np.zeros(ROWS), 0
     while row < ROWS:
@@ -63,7 +63,7 @@ def torque(rng: np.random.Generator) -> np.ndarray:
     return u
 
 
-def run(case: Mapping[str, float], numbers: Mapping[str, float], rng: np.random.Generator) -> dict[str, Any]:
+def run(case: Mapping[str, float], numbers: Mapping[str, float], rng: Random) -> dict[str, Any]:
     """Return the columns of a log."""
     u, push, fades = torque(rng), np.zeros(ROWS), math.exp(-STEP / LASTS)
     for row in range(1, ROWS):

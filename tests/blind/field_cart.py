@@ -1,14 +1,25 @@
 """Independent equations of the cart: a linear system in both accelerations, solved by Cramer's rule."""
 
-# ruff: noqa: RUF012 - what a rig declares are ClassVars of its base
+# ruff: noqa: RUF012 - what a rig declares are attributes of its class
 from __future__ import annotations
 
 import math
 from typing import Any
 
-import numpy as np
-
-from tests.blind.field_rig import Entry, Flat, Look, Rate, Rig, Sensor, manoeuvre, rounded
+from tests.blind.field_rig import (
+    Array,
+    Entry,
+    Flat,
+    Look,
+    Random,
+    Rate,
+    Rig,
+    Sensor,
+    manoeuvre,
+    moving,
+    rounded,
+    terms_in,
+)
 
 
 class Cart(Rig):
@@ -27,19 +38,19 @@ class Cart(Rig):
     }
     constants = {"gravity": 9.81}
     entries = {
-        "force_dead_band": Entry(("width",), 0.1, (0.01, 1.0)),
-        "force_asymmetry": Entry(("ratio",), 0.02, (1e-3, 0.3), signed=True),
-        "motor_lag": Entry(("time",), 0.01, (5e-3, 0.3)),
-        "cart_coulomb": Entry(("level",), 0.1, (0.01, 1.0)),
-        "cart_drag": Entry(("coefficient",), 0.1, (0.01, 3.0)),
-        "cable_spring": Entry(("stiffness",), 0.05, (5e-3, 3.0)),
-        "belt_ripple": Entry(("sine", "cosine"), 0.1, (0.01, 1.0)),
-        "pivot_coulomb": Entry(("level",), 2e-3, (1e-4, 0.04)),
-        "bob_drag": Entry(("coefficient",), 1e-3, (1e-4, 0.03)),
-        "track_tilt": Entry(("angle",), 3e-3, (2e-4, 0.06), signed=True),
-        "position_scale": Entry(("value",), 0.01, (1e-3, 0.2), signed=True, neutral=1.0),
-        "gyro_bias": Entry(("value",), 3e-3, (2e-4, 0.2), signed=True),
-        "camera_latency": Entry(("value",), 0.05, (0.03, 0.08), fixed=True),
+        "force_dead_band": Entry("width", 0.1, 0.01, 1.0),
+        "force_asymmetry": Entry("ratio", 0.02, 1e-3, 0.3, signed=True),
+        "motor_lag": Entry("time", 0.01, 5e-3, 0.3),
+        "cart_coulomb": Entry("level", 0.1, 0.01, 1.0),
+        "cart_drag": Entry("coefficient", 0.1, 0.01, 3.0),
+        "cable_spring": Entry("stiffness", 0.05, 5e-3, 3.0),
+        "belt_ripple": Entry("sine cosine", 0.1, 0.01, 1.0),
+        "pivot_coulomb": Entry("level", 2e-3, 1e-4, 0.04),
+        "bob_drag": Entry("coefficient", 1e-3, 1e-4, 0.03),
+        "track_tilt": Entry("angle", 3e-3, 2e-4, 0.06, signed=True),
+        "position_scale": Entry("value", 0.01, 1e-3, 0.2, signed=True, neutral=1.0),
+        "gyro_bias": Entry("value", 3e-3, 2e-4, 0.2, signed=True),
+        "camera_latency": Entry("value", 0.05, 0.03, 0.08, fixed=True),
     }
     sensors = {
         "position_scale": Sensor("position", "scale"),
@@ -47,11 +58,11 @@ class Cart(Rig):
         "camera_latency": Sensor("position", "late"),
     }
     outside = {
-        "rubbing_side": Entry(("coefficient",), 0.2, (0.01, 2.0)),
-        "draught": Entry(("force",), 0.05, (3e-3, 0.6), shape={"period": (7.0, 11.0), "length": (2.0, 4.0)}),
-        "magnet": Entry(("moment",), 0.02, (1e-3, 0.3), shape={"width": (0.05, 0.1)}),
-        "tight_zone": Entry(("coefficient",), 0.5, (0.02, 8.0), shape={"place": (-0.2, 0.2), "width": (0.1, 0.2)}),
-        "wavy_potentiometer": Entry(("amplitude",), 3e-3, (3e-4, 0.06), shape={"waves": (15.0, 25.0)}),
+        "rubbing_side": Entry("coefficient", 0.2, 0.01, 2.0),
+        "draught": Entry("force", 0.05, 3e-3, 0.6, shape={"period": (7.0, 11.0), "length": (2.0, 4.0)}),
+        "magnet": Entry("moment", 0.02, 1e-3, 0.3, shape={"width": (0.05, 0.1)}),
+        "tight_zone": Entry("coefficient", 0.5, 0.02, 8.0, shape={"place": (-0.2, 0.2), "width": (0.1, 0.2)}),
+        "wavy_potentiometer": Entry("amplitude", 3e-3, 3e-4, 0.06, shape={"waves": (15.0, 25.0)}),
     }
     families = (
         frozenset({"cart_coulomb", "cart_drag", "force_dead_band"}),
@@ -65,58 +76,46 @@ class Cart(Rig):
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return the equations; pushes are a force on the cart and a horizontal force on the bob."""
-        get = p.get
         cart, bob, length, g = p["cart_mass"], p["bob_mass"], p["length"], p["gravity"]
-        b, c = p["cart_friction"], p["pivot_friction"]
-        band, uneven, time = get("force_dead_band.width"), get("force_asymmetry.ratio"), get("motor_lag.time")
-        dry, drag, cable = get("cart_coulomb.level"), get("cart_drag.coefficient"), get("cable_spring.stiffness")
-        sine, cosine = get("belt_ripple.sine"), get("belt_ripple.cosine")
-        dry_pivot, stir, tilt = get("pivot_coulomb.level"), get("bob_drag.coefficient"), get("track_tilt.angle")
-        rub, magnet, magnet_width = get("rubbing_side.coefficient"), get("magnet.moment"), get("magnet.width")
-        wind, period, blow = (get(f"draught.{n}") for n in ("force", "period", "length"))
-        zone, place, width = (get(f"tight_zone.{n}") for n in ("coefficient", "place", "width"))
-        wavy, waves = get("wavy_potentiometer.amplitude"), get("wavy_potentiometer.waves")
+        tilt = p.get("track_tilt.angle", 0.0)
+        tilt_sin, tilt_cos = f.sin(tilt), f.cos(tilt)
+
+        def bell(away: Any, width: Any) -> Any:
+            return f.exp(-((away / width) ** 2))
+
+        winds = terms_in(p, {"draught": lambda t, force, period, length: f.where(t % period < length, force, 0.0)})
+        wavy = terms_in(p, {"wavy_potentiometer": lambda phi, amplitude, waves: amplitude * f.sin(waves * phi)})
+        pulls = {
+            "cart_coulomb": lambda q, v, level: -level * f.tanh(v / 0.02),
+            "cart_drag": lambda q, v, coefficient: -coefficient * v * f.absolute(v),
+            "rubbing_side": lambda q, v, coefficient: -coefficient * f.minimum(v, 0.0),
+            "tight_zone": lambda q, v, coefficient, place, width: -coefficient * v * bell(q - place, width),
+            "cable_spring": lambda q, v, stiffness: -stiffness * q,
+        }
+        turns = {
+            "pivot_coulomb": lambda phi, w, level: -level * f.tanh(w / 0.1),
+            "bob_drag": lambda phi, w, coefficient: -coefficient * w * f.absolute(w),
+            "magnet": lambda phi, w, moment, width: -moment * phi / width * bell(phi, width),
+        }
+        on_cart, on_bob = terms_in(p, pulls), terms_in(p, turns)
+        band, uneven = p.get("force_dead_band.width"), p.get("force_asymmetry.ratio", 0.0)
+        lag, sine, cosine = (p.get(n) for n in ("motor_lag.time", "belt_ripple.sine", "belt_ripple.cosine"))
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
-            place_now, v, phi, w = x[0], x[1], x[2], x[3]
-            force, slopes = u[0], []
-            if band is not None:
-                force = force - band * f.tanh(force / (band + 0.02))
-            if uneven is not None:
-                force = force + uneven * f.absolute(force)
-            if time is not None:
-                slopes = [(force - x[4]) / f.maximum(time, 0.005)]
-                force = f.where(time > 0.0, x[4], force)
-            along = force + push[0] + push[1] - b * v
-            about = length * f.cos(phi) * push[1] - c * w
-            if wind is not None:
-                blown = f.where(t % period < blow, wind, 0.0)
-                along, about = along + blown, about + length * f.cos(phi) * blown
-            if dry is not None:
-                along = along - dry * f.tanh(v / 0.02)
-            if drag is not None:
-                along = along - drag * v * f.absolute(v)
-            if rub is not None:
-                along = along - rub * f.minimum(v, 0.0)
-            if zone is not None:
-                along = along - zone * v * f.exp(-(((place_now - place) / width) ** 2))
-            if cable is not None:
-                along = along - cable * place_now
-            if sine is not None:
-                phase = 20.0 * math.pi * place_now
-                along = along + sine * f.sin(phase) + cosine * f.cos(phase)
-            if dry_pivot is not None:
-                about = about - dry_pivot * f.tanh(w / 0.1)
-            if stir is not None:
-                about = about - stir * w * f.absolute(w)
-            if magnet is not None:
-                about = about - magnet * phi / magnet_width * f.exp(-((phi / magnet_width) ** 2))
+            q, v, phi, w = x[:4]
             sin, cos = f.sin(phi), f.cos(phi)
-            if tilt is None:
-                about = about - bob * g * length * sin
-            else:
-                along = along - (cart + bob) * g * f.sin(tilt)
-                about = about - bob * g * length * (sin * f.cos(tilt) + cos * f.sin(tilt))
+            force = u[0] if band is None else u[0] - band * f.tanh(u[0] / (band + 0.02))
+            force = force + uneven * f.absolute(force)
+            slopes = [] if lag is None else [(force - x[4]) / f.maximum(lag, 0.005)]
+            pull = force if lag is None else f.where(lag > 0.0, x[4], force)
+            blown = winds(0.0, t)
+            along = pull + push[0] + push[1] - p["cart_friction"] * v + blown
+            about = length * cos * push[1] - p["pivot_friction"] * w + length * cos * blown
+            along, about = on_cart(along, q, v), on_bob(about, phi, w)
+            if sine is not None:
+                along = along + sine * f.sin(20.0 * math.pi * q) + cosine * f.cos(20.0 * math.pi * q)
+            along = along - (cart + bob) * g * tilt_sin
+            about = about - bob * g * length * (sin * tilt_cos + cos * tilt_sin)
             # [m11 m12; m12 m22]·(v̇, ẇ) = (along + centrifugal, about)
             along = along + bob * length * w * w * sin
             m11, m12, m22 = cart + bob, bob * length * cos, bob * length * length
@@ -124,12 +123,11 @@ class Cart(Rig):
             return [v, (along * m22 - about * m12) / determinant, w, (about * m11 - along * m12) / determinant, *slopes]
 
         def look(t: float, x: Any, push: Any) -> list[Any]:
-            angle = x[2] if wavy is None else x[2] + wavy * f.sin(waves * x[2])
-            return [x[0], angle, x[3]]
+            return [x[0], wavy(x[2], x[2]), x[3]]
 
         return rate, look
 
-    def drive(self, rng: np.random.Generator) -> np.ndarray:
+    def drive(self, rng: Random) -> Array:
         """Return forces up to ±4 N, held from 0.1 s to 2.5 s, plus feedback of a nominal cart to the rail's centre."""
         force = manoeuvre(rng, self.rows, self.step, (-4.0, 4.0), (0.1, 2.5))
         force[:15] = 0.0
@@ -139,6 +137,6 @@ class Cart(Rig):
             x, v = x + self.step * v, v + self.step * (force[k] - 2.0 * v) / 1.3
         return rounded(force[:, None])
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return a start state at rest at 0, or moving."""
-        return rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, 4) * [0.5, 0.4, 0.15, 0.5]
+        return moving(rng, 0.5, 0.4, 0.15, 0.5)

@@ -4,23 +4,18 @@ The estimate is linear and Gaussian, and uses nothing of the project. An extende
 the true sensor noise and the size and correlation time of the disturbance. It returns the change of the innovations
 without the effect. Base parameters (within their tolerances) and the study's further effects may imitate a part of this
 change. Half the square of the rest is the cost.
-
-    python -m tests.blind.field_cost 40 --first 0      costs of the known studies among 40 seeds
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Arrays, Flat, Rig, Run
+from tests.blind.field_rig import Array, Arrays, Rig, Run, flat
 
 Values = dict[str, float]
 
@@ -30,31 +25,35 @@ class Conditions:
     """Logs for the cost: courses, variance of each cell (infinite without measurement), deviations of the pushes."""
 
     runs: Sequence[Run]
-    variances: Sequence[np.ndarray]  # (rows, outputs) each
+    variances: Sequence[Array]  # (rows, outputs) each
     push_deviations: Sequence[float]
 
 
 def costs(rig: Rig, base: Values, truth: Mapping[str, Values], given: Conditions) -> dict[str, float]:
     """Return effect → nats lost without it, after a refit of base parameters and further effects."""
-    p = rig.numbers(base, truth)
-    spread = base_deviations(rig)
-    cases = [p | flat(name, left_out(rig, name, truth[name])) for name in truth]
-    cases += [p | {name: p[name] + 0.5 * deviation} for name, deviation in spread.items()]
-    nudges = [
-        (name, parameter, nudge(rig, name, parameter, v)) for name in truth for parameter, v in truth[name].items()
-    ]
-    cases += [p | {f"{name}.{parameter}": truth[name][parameter] + by} for name, parameter, by in nudges]
-    columns = innovations(rig, p, cases, given)
-    missing, changes = columns[:, : len(truth)], columns[:, len(truth) :].copy()
-    changes[:, : len(spread)] *= 2.0  # of one standard deviation
+    p, known = rig.numbers(base, truth), len(rig.sheet)
+    cases = [p | flat({name: rig.every_entry[name].left_out(values)}) for name, values in truth.items()]
+    # base parameters with a prior of half the tolerance, and parameters of the effects, a little off
+    cases += [p | {name: p[name] + 0.25 * share * abs(value)} for name, (value, share) in rig.sheet.items()]
+    nudges = [(name, parameter) for name, values in truth.items() for parameter in values]
+    cases += [p | {f"{name}.{parameter}": _nudged(rig, name, parameter, truth)} for name, parameter in nudges]
+    columns = _innovations(rig, p, cases, given)
+    changes = columns[:, len(truth) :].copy()
+    changes[:, :known] *= 2.0  # of one standard deviation
     found = {}
     for k, name in enumerate(truth):
-        own = [len(spread) + n for n, (other, _, _) in enumerate(nudges) if other == name]
-        found[name] = 0.5 * remaining(missing[:, k], np.delete(changes, own, axis=1), len(spread))
+        own = [known + n for n, (other, _) in enumerate(nudges) if other == name]
+        found[name] = 0.5 * _remaining(columns[:, k], np.delete(changes, own, axis=1), known)
     return found
 
 
-def remaining(what: np.ndarray, free: np.ndarray, with_prior: int) -> float:
+def _nudged(rig: Rig, name: str, parameter: str, truth: Mapping[str, Values]) -> float:
+    """Return a parameter moved by 5 % of its distance from neutral, or of its value for a shape."""
+    entry, value = rig.every_entry[name], truth[name][parameter]
+    return value + (0.05 * (value if parameter in entry.shape or entry.inverse else value - entry.neutral) or 1e-9)
+
+
+def _remaining(what: Array, free: Array, with_prior: int) -> float:
     """Return the squared distance of `what` from the best combination of `free`.
 
     The first `with_prior` coefficients have a standard normal prior, which adds their squares.
@@ -66,227 +65,135 @@ def remaining(what: np.ndarray, free: np.ndarray, with_prior: int) -> float:
     return float(np.sum((target - rows @ best) ** 2))
 
 
-def base_deviations(rig: Rig) -> Values:
-    """Return the standard deviation of each base parameter: half its tolerance."""
-    return {name: 0.5 * share * abs(value) for name, (value, share) in rig.sheet.items()}
-
-
-def flat(name: str, values: Mapping[str, float]) -> Values:
-    """Return the parameters of an effect by full name, as for `bind`."""
-    return {f"{name}.{p}": v for p, v in values.items()}
-
-
-def left_out(rig: Rig, name: str, values: Values) -> Values:
-    """Return the parameters of an effect at neutral."""
-    return {**rig.entries, **rig.outside}[name].left_out(values)
-
-
-def nudge(rig: Rig, name: str, parameter: str, value: float) -> float:
-    """Return a small step of an effect's parameter: 5 % of its distance from neutral, or of its value for a shape."""
-    entry = {**rig.entries, **rig.outside}[name]
-    return 0.05 * (value if parameter in entry.shape or entry.inverse else value - entry.neutral) or 1e-9
-
-
-def innovations(rig: Rig, p: Values, cases: Sequence[Values], given: Conditions) -> np.ndarray:
+def _innovations(rig: Rig, p: Values, cases: Sequence[Values], given: Conditions) -> Array:
     """Return the whitened innovations of the true run under models with other parameters, a column per model.
 
-    With parameters `p` they are 0.
+    An extended Kalman filter with the gains of the true model, whose innovations are 0, runs on all logs and for all
+    cases at once. Arrays are (…, logs, columns). The columns are the true run, the cases, and the true run with each
+    state a little above and below, for the Jacobians. Additional states are the pushes, and earlier readings of a late
+    sensor (registers, newest first).
     """
-    return _Filter(rig, p, cases, given).whitened()
+    runs, outputs = given.runs, len(rig.outputs)
+    logs, count, width = len(runs), len(runs[0].times), 1 + len(cases)
+    names = {name.partition(".")[0] for case in (p, *cases) for name in case}
+    scales, deviations = rig.scales(names), np.array(given.push_deviations)
+    n, moved = scales.size, scales.size + len(rig.pushes)
+    everyone = [p, *cases, *[p] * (2 * moved)]
+    numbers = _columns(rig, everyone)
+    rate, look = rig.bind(Arrays, numbers)
+    actings = _actings(rig, everyone, runs)
+    sensor, late_output = rig.late()
+    late = list(rig.outputs).index(late_output) if late_output else 0
+    latency = np.array([case.get(f"{sensor}.value", 0.0) for case in everyone[:width]]) / rig.step  # in rows
+    registers = math.ceil(float(latency.max())) + 1 if latency.max() > 0.0 else 0
+    size, seen = moved + registers, np.empty(0)
+    steps = np.concatenate([1e-5 * scales, 1e-3 * np.maximum(deviations, 1e-12)])
+    x = np.stack([rig.first_state(names, run) for run in runs], axis=1)[:, :, None] * np.ones(len(everyone))
+    x = np.concatenate([x, np.zeros((len(rig.pushes), *x.shape[1:]))])
+    keep = math.exp(-rig.step / rig.correlation_time)
+    cov = np.zeros((logs, size, size))
+    cov[:] = np.diag(np.concatenate([(0.3 * scales) ** 2, deviations**2, np.full(registers, 1e-12)]))
+    noise = np.diag([*[0.0] * n, *(1.0 - keep**2) * deviations**2, *[0.0] * registers])
+    variance = np.stack(list(given.variances), axis=1)  # (rows, logs, outputs)
+    variance = np.where(np.isfinite(variance), variance, 1e12 * np.array(list(rig.outputs.values())) ** 2)
+    transition = np.zeros((logs, size, size))
+    transition[:, range(n, moved), range(n, moved)] = keep
+    times = np.stack([run.times for run in runs], axis=-1)
+    white = np.empty((count, logs, outputs, len(cases)))
+    for k in range(count):
+        x[:, :, width:] = x[:, :, :1]
+        for i in range(moved):
+            x[i, :, width + 2 * i] += steps[i]
+            x[i, :, width + 2 * i + 1] -= steps[i]
+        right = look(times[k][:, None], x[:n], x[n:])
+        sensed = [rig.sensed(numbers, o, v) for o, v in zip(rig.outputs, right, strict=True)]
+        y = np.stack([np.broadcast_to(v, x.shape[1:]) for v in sensed])
+        h = np.zeros((logs, outputs, size))
+        h[:, :, :moved] = _slopes(y, width, steps)
+        y = y[:, :, :width].copy()
+        newest, slope = y[late].copy(), h[:, late].copy()
+        if registers:
+            seen = seen if seen.size else np.repeat(newest[None], registers, axis=0)
+            y[late], h[:, late] = _looked_back(np.concatenate([newest[None], seen]), slope, latency, moved)
+        cross = cov @ h.transpose(0, 2, 1)
+        spread = h @ cross + variance[k][:, :, None] * np.eye(outputs)
+        gain = np.linalg.solve(spread, cross.transpose(0, 2, 1)).transpose(0, 2, 1)
+        gap = (y[:, :, :1] - y[:, :, 1:]).transpose(1, 0, 2)  # (logs, outputs, cases)
+        white[k] = np.linalg.solve(np.linalg.cholesky(spread), gap)
+        if k + 1 == count:
+            break
+        change = (gain @ gap).transpose(1, 0, 2)
+        x[:, :, 1:width] += change[:moved]
+        cov = cov - gain @ cross.transpose(0, 2, 1)
+        cov = 0.5 * (cov + cov.transpose(0, 2, 1))
+        if registers:
+            seen[:, :, 1:] += change[moved:]
+            newest[:, 1:] += np.einsum("li,ilc->lc", slope[:, :moved], change[:moved])
+            seen = np.concatenate([newest[None], seen[:-1]])
+            transition[:, moved, :] = slope
+            transition[:, range(moved + 1, size), range(moved, size - 1)] = 1.0
+        x[:n] = _stepped(rate, rig.substeps, (times[k], times[k + 1] - times[k]), (x[:n], x[n:]), actings[k])
+        transition[:, :n, :moved] = _slopes(x[:n], width, steps)
+        x[n:] *= keep
+        cov = transition @ cov @ transition.transpose(0, 2, 1) + noise
+    return white.reshape(-1, len(cases))
 
 
-class _Filter:
-    """Extended Kalman filter with the gains of the true model, run on all logs and for all cases at once.
+def _slopes(values: Array, width: int, steps: Array) -> Array:
+    """Return the Jacobian of values by the states and pushes, shape (logs, values, states)."""
+    return ((values[:, :, width::2] - values[:, :, width + 1 :: 2]) / (2.0 * steps)).transpose(1, 0, 2)
 
-    Arrays are (…, logs, columns). The columns are the true run, the cases, and the true run with each state a little
-    above and below, for the Jacobians. Additional states are the pushes, and earlier readings of a late sensor.
-    """
 
-    def __init__(self, rig: Rig, p: Values, cases: Sequence[Values], given: Conditions) -> None:
-        self.rig, self.given, self.cases = rig, given, len(cases)
-        names = {name.partition(".")[0] for case in (p, *cases) for name in case}
-        self.scales = rig.scales(names)
-        self.n, self.q = self.scales.size, len(rig.pushes)
-        moved = self.n + self.q
-        everyone = [p, *cases, *[p] * (2 * moved)]
-        keys = {key for case in everyone for key in case}
-        self.numbers: dict[str, Any] = {}
-        for key in sorted(keys):
-            neutral = self._neutral(key, everyone)
-            values = np.array([case.get(key, neutral) for case in everyone])
-            self.numbers[key] = values[None, :] if np.ptp(values) else float(values[0])
-        self.rate, self.look = rig.bind(Arrays, self.numbers)
-        self.actings = self._actings(everyone)
-        late = [name for name, s in rig.sensors.items() if s.kind == "late"]
-        outputs = list(rig.outputs)
-        self.late = outputs.index(rig.sensors[late[0]].output) if late else None
-        values = np.array([case.get(f"{late[0]}.value", 0.0) for case in everyone]) if late else np.zeros(len(everyone))
-        self.latency = values[: 1 + self.cases] / rig.step  # in rows
-        self.registers = math.ceil(float(self.latency.max())) + 1 if self.latency.max() > 0.0 else 0
-
-    def _neutral(self, key: str, everyone: Sequence[Values]) -> float:
-        """Return the neutral value of a parameter, for a case without its effect."""
+def _columns(rig: Rig, everyone: Sequence[Values]) -> dict[str, Any]:
+    """Return the parameters of all columns; a case without an effect has it at neutral."""
+    numbers: dict[str, Any] = {}
+    for key in sorted({key for case in everyone for key in case}):
         name, _, parameter = key.partition(".")
         having = next(case[key] for case in everyone if key in case)
-        return left_out(self.rig, name, {parameter: having})[parameter] if parameter else having
-
-    def _actings(self, everyone: Sequence[Values]) -> np.ndarray:
-        """Return the acting commands (after delay, play and such), shape (rows, parts, inputs, logs, columns)."""
-        made: dict[Any, np.ndarray] = {}
-        for case in everyone:
-            key = shaping(self.rig, case)
-            if key not in made:
-                made[key] = np.stack(
-                    [self.rig.acting(case, run, self.rig.substeps) for run in self.given.runs], axis=-1
-                )
-        return np.stack([made[shaping(self.rig, case)] for case in everyone], axis=-1)
-
-    def whitened(self) -> np.ndarray:
-        rig, n, q, cases = self.rig, self.n, self.q, self.cases
-        logs, count = len(self.given.runs), len(self.given.runs[0].times)
-        extra, size = self.registers, n + q + self.registers
-        runs, outputs = self.given.runs, len(rig.outputs)
-        width, first = 1 + cases, 1 + cases  # of the true run and the cases; first column of the Jacobians
-        steps = np.concatenate([1e-5 * self.scales, 1e-3 * np.maximum(self.given.push_deviations, 1e-12)])
-        x = np.zeros((n, logs, first + 2 * (n + q)))
-        names = {key.partition(".")[0] for key in self.numbers}
-        for log, run in enumerate(runs):
-            x[:, log, :] = rig.first_state(names, run)[:, None]
-        d = np.zeros((q, logs, x.shape[2]))
-        deviations = np.array(self.given.push_deviations)
-        keep = math.exp(-rig.step / rig.correlation_time)
-        cov = np.zeros((logs, size, size))
-        cov[:] = np.diag(np.concatenate([(0.3 * self.scales) ** 2, deviations**2, np.full(extra, 1e-12)]))
-        noise = np.zeros((size, size))
-        noise[n : n + q, n : n + q] = np.diag((1.0 - keep**2) * deviations**2)
-        times = np.stack([run.times for run in runs], axis=-1)
-        variance = np.stack(list(self.given.variances), axis=1)  # (rows, logs, outputs)
-        variance = np.where(np.isfinite(variance), variance, 1e12 * np.array(list(rig.outputs.values())) ** 2)
-        seen = None  # registers: what the late sensor has read, newest first
-        white = np.empty((count, logs, outputs, cases))
-        transition = np.zeros((logs, size, size))
-        transition[:, range(n, n + q), range(n, n + q)] = keep
-        for k in range(count):
-            t = times[k][:, None]
-            # up and down, about the true run
-            x[:, :, first:] = x[:, :, :1]
-            d[:, :, first:] = d[:, :, :1]
-            for i in range(n + q):
-                part, j = (x, i) if i < n else (d, i - n)
-                part[j, :, first + 2 * i] += steps[i]
-                part[j, :, first + 2 * i + 1] -= steps[i]
-            right = [np.broadcast_to(v, x.shape[1:]) for v in self.look(t, x, d)]
-            y = np.stack(
-                [
-                    np.broadcast_to(rig.sensed(self.numbers, o, v), x.shape[1:])
-                    for o, v in zip(rig.outputs, right, strict=True)
-                ]
-            )
-            h = np.zeros((logs, outputs, size))
-            h[:, :, : n + q] = ((y[:, :, first::2] - y[:, :, first + 1 :: 2]) / (2.0 * steps)).transpose(1, 0, 2)
-            y = y[:, :, :width]
-            newest = None
-            if extra and self.late is not None:
-                newest, slope = y[self.late].copy(), h[:, self.late].copy()
-                if seen is None:
-                    seen = np.repeat(newest[None], extra, axis=0)
-                y = y.copy()
-                y[self.late], h[:, self.late] = self._looked_back(newest, slope, seen)
-            cross = cov @ h.transpose(0, 2, 1)
-            spread = h @ cross + variance[k][:, :, None] * np.eye(outputs)
-            gain = np.linalg.solve(spread, cross.transpose(0, 2, 1)).transpose(0, 2, 1)
-            gap = (y[:, :, :1] - y[:, :, 1:]).transpose(1, 0, 2)  # (logs, outputs, cases)
-            white[k] = np.linalg.solve(np.linalg.cholesky(spread), gap)
-            change = (gain @ gap).transpose(1, 0, 2)
-            x[:, :, 1:width] += change[:n]
-            d[:, :, 1:width] += change[n : n + q]
-            cov = cov - gain @ cross.transpose(0, 2, 1)
-            cov = 0.5 * (cov + cov.transpose(0, 2, 1))
-            if k + 1 == count:
-                break
-            if extra and seen is not None and newest is not None:
-                seen[:, :, 1:] += change[n + q :]
-                newest[:, 1:] += np.einsum("li,ilc->lc", slope[:, : n + q], change[: n + q])
-                seen = np.concatenate([newest[None], seen[:-1]])
-                transition[:, n + q, :] = slope
-                transition[:, range(n + q + 1, size), range(n + q, size - 1)] = 1.0
-            x = self._step(times[k], times[k + 1] - times[k], x, d, self.actings[k])
-            moved = (x[:, :, first::2] - x[:, :, first + 1 :: 2]) / (2.0 * steps)
-            transition[:, :n, : n + q] = moved.transpose(1, 0, 2)
-            d *= keep
-            cov = transition @ cov @ transition.transpose(0, 2, 1) + noise
-        return white.reshape(-1, cases)
-
-    def _looked_back(self, newest: np.ndarray, slope: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the late reading of each column, interpolated between past rows, and the true run's row of H."""
-        history = np.concatenate([newest[None], seen])
-        whole = np.minimum(self.latency.astype(int), history.shape[0] - 2)
-        part = self.latency - whole
-        columns = np.arange(self.latency.size)
-        before, after = history[whole, :, columns].T, history[whole + 1, :, columns].T
-        row = np.zeros_like(slope)
-        own = slope.shape[1] - self.registers
-        for place, weight in ((whole[0], 1.0 - part[0]), (whole[0] + 1, part[0])):
-            row += weight * slope if place == 0 else 0.0
-            if place:
-                row[:, own + place - 1] += weight
-        return (1.0 - part) * before + part * after, row
-
-    def _step(self, t: np.ndarray, step: np.ndarray, x: np.ndarray, d: np.ndarray, acting: np.ndarray) -> np.ndarray:
-        """Return the states after a row, by Runge-Kutta in the rig's substeps."""
-        parts = self.rig.substeps
-        h = (step / parts)[:, None]
-        for part in range(parts):
-            now, u = (t + part * step / parts)[:, None], acting[part]
-
-            def slopes(at: Any, state: np.ndarray, u: np.ndarray = u) -> np.ndarray:
-                return np.stack([np.broadcast_to(v, state.shape[1:]) for v in self.rate(at, state, u, d)])
-
-            k1 = slopes(now, x)
-            k2 = slopes(now + 0.5 * h, x + 0.5 * h * k1)
-            k3 = slopes(now + 0.5 * h, x + 0.5 * h * k2)
-            k4 = slopes(now + h, x + h * k3)
-            x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-        return x
+        neutral = rig.every_entry[name].left_out({parameter: having})[parameter] if parameter else having
+        values = np.array([case.get(key, neutral) for case in everyone])
+        numbers[key] = values[None, :] if np.ptp(values) else float(values[0])
+    return numbers
 
 
-def shaping(rig: Rig, p: Flat) -> tuple[float, ...]:
-    """Return the parameters that shape the acting commands."""
-    return tuple(float(p.get(name, 0.0)) for name in rig.shaping)
+def _actings(rig: Rig, everyone: Sequence[Values], runs: Sequence[Run]) -> Array:
+    """Return the acting commands (after delay, play and such), shape (rows, parts, inputs, logs, columns)."""
+    made: dict[tuple[float, ...], Array] = {}
+    keys = [tuple(float(case.get(name, 0.0)) for name in rig.shaping) for case in everyone]
+    for key, case in zip(keys, everyone, strict=True):
+        if key not in made:
+            made[key] = np.stack([rig.acting(case, run, rig.substeps) for run in runs], axis=-1)
+    return np.stack([made[key] for key in keys], axis=-1)
 
 
-def distribution(seeds: Iterator[int]) -> str:
-    """Return a table of the costs of effects in known studies, with the number of effects sized by their cost."""
-    from tests.blind.field_study import LEAST, RIGS, draw  # it draws by the costs
-
-    sized: list[float] = []
-    drawn: list[float] = []
-    by_effect: dict[str, list[float]] = defaultdict(list)
-    for seed in seeds:
-        study = draw(seed)
-        for name, cost in study.costs.items():
-            if study.kind == "known":
-                (drawn if RIGS[study.plant].entries[name].fixed else sized).append(cost)
-                by_effect[f"{study.plant}: {name}"].append(cost)
-    if not by_effect:
-        return "no known study among them"
-    every = np.array(sized + drawn)
-    lines = [f"{name:36} {len(c):3d}  {min(c):9.0f} … {max(c):9.0f}" for name, c in sorted(by_effect.items())]
-    quantiles = np.percentile(every, (0, 10, 25, 50, 75, 90, 100))
-    lines.append(f"{every.size} effects, {len(drawn)} of them of a drawn size; least {LEAST:g} nats wanted")
-    lines.append("0, 10, 25, 50, 75, 90, 100 %: " + ", ".join(f"{q:.0f}" for q in quantiles) + " nats")
-    lines.append(f"below 100 nats: {100 * np.mean(every < 100.0):.0f} %; below 20: {np.sum(every < LEAST):d}")
-    return "\n".join(lines)
+def _looked_back(history: Array, slope: Array, latency: Array, own: int) -> tuple[Array, Array]:
+    """Return the late reading of each column, interpolated between past rows, and the true run's row of H."""
+    whole = np.minimum(latency.astype(int), history.shape[0] - 2)
+    part = latency - whole
+    columns = np.arange(latency.size)
+    before, after = history[whole, :, columns].T, history[whole + 1, :, columns].T
+    row = np.zeros_like(slope)
+    for place, weight in ((whole[0], 1.0 - part[0]), (whole[0] + 1, part[0])):
+        if place:
+            row[:, own + place - 1] += weight
+        else:
+            row += weight * slope
+    return (1.0 - part) * before + part * after, row
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.blind.field_cost", description=__doc__.splitlines()[0])
-    parser.add_argument("count", type=int, metavar="N", help="how many seeds")
-    parser.add_argument("--first", type=int, default=0, help="the first of them")
-    options = parser.parse_args(arguments)
-    print(distribution(iter(range(options.first, options.first + options.count))))
-    return 0
+def _stepped(rate: Any, parts: int, time: tuple[Any, Any], now: tuple[Any, Any], acting: Array) -> Array:
+    """Return the states after a row, by Runge-Kutta in `parts`; `time`: begin and step, `now`: states and pushes."""
+    (t, step), (x, d) = time, now
+    h = (step / parts)[:, None]
+    for part, u in enumerate(acting):
+        begin = (t + part * step / parts)[:, None]
 
+        def slopes(at: Any, state: Array, u: Array = u) -> Array:
+            return np.stack([np.broadcast_to(v, state.shape[1:]) for v in rate(at, state, u, d)])
 
-if __name__ == "__main__":
-    sys.exit(main())
+        k1 = slopes(begin, x)
+        k2 = slopes(begin + 0.5 * h, x + 0.5 * h * k1)
+        k3 = slopes(begin + 0.5 * h, x + 0.5 * h * k2)
+        k4 = slopes(begin + h, x + h * k3)
+        x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+    return x

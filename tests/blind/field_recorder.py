@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.blind.field_rig import Rig
+from tests.blind.field_rig import Array, Random, Rig
 
 FAULTS = ("quantised", "outliers", "jitter", "dropouts", "noise", "timing")
 OUTLIER_SHARE, OUTLIER_SIZE = 0.005, 30.0  # of the cells; in standard deviations
@@ -25,18 +25,18 @@ class Recorder:
     timing:    standard deviation [s] of wrong time stamps, over the time in which readings move by their noise
     """
 
-    faults: tuple[str, ...]
-    noise: dict[str, float]
-    quantum: dict[str, float]
-    outliers: float
-    jitter: float
-    lost: float
-    whole_rows: bool
-    hole: int
-    timing: float
+    faults: tuple[str, ...] = ()
+    noise: dict[str, float] = field(default_factory=dict)
+    quantum: dict[str, float] = field(default_factory=dict)
+    outliers: float = 0.0
+    jitter: float = 0.0
+    lost: float = 0.0
+    whole_rows: bool = False
+    hole: int = 0
+    timing: float = 0.0
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, outputs: Sequence[str], longest_hole: int) -> Recorder:
+    def draw(cls, rng: Random, outputs: Sequence[str], longest_hole: int) -> Recorder:
         """Return a recorder with one or two random faults."""
         faults = tuple(sorted(str(f) for f in rng.choice(FAULTS, rng.integers(1, 3), replace=False)))
         noise = {o: float(np.exp(rng.uniform(np.log(0.4), np.log(2.5)))) for o in outputs}
@@ -56,28 +56,28 @@ class Recorder:
             timing if "timing" in faults else 0.0,
         )
 
-    def times(self, rng: np.random.Generator, count: int, step: float) -> np.ndarray:
+    def times(self, rng: Random, count: int, step: float) -> Array:
         """Return the true times of the rows [s]."""
         away = self.jitter * rng.uniform(-1.0, 1.0, count)
         away[0] = 0.0
         return np.round((np.arange(count) + away) * step, 6)
 
-    def deviations(self, rig: Rig) -> np.ndarray:
+    def deviations(self, rig: Rig) -> Array:
         """Return the true standard deviation of each sensor's noise."""
         return np.array([sigma * self.noise[o] for o, sigma in rig.outputs.items()])
 
-    def stamp_error(self, rig: Rig, readings: np.ndarray) -> float:
+    def stamp_error(self, rig: Rig, readings: Array) -> float:
         """Return the standard deviation of wrong time stamps [s], half a step at most."""
         moving = np.sqrt(np.mean(np.gradient(readings, rig.step, axis=0) ** 2, axis=0))
         return min(0.5 * rig.step, self.timing * float(np.median(self.deviations(rig) / moving)))
 
-    def variances(self, rig: Rig, readings: np.ndarray, stamp_error: float, kept: np.ndarray) -> np.ndarray:
+    def variances(self, rig: Rig, readings: Array, stamp_error: float, kept: Array) -> Array:
         """Return the variance of each cell about the true reading, without outliers; infinite for a missing cell."""
         cells = np.array([self.quantum.get(o, 0.0) for o in rig.outputs]) * self.deviations(rig)
         slopes = np.gradient(readings, rig.step, axis=0)
         return np.where(kept, self.deviations(rig) ** 2 + cells**2 / 12.0 + (stamp_error * slopes) ** 2, np.inf)
 
-    def rows_to_keep(self, rng: np.random.Generator, count: int, width: int) -> np.ndarray:
+    def rows_to_keep(self, rng: Random, count: int, width: int) -> Array:
         """Return which cells are recorded, shape (rows, outputs)."""
         if not self.lost:
             return np.ones((count, width), bool)
@@ -89,9 +89,7 @@ class Recorder:
         kept[[0, -1]] = True
         return kept
 
-    def spoil(
-        self, rng: np.random.Generator, rig: Rig, readings: np.ndarray, noise: np.ndarray, stamp_error: float
-    ) -> np.ndarray:
+    def spoil(self, rng: Random, rig: Rig, readings: Array, noise: Array, stamp_error: float) -> Array:
         """Return all cells with errors of time stamps, noise, quantization and outliers."""
         slopes = np.gradient(readings, rig.step, axis=0)
         cells = readings + stamp_error * rng.standard_normal((len(readings), 1)) * slopes + noise

@@ -1,23 +1,33 @@
-"""Common parts of the plants in the field half: sizes of effects, integration of a run.
+"""Common parts of all rigs: sizes of effects, random streams, inputs, disturbance, start, integration of a run, files.
 
 Nothing of the project is used. A rig states its equations once, for floats and for arrays: floats are integrated by
 scipy's DOP853, arrays hold many slightly different rigs at once for `field_cost`.
 """
 
+# ruff: noqa: RUF012 - what a rig declares are attributes of its class
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.integrate import ode
 
+Array = Any  # of floats, which NumPy's own types do not remain beside Any
+Random = np.random.Generator
+LOGS = ("e1", "e2", "v1")
+STUDY_LOGS = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
 Flat = Mapping[str, Any]  # base numbers by name, effects as `effect.parameter`: floats, or one array entry a column
 Truth = dict[str, dict[str, float]]
-Rate = Callable[[float, Sequence[Any], Sequence[Any], Sequence[Any]], list[Any]]  # (t, state, command, push) → slopes
-Look = Callable[[float, Sequence[Any], Sequence[Any]], list[Any]]  # (t, state, push) → readings of right sensors
+Rate = Callable[[Any, Any, Any, Any], list[Any]]  # (t, state, command, push) → slopes
+Look = Callable[[Any, Any, Any], list[Any]]  # (t, state, push) → readings of right sensors
 
 
 class Floats:
@@ -38,21 +48,50 @@ class Arrays:
     maximum, minimum, absolute, where = np.maximum, np.minimum, np.abs, np.where
 
 
+def grouped(p: Flat) -> dict[str, dict[str, Any]]:
+    """Return effect → its parameters."""
+    effects: dict[str, dict[str, Any]] = {}
+    for key, value in p.items():
+        name, _, parameter = key.partition(".")
+        effects.setdefault(name, {})[parameter] = value
+    return effects
+
+
+def hidden_in(p: Flat) -> Callable[..., Any]:
+    """Return (name, term, otherwise) → the term of an effect for its parameters in `p`, else `otherwise` or 0."""
+    effects = grouped(p)
+
+    def term_of(name: str, term: Callable[..., Any], otherwise: Any = 0.0) -> Any:
+        return term(**effects[name]) if name in effects else otherwise
+
+    return term_of
+
+
+def terms_in(p: Flat, every: Mapping[str, Any]) -> Callable[..., Any]:
+    """Return (total, arguments) → total + the terms of the effects in `p` for the arguments and its parameters."""
+    effects = grouped(p)
+    present = [partial(term, **effects[name]) for name, term in every.items() if name in effects]
+    if not present:  # fast, as it is usual
+        return lambda total, *at: total
+    return lambda total, *at: sum((term(*at) for term in present), total)
+
+
 @dataclass(frozen=True)
 class Entry:
     """Rules for drawing the size of an effect.
 
-    scaled:  parameters proportional to the size, from `neutral`; two parameters are its components at a random angle
-    start:   first size in the search for the wanted cost; `limits`: plausible sizes
+    names:   parameters proportional to the size, from `neutral`; of two, components at a random angle
+    start:   first size in the search for the wanted cost; `low` … `high`: plausible sizes
     shape:   further parameters with their ranges; `ratio`: further parameters as multiples of the size
     signed:  both signs are plausible
     inverse: the parameter is 1/size
-    fixed:   the size is uniform within `limits`, regardless of its cost
+    fixed:   the size is uniform within the plausible ones, regardless of its cost
     """
 
-    scaled: tuple[str, ...]
+    names: str
     start: float
-    limits: tuple[float, float]
+    low: float
+    high: float
     signed: bool = False
     neutral: float = 0.0
     shape: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -60,21 +99,20 @@ class Entry:
     inverse: bool = False
     fixed: bool = False
 
-    def unit(self, rng: np.random.Generator) -> dict[str, float]:
+    def unit(self, rng: Random) -> dict[str, float]:
         """Return the parameters at size 1; parameters of `shape` do not depend on the size."""
-        if len(self.scaled) == 2:
+        scaled = self.names.split()
+        if len(scaled) == 2:
             turn = float(rng.uniform(0.0, 2.0 * math.pi))
-            sides = dict(zip(self.scaled, (math.cos(turn), math.sin(turn)), strict=True))
+            sides = dict(zip(scaled, (math.cos(turn), math.sin(turn)), strict=True))
         else:
-            sides = {self.scaled[0]: float(rng.choice([-1.0, 1.0])) if self.signed else 1.0}
-        drawn = {p: float(rng.uniform(*between)) for p, between in {**self.ratio, **self.shape}.items()}
-        return sides | drawn
+            sides = {scaled[0]: float(rng.choice([-1.0, 1.0])) if self.signed else 1.0}
+        return sides | {p: float(rng.uniform(*between)) for p, between in {**self.ratio, **self.shape}.items()}
 
     def at(self, unit: Mapping[str, float], size: float) -> dict[str, float]:
         """Return the parameters of the effect at a size."""
-        if self.inverse:
-            return {p: v if p in self.shape else v / size for p, v in unit.items()}
-        return {p: v if p in self.shape else self.neutral + size * v for p, v in unit.items()}
+        scaled = {p: v / size if self.inverse else self.neutral + size * v for p, v in unit.items()}
+        return scaled | {p: unit[p] for p in self.shape}
 
     def left_out(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the parameters with the effect at neutral."""
@@ -94,18 +132,18 @@ class Sensor:
 class Run:
     """Inputs of a log: row times, commands and pushes held from row to row, start state."""
 
-    times: np.ndarray
-    commands: np.ndarray
-    pushes: np.ndarray
-    start: np.ndarray
+    times: Array
+    commands: Array
+    pushes: Array
+    start: Array
 
 
 @dataclass(frozen=True)
 class Course:
     """Simulated log: readings without noise, readings of correct sensors, and states, a row per sample."""
 
-    readings: np.ndarray
-    states: np.ndarray
+    readings: Array
+    states: Array
 
 
 class Rig:
@@ -116,26 +154,26 @@ class Rig:
     pushes:  range of the actuator at each place where a disturbance enters, in the unit of the push
     """
 
-    name: ClassVar[str]
-    model: ClassVar[str]  # class of the model file
-    states: ClassVar[dict[str, float]]  # name → scale
-    inputs: ClassVar[dict[str, float]]  # name → value before anything is commanded
-    outputs: ClassVar[dict[str, float]]
-    sheet: ClassVar[dict[str, tuple[float, float]]]
-    constants: ClassVar[dict[str, float]] = {}
-    entries: ClassVar[dict[str, Entry]]
-    sensors: ClassVar[dict[str, Sensor]]
-    outside: ClassVar[dict[str, Entry]]
-    families: ClassVar[tuple[frozenset[str], ...]] = ()
-    own_states: ClassVar[dict[str, dict[str, float]]] = {}  # effect → its states and their start values
-    pushes: ClassVar[tuple[float, ...]]
-    correlation_time: ClassVar[float]  # [s], of the disturbance
-    step: ClassVar[float]
-    rows: ClassVar[int]
-    horizon: ClassVar[float]  # [s]
-    preroll: ClassVar[float]  # [s] of rest command before the first row
-    substeps: ClassVar[int] = 1  # of a row, for the estimate of the cost
-    shaping: ClassVar[tuple[str, ...]] = ("command_delay.time",)  # numbers that decide the acting commands
+    name: str
+    model: str  # class of the model file
+    states: dict[str, float]  # name → scale
+    inputs: dict[str, float]  # name → value before anything is commanded
+    outputs: dict[str, float]
+    sheet: dict[str, tuple[float, float]]
+    constants: dict[str, float] = {}
+    entries: dict[str, Entry]
+    sensors: dict[str, Sensor]
+    outside: dict[str, Entry]
+    families: tuple[frozenset[str], ...] = ()
+    own_states: dict[str, dict[str, float]] = {}  # effect → its states and their start values
+    pushes: tuple[float, ...]
+    correlation_time: float  # [s], of the disturbance
+    step: float
+    rows: int
+    horizon: float  # [s]
+    preroll: float  # [s] of rest command before the first row
+    substeps: int = 1  # of a row, for the estimate of the cost
+    shaping: tuple[str, ...] = ("command_delay.time",)  # numbers that decide the acting commands
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return derivatives and outputs as functions, for parameters `p`; effects missing in `p` are absent.
@@ -145,53 +183,60 @@ class Rig:
         """
         raise NotImplementedError
 
-    def drive(self, rng: np.random.Generator) -> np.ndarray:
+    def drive(self, rng: Random) -> Array:
         """Return the commands of a log, shape (rows, inputs)."""
         raise NotImplementedError
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return the start state of a log, with probability ½ at rest."""
         raise NotImplementedError
 
-    def course(self, p: Mapping[str, float], run: Run, resets: Mapping[int, np.ndarray] | None = None) -> Course:
+    def course(self, p: Mapping[str, float], run: Run, resets: Mapping[int, Array] | None = None) -> Course:
         """Return the simulated log for parameters `p`; `resets`: row → new state."""
         return fly(self, p, run, resets)
 
-    def first_state(self, names: Collection[str], run: Run) -> np.ndarray:
+    def first_state(self, names: Collection[str], run: Run) -> Array:
         """Return the start state of a run, with the states of the effects `names`."""
-        return np.concatenate([run.start, list(self.effect_states(names).values())])
+        return np.concatenate([run.start, self.effect_states(names)])
 
     # -- the same for every rig ---------------------------------------------------------------------
+
+    @property
+    def every_entry(self) -> dict[str, Entry]:
+        """Return the effects of the catalogue and outside of it."""
+        return {**self.entries, **self.outside}
 
     def numbers(self, base: Mapping[str, float], truth: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """Return all parameters for `bind` by full name."""
         nominal = {name: value for name, (value, _) in self.sheet.items()}
-        effects = {f"{name}.{p}": v for name, values in truth.items() for p, v in values.items()}
-        return {**self.constants, **nominal, **base, **effects}
+        return {**self.constants, **nominal, **base, **flat(truth)}
 
-    def effect_states(self, names: Collection[str]) -> dict[str, float]:
-        """Return the states added by effects, with start values, in the order of `own_states`."""
-        return {s: v for name, own in self.own_states.items() if name in names for s, v in own.items()}
+    def effect_states(self, names: Collection[str]) -> list[float]:
+        """Return the start values of the states added by effects, in the order of `own_states`."""
+        return [value for name, own in self.own_states.items() if name in names for value in own.values()]
 
-    def scales(self, names: Collection[str]) -> np.ndarray:
+    def scales(self, names: Collection[str]) -> Array:
         """Return the usual size of each state, including the states of effects."""
-        base = list(self.states.values())
-        return np.array([*base, *(max(abs(v), 1e-2) for v in self.effect_states(names).values())])
+        return np.array([*self.states.values(), *(max(abs(v), 1e-2) for v in self.effect_states(names))])
 
     def sensed(self, p: Flat, output: str, value: Any) -> Any:
         """Return a reading with the errors of its sensor except latency: first scale, then bias."""
         for kind in ("scale", "bias"):
             for name, sensor in self.sensors.items():
-                if sensor.output == output and sensor.kind == kind and f"{name}.value" in p:
+                if sensor == Sensor(output, kind) and f"{name}.value" in p:
                     error = p[f"{name}.value"]
                     value = value * error if kind == "scale" else value + error
         return value
+
+    def all_sensed(self, p: Flat, readings: Array) -> Array:
+        """Return columns of readings with the errors of their sensors."""
+        return np.column_stack([self.sensed(p, o, column) for o, column in zip(self.outputs, readings.T, strict=True)])
 
     def late(self) -> tuple[str, str]:
         """Return the name of the latency and its output, or two empty texts for a rig without a late sensor."""
         return next(((name, s.output) for name, s in self.sensors.items() if s.kind == "late"), ("", ""))
 
-    def acting(self, p: Flat, run: Run, parts: int) -> np.ndarray:
+    def acting(self, p: Flat, run: Run, parts: int) -> Array:
         """Return the mean acting (delayed) command of each of `parts` parts of a row, shape (rows, parts, inputs)."""
         delay = float(p.get("command_delay.time", 0.0))
         step = np.append(np.diff(run.times), self.step)
@@ -203,14 +248,33 @@ class Rig:
         return np.diff(at, axis=1) / np.diff(edges, axis=1)[:, :, None]
 
 
+def flat(truth: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Return the parameters of effects by full name."""
+    return {f"{name}.{p}": v for name, values in truth.items() for p, v in values.items()}
+
+
+def solver(rate: Callable[..., Any], tolerance: float, step: float) -> Any:
+    """Return scipy's DOP853."""
+    settings = {"rtol": tolerance, "atol": 1e-2 * tolerance, "first_step": 0.5 * step, "nsteps": 10_000}
+    return ode(rate).set_integrator("dop853", **settings)
+
+
+def advanced(integrator: Any, state: Array, begin: float, end: float) -> Array:
+    """Return the state at `end`; ArithmeticError if the integration fails."""
+    integrator.set_initial_value(state, begin)
+    state = integrator.integrate(end)
+    if not integrator.successful():
+        raise ArithmeticError(f"integration failed at {begin:.3f} s")
+    return state
+
+
 def fly(
-    rig: Rig, p: Mapping[str, float], run: Run, resets: Mapping[int, np.ndarray] | None = None, tolerance: float = 1e-8
+    rig: Rig, p: Mapping[str, float], run: Run, resets: Mapping[int, Array] | None = None, tolerance: float = 1e-8
 ) -> Course:
     """Integrate a run, restarting the integrator where the acting command or the push changes.
 
     `resets`: row → new state. Late readings refer to the past also across a reset.
     """
-    names = {name.partition(".")[0] for name in p}
     rate, look = rig.bind(Floats, p)
     sensor, late_output = rig.late()
     delay, latency = p.get("command_delay.time", 0.0), p.get(f"{sensor}.value", 0.0)
@@ -218,45 +282,79 @@ def fly(
     begin = round(float(run.times[0]) - rig.preroll, 9)
     cuts = np.unique(np.concatenate([[begin], rows, arrive[arrive < rows[-1]], seen]))
     middle = 0.5 * (cuts[1:] + cuts[:-1])
-    sent = np.searchsorted(arrive, middle) - 1
     before = tuple(rig.inputs.values())
-    commands = [before if k < 0 else tuple(run.commands[k].tolist()) for k in sent]
+    commands = [before if k < 0 else tuple(run.commands[k].tolist()) for k in np.searchsorted(arrive, middle) - 1]
     pushed = np.maximum(np.searchsorted(rows, np.append(middle, rows[-1] + 1e-9)) - 1, 0)
     pushes = [tuple(run.pushes[k].tolist()) for k in pushed]
     row_of = {int(c): k for k, c in enumerate(np.searchsorted(cuts, rows))}
     acting: list[Any] = [before, pushes[0]]
-    solver = ode(lambda t, x: rate(t, x.tolist(), *acting))
-    solver.set_integrator("dop853", rtol=tolerance, atol=1e-2 * tolerance, first_step=0.5 * rig.step, nsteps=10_000)
-    state = rig.first_state(names, run)
-    outputs = np.empty((cuts.size, len(rig.outputs)))
-    states = np.empty((rows.size, state.size))
+    integrator = solver(lambda t, x: rate(t, x.tolist(), *acting), tolerance, rig.step)
+    state = rig.first_state({name.partition(".")[0] for name in p}, run)
+    outputs, states = np.empty((cuts.size, len(rig.outputs))), np.empty((rows.size, state.size))
     for k, (at, push) in enumerate(zip(cuts.tolist(), pushes, strict=True)):
         row = row_of.get(k)
         if row is not None:
-            if resets and row in resets:
-                state = resets[row]
+            state = (resets or {}).get(row, state)
             states[row] = state
         outputs[k] = look(at, state.tolist(), push)
         if k + 1 < cuts.size:
             acting[:] = commands[k], push
-            solver.set_initial_value(state, at)
-            state = solver.integrate(float(cuts[k + 1]))
-            if not solver.successful():
-                raise ArithmeticError(f"integration of {rig.name} failed at {at:.3f} s")
-    at_rows = outputs[np.searchsorted(cuts, rows)]
-    columns = []
-    for number, output in enumerate(rig.outputs):
-        values = outputs[np.searchsorted(cuts, seen), number] if output == late_output else at_rows[:, number]
-        columns.append(rig.sensed(p, output, values))
-    return Course(np.column_stack(columns), states)
+            state = advanced(integrator, state, at, float(cuts[k + 1]))
+    readings = outputs[np.searchsorted(cuts, rows)]
+    if late_output:
+        late = list(rig.outputs).index(late_output)
+        readings[:, late] = outputs[np.searchsorted(cuts, seen), late]
+    return Course(rig.all_sensed(p, readings), states)
 
 
-# -- how a rig is driven ---------------------------------------------------------------------------------
+# -- what is drawn ---------------------------------------------------------------------------------------
 
 
-def manoeuvre(
-    rng: np.random.Generator, count: int, step: float, between: tuple[float, float], times: tuple[float, float]
-) -> np.ndarray:
+def stream(suite: int, seed: int, *purpose: int) -> Random:
+    """Return an independent random stream of a suite for a purpose of a seed."""
+    return np.random.default_rng([suite, seed, *purpose])
+
+
+def dealt(deck: Sequence[Any], number: int, stream_of: Callable[[int], Random]) -> tuple[Any, int]:
+    """Return card `number` of an endless pile of equal decks, and how many equal cards are above it.
+
+    Args:
+        deck: the cards.
+        number: which.
+        stream_of: pile → random stream that shuffles it.
+    """
+    pile, place = divmod(number, len(deck))
+    order = [deck[k] for k in stream_of(pile).permutation(len(deck))]
+    card = order[place]
+    return card, pile * deck.count(card) + order[:place].count(card)
+
+
+def base_numbers(sheet: Mapping[str, tuple[float, float]], rng: Random) -> dict[str, float]:
+    """Return base parameters: nominal·(1 + N(0, tolerance/2)), truncated at the tolerance."""
+    drawn = {}
+    for name, (value, tolerance) in sheet.items():
+        away = math.inf
+        while abs(away) > tolerance:
+            away = float(rng.normal(0.0, 0.5 * tolerance))
+        drawn[name] = value * (1.0 + away)
+    return drawn
+
+
+def log_uniform(rng: Random, between: tuple[float, float]) -> float:
+    """Return a random number, log-uniform."""
+    return math.exp(rng.uniform(*np.log(between)))
+
+
+def coloured(rng: Random, count: int, sizes: Sequence[float], step: float, correlation_time: float) -> Array:
+    """Return stationary first-order Gauss-Markov samples, with a column per standard deviation in `sizes`."""
+    keep = math.exp(-step / correlation_time)
+    values = rng.standard_normal((count, len(sizes)))
+    for last, row in pairwise(values):
+        row[:] = keep * last + math.sqrt(1.0 - keep * keep) * row
+    return values * np.array(sizes)
+
+
+def manoeuvre(rng: Random, count: int, step: float, between: tuple[float, float], times: tuple[float, float]) -> Array:
     """Return commands of different styles in sequence: full steps, levels, ramps, multisines, filtered noise.
 
     `between`: smallest and largest command; `times`: shortest and longest hold [s].
@@ -267,75 +365,74 @@ def manoeuvre(
     styles = rng.permutation(np.array(["switch", "levels", "ramps", "multisine", "noise", "switch", "levels"]))
     for style in np.resize(styles, 50):
         length = min(count - k, int(count * rng.uniform(0.12, 0.3)))
-        values[k : k + length] = _STYLES[str(style)](rng, length, step, times)
+        values[k : k + length] = _styled(str(style), rng, length, step, times)
         k += length
         if k == count:
             break
     return low + (high - low) * 0.5 * (1.0 + np.clip(values, -1.0, 1.0))
 
 
-def _holds(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> list[int]:
-    """Return lengths in rows, at least `count` in total, log-uniform within `times`."""
-    lengths = []
+def _styled(style: str, rng: Random, count: int, step: float, times: tuple[float, float]) -> Array:
+    """Return a signal between −1 and 1 in a style; holds are log-uniform within `times`."""
+    if style == "multisine":  # half periods between the shortest and the longest hold
+        frequency = np.exp(rng.uniform(math.log(0.5 / times[1]), math.log(0.5 / times[0]), 8))
+        phase = rng.uniform(0.0, 2.0 * math.pi, 8)
+        values = np.sin(2.0 * math.pi * np.outer(np.arange(count) * step, frequency) + phase).sum(axis=1)
+        return values / np.max(np.abs(values))
+    if style == "noise":  # white noise after a lag
+        keep = math.exp(-step / math.sqrt(times[0] * times[1]))
+        values = math.sqrt(1.0 - keep * keep) * rng.standard_normal(count)
+        for k in range(1, count):
+            values[k] += keep * values[k - 1]
+        return 0.6 * values
+    lengths: list[int] = []
     while sum(lengths) < count:
-        lengths.append(max(1, round(math.exp(rng.uniform(*np.log(times))) / step)))
-    return lengths
+        lengths.append(max(1, round(log_uniform(rng, times) / step)))
+    if style == "ramps":
+        corners = np.concatenate([[0], np.cumsum(lengths)])
+        return np.interp(np.arange(count), corners, rng.uniform(-1.0, 1.0, corners.size))
+    if style == "levels":
+        levels = rng.uniform(-1.0, 1.0, len(lengths))
+    else:
+        levels = np.where(np.arange(len(lengths)) % 2, 1.0, -1.0) * rng.choice([0.0, 1.0, 1.0, 1.0], len(lengths))
+    return np.repeat(levels, lengths)[:count]
 
 
-def _switch(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Return a signal between −1 and 1 with occasional zeros."""
-    lengths = _holds(rng, count, step, times)
-    sides = np.where(np.arange(len(lengths)) % 2, 1.0, -1.0) * rng.choice([0.0, 1.0, 1.0, 1.0], len(lengths))
-    return np.repeat(sides, lengths)[:count]
+def moving(rng: Random, *widths: float) -> Array:
+    """Return a start at rest with probability ½, else uniform within ±`widths`."""
+    return rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, len(widths)) * widths
 
 
-def _levels(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Return steps to random levels."""
-    lengths = _holds(rng, count, step, times)
-    return np.repeat(rng.uniform(-1.0, 1.0, len(lengths)), lengths)[:count]
-
-
-def _ramps(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Return straight lines between random levels."""
-    lengths = _holds(rng, count, step, times)
-    corners = np.concatenate([[0], np.cumsum(lengths)])
-    return np.interp(np.arange(count), corners, rng.uniform(-1.0, 1.0, corners.size))
-
-
-def _multisine(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Return the normalised sum of eight sines with half periods between the shortest and the longest hold."""
-    frequency = np.exp(rng.uniform(math.log(0.5 / times[1]), math.log(0.5 / times[0]), 8))
-    phase = rng.uniform(0.0, 2.0 * math.pi, 8)
-    values = np.sin(2.0 * math.pi * np.outer(np.arange(count) * step, frequency) + phase).sum(axis=1)
-    return values / np.max(np.abs(values))
-
-
-def _noise(rng: np.random.Generator, count: int, step: float, times: tuple[float, float]) -> np.ndarray:
-    """Return white noise after a first-order lag."""
-    keep = math.exp(-step / math.sqrt(times[0] * times[1]))
-    white = math.sqrt(1.0 - keep * keep) * rng.standard_normal(count)
-    values, last = np.empty(count), 0.0
-    for k, w in enumerate(white):
-        values[k] = last = keep * last + w
-    return 0.6 * values
-
-
-_STYLES = {"switch": _switch, "levels": _levels, "ramps": _ramps, "multisine": _multisine, "noise": _noise}
-
-
-def rounded(values: np.ndarray) -> np.ndarray:
+def rounded(values: Array) -> Array:
     """Return values with six digits, so that logged and sent commands are equal."""
     return np.vectorize(lambda v: float(f"{v:.6g}"))(values)
 
 
-def coloured(
-    rng: np.random.Generator, count: int, sizes: Sequence[float], step: float, correlation_time: float
-) -> np.ndarray:
-    """Return stationary first-order Gauss-Markov samples, with a column per standard deviation in `sizes`."""
-    keep = math.exp(-step / correlation_time)
-    white = rng.standard_normal((count, len(sizes)))
-    values = np.empty_like(white)
-    values[0] = white[0]
-    for k in range(1, count):
-        values[k] = keep * values[k - 1] + math.sqrt(1.0 - keep * keep) * white[k]
-    return values * np.array(sizes)
+# -- files -----------------------------------------------------------------------------------------------
+
+
+def write_study(folder: Path, model: str, logs: Sequence[str], more: str = "") -> Path:
+    """Write study.yaml and the logs (their text); return the path of study.yaml."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in zip(LOGS, logs, strict=True):
+        (folder / f"{name}.csv").write_text(text)
+    path = folder / "study.yaml"
+    path.write_text(f"model: {model}\n{STUDY_LOGS}{more}")
+    return path
+
+
+def csv(names: Sequence[str], *columns: tuple[str, Array]) -> str:
+    """Return a log: groups of columns with their format; missing cells are empty."""
+    cells = [["" if math.isnan(v) else format(v, how) for v in column] for how, x in columns for column in x.T.tolist()]
+    return "\n".join(map(",".join, [names, *zip(*cells, strict=True)])) + "\n"
+
+
+def show(module: str, draw: Callable[[int], Any], write: Callable[..., Path], answer: Callable[..., str]) -> None:
+    """Write the study of a seed to a folder, both from the command line, and print its answer."""
+    parser = argparse.ArgumentParser(prog=f"python -m tests.blind.{module}", description="One study to look at.")
+    parser.add_argument("seed", type=int)
+    parser.add_argument("folder", type=Path)
+    options = parser.parse_args()
+    study = draw(options.seed)
+    print(write(study, options.folder), file=sys.stderr)
+    print(answer(study), end="")

@@ -9,23 +9,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from tests.blind.field_cart import Cart
 from tests.blind.field_cost import Conditions, costs
-from tests.blind.field_craft import CraftRig, craft, fly_craft
+from tests.blind.field_craft import CraftRig, craft, fly_craft, moving_start
 from tests.blind.field_drive_train import DriveTrain
 from tests.blind.field_quarter_car import QuarterCar
 from tests.blind.field_recorder import Recorder
-from tests.blind.field_rig import Course, Entry, Rig, Run, Truth, coloured
+from tests.blind.field_rig import (
+    Array,
+    Course,
+    Entry,
+    Random,
+    Rig,
+    Run,
+    Truth,
+    base_numbers,
+    coloured,
+    dealt,
+    log_uniform,
+)
+from tests.blind.field_rig import stream as any_stream
 from tests.blind.field_tanks import Tanks
+from tests.blind.truth_craft import Flight
 from tests.blind.truth_outside import OUTSIDE
+from tests.blind.truth_pilot import Pilot, Style
 
 RIGS: dict[str, Rig] = {rig.name: rig for rig in (CraftRig(), DriveTrain(), Tanks(), Cart(), QuarterCar())}
 PLANTS = tuple(RIGS)
-LOGS = ("e1", "e2", "v1")
 BLOCK = ("known",) * 11 + ("nothing",) * 5 + ("outside",) * 4  # of twenty consecutive seeds, in shuffled order
 COUNTS = (1, 2, 3, 4)  # effects of a known study
 DISTURBANCES = {"small": 0.0005, "large": 0.002}  # of the actuator's range: standard deviation
@@ -34,6 +49,8 @@ SMALL, LARGE = (25.0, 100.0), (100.0, 1600.0)  # nats, log-uniform
 SMALL_SHARE = 0.38  # of the effects that are sized; the others, latencies, are always large
 NEAR = 0.15  # share of a size to which the search goes
 OUTSIDE_COST = (200.0, 1600.0)  # nats
+
+Wanted = Callable[[Random], float]  # → a random cost [nats]
 
 
 @dataclass(frozen=True)
@@ -58,8 +75,8 @@ class Study:
     base: dict[str, float]
     disturbance: str
     recorder: Recorder
-    stamp_error: float
-    costs: dict[str, float]
+    stamp_error: float = 0.0
+    costs: dict[str, float] = field(default_factory=dict)
 
     @property
     def rig(self) -> Rig:
@@ -69,55 +86,44 @@ class Study:
     @property
     def faults(self) -> tuple[str, ...]:
         """Return the faults of the recorder, and `late` for a late sensor, which is also part of the truth."""
-        late = any(self.rig.sensors[name].kind == "late" for name in self.truth if name in self.rig.sensors)
-        return (*self.recorder.faults, "late") if late else self.recorder.faults
+        return (*self.recorder.faults, "late") if self.rig.late()[0] in self.truth else self.recorder.faults
+
+    @property
+    def push_deviations(self) -> list[float]:
+        """Return the standard deviations of the disturbance."""
+        return [DISTURBANCES[self.disturbance] * reach for reach in self.rig.pushes]
 
 
-def stream(seed: int, *purpose: int) -> np.random.Generator:
-    """Return an independent random stream for a purpose of a seed."""
-    return np.random.default_rng([60493, seed, *purpose])
+stream = partial(any_stream, 60493)  # of this half and of the FMUs
 
 
-def card(deck: tuple[Any, ...], number: int, purpose: int) -> Any:
-    """Return card `number` of an endless pile of equal decks, each shuffled separately."""
-    pile, card = divmod(number, len(deck))
-    return deck[stream(pile, purpose).permutation(len(deck))[card]]
+def card(deck: Sequence[Any], number: int, *purpose: int) -> tuple[Any, int]:
+    """Return card `number` of an endless pile of equal decks, and how many equal cards are above it."""
+    return dealt(deck, number, lambda pile: stream(pile, *purpose))
 
 
 def deal(seed: int) -> Deal:
     """Return the properties of a seed from the decks, without effects and sizes."""
-    block, place = divmod(seed, len(BLOCK))
-    order = [BLOCK[k] for k in stream(block, 1).permutation(len(BLOCK))]
-    kind = order[place]
-    number = block * BLOCK.count(kind) + order[:place].count(kind)
-    count = card(COUNTS, number, 2) if kind == "known" else int(kind == "outside")
-    return Deal(seed, PLANTS[seed % len(PLANTS)], kind, count, card(tuple(DISTURBANCES), seed, 3))
-
-
-def base_numbers(rig: Rig, rng: np.random.Generator) -> dict[str, float]:
-    """Return base parameters: nominal·(1 + N(0, tolerance/2)), truncated at the tolerance."""
-    drawn = {}
-    for name, (value, tolerance) in rig.sheet.items():
-        away = math.inf
-        while abs(away) > tolerance:
-            away = float(rng.normal(0.0, 0.5 * tolerance))
-        drawn[name] = value * (1.0 + away)
-    return drawn
+    kind, number = card(BLOCK, seed, 1)
+    count = card(COUNTS, number, 2)[0] if kind == "known" else int(kind == "outside")
+    return Deal(seed, PLANTS[seed % len(PLANTS)], kind, count, card(tuple(DISTURBANCES), seed, 3)[0])
 
 
 def draw(seed: int) -> Study:
     """Return the study of a seed, reproducible byte for byte."""
-    dealt = deal(seed)
-    rng = stream(seed, 4)
-    study = bare(seed, dealt.plant, rng, dealt.kind)
-    if dealt.kind == "known":
-        return _hidden(study, rng, dealt.effects)
-    if dealt.kind == "outside":
-        return _strange(study, rng)
-    return study
+    given, rng = deal(seed), stream(seed, 4)
+    study = bare(seed, given.plant, rng, given.kind)
+    if given.kind == "known":
+        return hidden(study, lambda: names_of(study.rig, rng, given.effects), rng, _wanted)
+    if given.kind == "nothing":
+        return study
+    if given.plant == "craft":  # with the sizes of the laboratory half
+        name = str(rng.choice(sorted(OUTSIDE)))
+        return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].ranges.items()}})
+    return hidden(study, lambda: [str(rng.choice(sorted(study.rig.outside)))], rng, costing(OUTSIDE_COST))
 
 
-def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -> Study:
+def bare(seed: int, plant: str, rng: Random, kind: str = "known") -> Study:
     """Return a study with base parameters, disturbance and recorder, but without hidden effects.
 
     Args:
@@ -126,11 +132,28 @@ def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -
     rig = RIGS[plant]
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
-    disturbance = card(tuple(DISTURBANCES), seed, 3)
-    study = Study(seed, plant, kind, {}, base_numbers(rig, rng), disturbance, recorder, 0.0, {})
+    disturbance, _ = card(tuple(DISTURBANCES), seed, 3)
+    study = Study(seed, plant, kind, {}, base_numbers(rig.sheet, rng), disturbance, recorder)
     if recorder.timing:
         study = replace(study, stamp_error=recorder.stamp_error(rig, course(study, 0)[1].readings))
     return study
+
+
+def names_of(rig: Rig, rng: Random, count: int) -> list[str]:
+    """Return names of random effects of the catalogue, at most one of each family."""
+    while True:
+        names = sorted(str(n) for n in rng.choice(sorted(rig.entries), count, replace=False))
+        if not any(len(family & set(names)) > 1 for family in rig.families):
+            return names
+
+
+def costing(between: tuple[float, float]) -> Wanted:
+    """Return what draws a cost [nats], log-uniform."""
+    return lambda rng: log_uniform(rng, between)
+
+
+def _wanted(rng: Random) -> float:
+    return log_uniform(rng, SMALL if rng.random() < SMALL_SHARE else LARGE)
 
 
 # -- how it moves ------------------------------------------------------------------------------------------
@@ -138,25 +161,27 @@ def bare(seed: int, plant: str, rng: np.random.Generator, kind: str = "known") -
 
 def course(study: Study, number: int) -> tuple[Run, Course]:
     """Return log `number`: its inputs, and the readings of correct sensors without noise."""
-    rig, recorder = study.rig, study.recorder
+    rig = study.rig
     manoeuvre, pushed, clock = (stream(study.seed, 10 + number, purpose) for purpose in range(3))
-    sizes = [DISTURBANCES[study.disturbance] * reach for reach in rig.pushes]
-    pushes = coloured(pushed, rig.rows, sizes, rig.step, rig.correlation_time)
-    times = recorder.times(clock, rig.rows, rig.step)
+    pushes = coloured(pushed, rig.rows, study.push_deviations, rig.step, rig.correlation_time)
+    times = study.recorder.times(clock, rig.rows, rig.step)
     if isinstance(rig, CraftRig):
-        made = craft(study.base, study.kind, study.truth)
-        return fly_craft(rig, made, study.truth, manoeuvre, times, pushes, noise(study, number))
+        made, start = craft(study.base, study.kind, study.truth), moving_start(manoeuvre)
+        style = Style.draw(manoeuvre, bool(manoeuvre.random() < 0.5))
+        pilot = Pilot(manoeuvre, style, times.size, start.get("psi", 0.0))
+        inputs = times, pushes, noise(study, number)
+        return fly_craft(Flight(made, made.rest(**start)), made, pilot, study.truth, inputs)
     run = Run(times, rig.drive(manoeuvre), pushes, rig.begin(manoeuvre))
     return run, rig.course(rig.numbers(study.base, study.truth), run)
 
 
-def noise(study: Study, number: int) -> np.ndarray:
+def noise(study: Study, number: int) -> Array:
     """Return the noise of the sensors, shape (rows, outputs)."""
     white = stream(study.seed, 10 + number, 3).standard_normal((study.rig.rows, len(study.rig.outputs)))
     return white * study.recorder.deviations(study.rig)
 
 
-def rows_to_keep(study: Study, number: int) -> np.ndarray:
+def rows_to_keep(study: Study, number: int) -> Array:
     """Return which cells of a log are recorded, shape (rows, outputs)."""
     return study.recorder.rows_to_keep(stream(study.seed, 10 + number, 4), study.rig.rows, len(study.rig.outputs))
 
@@ -174,112 +199,67 @@ class _Sized:
     wanted: float
     known: list[tuple[float, float]] = field(default_factory=list)
 
-    def learn(self, cost: float) -> float:
+    def learn(self, cost: float) -> Any:
         """Return the next size to try, within the limits, from a power law of the cost, at first the square."""
         if self.entry.fixed:
             return self.size
-        power = 2.0
+        power, cost = 2.0, max(cost, 1e-3)
         if self.known and abs(math.log(self.size / self.known[-1][0])) > 1e-3:
             size, before = self.known[-1]
-            power = math.log(max(cost, 1e-3) / max(before, 1e-3)) / math.log(self.size / size)
+            power = math.log(cost / before) / math.log(self.size / size)
         self.known.append((self.size, cost))
-        factor = (self.wanted / max(cost, 1e-3)) ** (1.0 / min(max(power, 1.0), 12.0))
-        return min(max(self.size * min(max(factor, 0.1), 10.0), self.entry.limits[0]), self.entry.limits[1])
+        factor = (self.wanted / cost) ** (1.0 / min(max(power, 1.0), 12.0))
+        return min(max(self.size * min(max(factor, 0.1), 10.0), self.entry.low), self.entry.high)
 
     @property
     def hopeless(self) -> bool:
         """Return whether the cost is too low at the largest size."""
-        return bool(self.known) and self.size == self.entry.limits[1] and self.known[-1][1] < LEAST
+        return bool(self.known) and self.size == self.entry.high and self.known[-1][1] < LEAST
 
 
-def _hidden(study: Study, rng: np.random.Generator, count: int) -> Study:
-    """Return a study with random effects of the catalogue, each of the size that has a randomly drawn cost."""
-    rig = study.rig
+def hidden(study: Study, names: Callable[[], Sequence[str]], rng: Random, wanted: Wanted) -> Study:
+    """Return the study with effects of random names, each of the size that has a wanted cost [nats]."""
     for _ in range(50):
-        if (found := sized(study, names_of(rig, rng, count), rng, _wanted)) is not None:
+        if (found := sized(study, names(), rng, wanted)) is not None:
             return found
     raise RuntimeError(f"seed {study.seed}: no effects that can be seen")
 
 
-def sized(
-    study: Study, names: Sequence[str], rng: np.random.Generator, wanted: Callable[[np.random.Generator], float]
-) -> Study | None:
-    """Return the study with each effect at the size of a wanted cost [nats]; None if a cost cannot be reached."""
-    return _searched(study, {name: _begin(study.rig, name, rng, wanted(rng)) for name in names})
-
-
-def names_of(rig: Rig, rng: np.random.Generator, count: int) -> list[str]:
-    """Return names of random effects of the catalogue, at most one of each family."""
-    while True:
-        names = sorted(str(n) for n in rng.choice(sorted(rig.entries), count, replace=False))
-        if not any(len(family & set(names)) > 1 for family in rig.families):
-            return names
-
-
-def _wanted(rng: np.random.Generator) -> float:
-    between = SMALL if rng.random() < SMALL_SHARE else LARGE
-    return math.exp(rng.uniform(*np.log(between)))
-
-
-def wanted_large(rng: np.random.Generator) -> float:
-    """Return a random cost [nats], as large as for a large effect."""
-    return math.exp(rng.uniform(*np.log(LARGE)))
-
-
-def _wanted_of_strangers(rng: np.random.Generator) -> float:
-    return math.exp(rng.uniform(*np.log(OUTSIDE_COST)))
-
-
-def _begin(rig: Rig, name: str, rng: np.random.Generator, wanted: float) -> _Sized:
-    entry = {**rig.entries, **rig.outside}[name]
-    start = float(rng.uniform(*entry.limits)) if entry.fixed else entry.start
-    return _Sized(entry, entry.unit(rng), start, wanted)
-
-
-def _searched(study: Study, sized: dict[str, _Sized], tries: int = 6) -> Study | None:
+def sized(study: Study, names: Sequence[str], rng: Random, wanted: Wanted) -> Study | None:
     """Return the study with each effect at the size of its wanted cost; None if a cost cannot be reached."""
-    for _ in range(tries):
-        study = replace(study, truth={name: s.entry.at(s.unit, s.size) for name, s in sized.items()})
+    search = {}
+    for name in names:
+        entry, cost = study.rig.every_entry[name], wanted(rng)
+        start = float(rng.uniform(entry.low, entry.high)) if entry.fixed else entry.start
+        search[name] = _Sized(entry, entry.unit(rng), start, cost)
+    for _ in range(6):
+        study = replace(study, truth={name: s.entry.at(s.unit, s.size) for name, s in search.items()})
         try:
-            cost = costs(study.rig, study.base, study.truth, conditions(study))
+            study = with_costs(study)
         except ArithmeticError:
             return None
-        study = replace(study, costs=cost)
-        sizes = {name: s.learn(cost[name]) for name, s in sized.items()}
-        if any(s.hopeless for s in sized.values()):
+        sizes = {name: s.learn(study.costs[name]) for name, s in search.items()}
+        if any(s.hopeless for s in search.values()):
             return None
-        if all(abs(math.log(sizes[name] / s.size)) < NEAR for name, s in sized.items()):
+        if all(abs(math.log(sizes[name] / s.size)) < NEAR for name, s in search.items()):
             break
-        for name, s in sized.items():
+        for name, s in search.items():
             s.size = sizes[name]
     return study if min(study.costs.values()) >= LEAST else None
 
 
-def conditions(study: Study) -> Conditions:
-    """Return what `costs` needs of the estimation logs: runs without pushes, variances of readings, sizes of pushes."""
+def with_costs(study: Study) -> Study:
+    """Return the study with the costs of its effects, from the estimation logs."""
     rig, recorder = study.rig, study.recorder
     flown = [course(study, number) for number in range(2)]
-    still = [replace_pushes(run) for run, _ in flown]
     variances = [
         recorder.variances(rig, result.readings, study.stamp_error, rows_to_keep(study, number))
         for number, (_, result) in enumerate(flown)
     ]
-    return Conditions(still, variances, [DISTURBANCES[study.disturbance] * reach for reach in rig.pushes])
+    given = Conditions([undisturbed(run) for run, _ in flown], variances, study.push_deviations)
+    return replace(study, costs=costs(rig, study.base, study.truth, given))
 
 
-def replace_pushes(run: Run) -> Run:
+def undisturbed(run: Run) -> Run:
     """Return the run without pushes, as the model assumes."""
     return replace(run, pushes=np.zeros_like(run.pushes))
-
-
-def _strange(study: Study, rng: np.random.Generator) -> Study:
-    """Return a study with an effect outside the catalogue; for the craft with the sizes of the laboratory half."""
-    rig = study.rig
-    if study.plant == "craft":
-        name = str(rng.choice(sorted(OUTSIDE)))
-        return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].ranges.items()}})
-    for _ in range(50):
-        name = str(rng.choice(sorted(rig.outside)))
-        if (found := sized(study, [name], rng, _wanted_of_strangers)) is not None:
-            return found
-    raise RuntimeError(f"seed {study.seed}: no stranger that can be seen")

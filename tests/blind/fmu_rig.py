@@ -22,23 +22,43 @@ integrated by Runge-Kutta with a few steps a row; a test compares with DOP853.
 | `lag`, `drift` at y | time; rate | y + rate·t |
 """
 
+# ruff: noqa: RUF012 - what a rig declares are attributes of its class
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
-from tests.blind.field_rig import Course, Entry, Flat, Floats, Look, Rate, Rig, Run, Sensor, manoeuvre, rounded
+from tests.blind.field_rig import (
+    Array,
+    Course,
+    Entry,
+    Flat,
+    Floats,
+    Look,
+    Random,
+    Rate,
+    Rig,
+    Run,
+    Sensor,
+    grouped,
+    hidden_in,
+    manoeuvre,
+    rounded,
+)
 
 ModelExchange, CoSimulation = "model_exchange", "co_simulation"
 PARTS = 4  # Runge-Kutta steps of a row
 SHORTEST_LAG = 0.5  # time constant of a sensor in rows, below which the integration would be wrong
+DAMPING = {"damping": (0.4, 0.8)}
 QUICK = 50.0  # a lag so many times faster than a part of a row is none
+
+Ranges = Mapping[str, tuple[float, float]]
 
 
 def place(name: str) -> str:
@@ -54,7 +74,7 @@ class Input:
     low: float
     high: float
     holds: tuple[float, float]
-    kinds: tuple[str, ...] = ()
+    kinds: str = ""
 
     @property
     def reach(self) -> float:
@@ -74,7 +94,7 @@ class Pair:
     force: float
     speed: float
     distance: float
-    kinds: tuple[str, ...]
+    kinds: str
     port: bool = False
     inertia: str = ""
     period: tuple[float, float] = (1.0, 1.0)
@@ -87,7 +107,7 @@ class Storage:
     value: float
     level: float
     rate: float
-    kinds: tuple[str, ...]
+    kinds: str
 
 
 @dataclass(frozen=True)
@@ -97,19 +117,18 @@ class Output:
     state: int
     noise: float
     spread: float
-    kinds: tuple[str, ...]
+    kinds: str
 
 
 class FmuRig(Rig):
     """Plant of the FMUs' suite: places, equations, and what can be hidden in it for a way of simulation."""
 
-    plants_inputs: ClassVar[dict[str, Input]]
-    pairs: ClassVar[dict[str, Pair]] = {}
-    storages: ClassVar[dict[str, Storage]] = {}
-    plants_outputs: ClassVar[dict[str, Output]]
-    strangers: ClassVar[dict[str, Entry]]
-    preroll_rows: ClassVar[int] = 60
-    shaped_kinds = ("bias", "gain", "dead_band", "saturation", "rate_limit", "play", "lag", "second_order_lag")
+    plants_inputs: dict[str, Input]
+    pairs: dict[str, Pair] = {}
+    storages: dict[str, Storage] = {}
+    plants_outputs: dict[str, Output]
+    strangers: dict[str, Entry]
+    preroll_rows: int = 60
 
     def __init__(self, way: str) -> None:
         self.way = way
@@ -126,18 +145,15 @@ class FmuRig(Rig):
         self.sensors = {
             f"{kind}_at_{place(name)}": Sensor(name, {"latency": "late"}.get(kind, kind))
             for name, y in self.plants_outputs.items()
-            for kind in y.kinds
+            for kind in y.kinds.split()
         }
         self.own_states = {
             f"lag_at_{place(name)}": {f"lag_at_{place(name)}.state": self.rest[y.state]}
             for name, y in self.plants_outputs.items()
-            if "lag" in y.kinds
+            if "lag" in y.kinds.split()
         }
-        parameters = ("value", "width", "limit", "rate", "time", "frequency", "damping")
-        self.shaping = (
-            "delay.time",
-            *(f"{kind}_at_{place(u)}.{n}" for u in self.inputs for kind in self.shaped_kinds for n in parameters),
-        )
+        parameters = {name: (*entry.names.split(), *entry.shape) for name, entry in at_inputs.items()}
+        self.shaping = tuple(f"{name}.{p}" for name, given in parameters.items() for p in given)
         places = [*map(place, self.inputs), *self.pairs, *self.storages, *map(place, self.outputs)]
         alike = [{name for name in self.entries if name.endswith(f"_at_{p}")} for p in places]
         slow = {n for n in at_inputs if n == "delay" or n.startswith(("lag_", "second_order", "rate_limit", "play"))}
@@ -151,73 +167,66 @@ class FmuRig(Rig):
     # -- what may be hidden --------------------------------------------------------------------------
 
     def _at_inputs(self) -> dict[str, Entry]:
-        found = {"delay": Entry(("time",), 0.5 * self.step, (0.02 * self.step, 20.0 * self.step))}
+        h = self.step
+        found = {"delay": Entry("time", 0.5 * h, 0.02 * h, 20.0 * h)}
         for name, u in self.plants_inputs.items():
-            reach, h = u.reach, self.step
+            reach = u.reach
             every = {
-                "bias": Entry(("value",), 0.02 * reach, (5e-4 * reach, 0.3 * reach), signed=True),
-                "gain": Entry(("value",), 0.03, (1e-3, 0.4), signed=True, neutral=1.0),
-                "dead_band": Entry(("width",), 0.03 * reach, (1e-3 * reach, 0.3 * reach)),
-                "saturation": Entry(("limit",), 0.1, (0.01, 0.6), neutral=reach, ratio={"limit": (-reach, -reach)}),
-                "rate_limit": Entry(("rate",), 4.0 * h / reach, (h / reach, 100.0 * h / reach), inverse=True),
-                "play": Entry(("width",), 0.03 * reach, (1e-3 * reach, 0.3 * reach)),
-                "lag": Entry(("time",), h, (0.05 * h, 30.0 * h)),
-                "second_order_lag": Entry(
-                    ("frequency",), h, (0.1 * h, 20.0 * h), shape={"damping": (0.4, 0.8)}, inverse=True
-                ),
+                "bias": Entry("value", 0.02 * reach, 5e-4 * reach, 0.3 * reach, signed=True),
+                "gain": Entry("value", 0.03, 1e-3, 0.4, signed=True, neutral=1.0),
+                "dead_band": Entry("width", 0.03 * reach, 1e-3 * reach, 0.3 * reach),
+                "saturation": Entry("limit", 0.1, 0.01, 0.6, neutral=reach, ratio={"limit": (-reach, -reach)}),
+                "rate_limit": Entry("rate", 4.0 * h / reach, h / reach, 100.0 * h / reach, inverse=True),
+                "play": Entry("width", 0.03 * reach, 1e-3 * reach, 0.3 * reach),
+                "lag": Entry("time", h, 0.05 * h, 30.0 * h),
+                "second_order_lag": Entry("frequency", h, 0.1 * h, 20.0 * h, shape=DAMPING, inverse=True),
             }
-            found |= {f"{kind}_at_{place(name)}": every[kind] for kind in u.kinds}
+            found |= _placed(name, u.kinds, every)
         return found
 
     def _at_pairs(self, port: bool) -> dict[str, Entry]:
-        found = {}
+        found: dict[str, Entry] = {}
         for name, v in self.pairs.items():
-            if v.port != port:
-                continue
-            some, force = 0.02 * v.force, (2e-4, 0.5)
+
+            def force(names: str, unit: float, usual: float = v.force, **more: Any) -> Entry:
+                """Return an effect whose parameter is a share of the usual force over a unit."""
+                return Entry(names, 0.02 * usual / unit, 2e-4 * usual / unit, 0.5 * usual / unit, **more)
+
+            slow = {"speed": (0.2 * v.speed, 0.5 * v.speed)}
             every = {
-                "coulomb": Entry(("level",), some, (force[0] * v.force, force[1] * v.force)),
-                "stribeck": Entry(
-                    ("breakaway",), some, (force[0] * v.force, force[1] * v.force),
-                    ratio={"level": (0.2, 0.4)}, shape={"speed": (0.2 * v.speed, 0.5 * v.speed)},
-                ),
-                "viscous": Entry(("coefficient",), some / v.speed, tuple(f * v.force / v.speed for f in force)),
-                "quadratic_drag": Entry(
-                    ("coefficient",), some / v.speed**2, tuple(f * v.force / v.speed**2 for f in force)
-                ),
-                "cogging": Entry(
-                    ("sine", "cosine"), some, (force[0] * v.force, force[1] * v.force), shape={"period": v.period}
-                ),
-                "cubic_spring": Entry(
-                    ("stiffness",), some / v.distance**3, tuple(f * v.force / v.distance**3 for f in force)
-                ),
-            }  # fmt: skip
-            found |= {f"{kind}_at_{name}": every[kind] for kind in v.kinds}
+                "coulomb": force("level", 1.0),
+                "stribeck": force("breakaway", 1.0, ratio={"level": (0.2, 0.4)}, shape=slow),
+                "viscous": force("coefficient", v.speed),
+                "quadratic_drag": force("coefficient", v.speed**2),
+                "cogging": force("sine cosine", 1.0, shape={"period": v.period}),
+                "cubic_spring": force("stiffness", v.distance**3),
+            }
+            found |= _placed(name, v.kinds, every) if v.port == port else {}
         return found
 
     def _at_storages(self) -> dict[str, Entry]:
-        found = {}
+        found: dict[str, Entry] = {}
         for name, s in self.storages.items():
             usual, high = s.rate / s.value, s.rate / (0.1 * s.value)
             every = {
-                "leak": Entry(("coefficient",), 0.05 * usual, (1e-4 * usual, usual)),
-                "overflow": Entry(("coefficient",), high, (0.01 * high, 100.0 * high), shape={"level": (s.level,) * 2}),
+                "leak": Entry("coefficient", 0.05 * usual, 1e-4 * usual, usual),
+                "overflow": Entry("coefficient", high, 0.01 * high, 100.0 * high, shape={"level": (s.level,) * 2}),
             }
-            found |= {f"{kind}_at_{name}": every[kind] for kind in s.kinds}
+            found |= _placed(name, s.kinds, every)
         return found
 
     def _at_outputs(self) -> dict[str, Entry]:
-        found, h = {}, self.step
+        h, found = self.step, dict[str, Entry]()
         for name, y in self.plants_outputs.items():
             slow = y.spread / (self.rows * h)
             every = {
-                "bias": Entry(("value",), y.noise, (0.02 * y.noise, 0.3 * y.spread), signed=True),
-                "scale": Entry(("value",), 0.02, (5e-4, 0.3), signed=True, neutral=1.0),
-                "lag": Entry(("time",), h, (SHORTEST_LAG * h, 15.0 * h)),
-                "drift": Entry(("rate",), 0.02 * slow, (5e-4 * slow, 0.5 * slow), signed=True),
-                "latency": Entry(("value",), 2.0 * h, (1.5 * h, 4.0 * h), fixed=True),
+                "bias": Entry("value", y.noise, 0.02 * y.noise, 0.3 * y.spread, signed=True),
+                "scale": Entry("value", 0.02, 5e-4, 0.3, signed=True, neutral=1.0),
+                "lag": Entry("time", h, SHORTEST_LAG * h, 15.0 * h),
+                "drift": Entry("rate", 0.02 * slow, 5e-4 * slow, 0.5 * slow, signed=True),
+                "latency": Entry("value", 2.0 * h, 1.5 * h, 4.0 * h, fixed=True),
             }
-            found |= {f"{kind}_at_{place(name)}": every[kind] for kind in y.kinds}
+            found |= _placed(name, y.kinds, every)
         return found
 
     # -- equations ------------------------------------------------------------------------------------
@@ -235,60 +244,61 @@ class FmuRig(Rig):
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return derivatives and outputs, with the hidden effects of `p`."""
-        n, first = len(self.states), place(next(iter(self.plants_inputs)))
-        own = self.equations(f, p, self._drags(f, p), self._losses(f, p))
-        clock = _clock(f, p, first)
+        hidden, first = hidden_in(p), place(next(iter(self.plants_inputs)))
+        own = self.equations(f, p, self._drag(f, p), self._loss(f, p))
         names = {key.partition(".")[0] for key in p}
-        lags = [(name, place(name)) for name in self.plants_outputs if f"lag_at_{place(name)}" in names]
-        lagged = {name: (n + k, p[f"lag_at_{at}.time"]) for k, (name, at) in enumerate(lags)}
-        drifts = {name: p.get(f"drift_at_{place(name)}.rate") for name in self.plants_outputs}
-        shown = {name: y.state for name, y in self.plants_outputs.items()}
+        lagged = [place(name) for name in self.plants_outputs if f"lag_at_{place(name)}" in names]
+        number = {at: len(self.states) + k for k, at in enumerate(lagged)}
+        time = {at: p[f"lag_at_{at}.time"] for at in lagged}
+        state = {place(name): y.state for name, y in self.plants_outputs.items()}
+        drifts = {at: p.get(f"drift_at_{at}.rate", 0.0) for at in state}
         least = SHORTEST_LAG * self.step  # so that a lag of 0 does no harm where others have one
+        changing = any(name.endswith(f"_at_{first}") for name in names & set(self.outside))
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
-            slopes = own(t, x, u if clock is None else [clock(t, u[0]), *u[1:]], push)
-            return [*slopes, *((x[shown[o]] - x[k]) / f.maximum(time, least) for o, (k, time) in lagged.items())]
+            acting = [_at_time(f, hidden, first, t, u[0]), *u[1:]] if changing else u
+            lags = [(x[state[at]] - x[k]) / f.maximum(time[at], least) for at, k in number.items()]
+            return [*own(t, x, acting, push), *lags]
 
         def look(t: float, x: Any, push: Any) -> list[Any]:
-            values = []
-            for name, state in shown.items():
-                value = x[state]
-                if name in lagged:
-                    k, time = lagged[name]
-                    value = f.where(time > 0.0, x[k], value)
-                rate = drifts[name]
-                values.append(value if rate is None else value + rate * t)
-            return values
+            shown = {at: x[k] for at, k in state.items()}
+            shown |= {at: f.where(time[at] > 0.0, x[k], shown[at]) for at, k in number.items()}
+            return [value + drifts[at] * t for at, value in shown.items()]
 
         return rate, look
 
-    def _drags(self, f: Any, p: Flat) -> Callable[..., Any]:
-        terms = {name: _drag(f, p, name, v.speed / 50.0) for name, v in self.pairs.items()}
-        return lambda name, q, v: sum(term(q, v) for term in terms[name])
+    def _drag(self, f: Any, p: Flat) -> Callable[..., Any]:
+        """Return (place, position, velocity) → force against the motion of the effects at a velocity."""
+        effects = grouped(p)
+        terms = {
+            name: [
+                (term, effects[f"{kind}_at_{name}"]) for kind, term in DRAGS.items() if f"{kind}_at_{name}" in effects
+            ]
+            for name in self.pairs
+        }
+        creep = {name: v.speed / 50.0 for name, v in self.pairs.items()}
+        return lambda name, q, v: sum(term(f, q, v, f.tanh(v / creep[name]), **values) for term, values in terms[name])
 
-    def _losses(self, f: Any, p: Flat) -> Callable[..., Any]:
-        get = p.get
-
-        def loss(name: str, value: Any) -> Any:
-            leak, level, spill = (get(f"{k}_at_{name}.{n}") for k, n in _LOSSES)
-            lost = 0.0 if leak is None else leak * value
-            return lost if spill is None else lost + spill * f.maximum(value - level, 0.0)
-
-        return loss
+    def _loss(self, f: Any, p: Flat) -> Callable[..., Any]:
+        """Return (place, value) → loss of a storage per second."""
+        leaks = {name: p.get(f"leak_at_{name}.coefficient", 0.0) for name in self.storages}
+        spills = {name: p.get(f"overflow_at_{name}.coefficient", 0.0) for name in self.storages}
+        levels = {name: p.get(f"overflow_at_{name}.level", 0.0) for name in self.storages}
+        return lambda name, x: leaks[name] * x + spills[name] * f.maximum(x - levels[name], 0.0)
 
     def resolves(self, truth: Mapping[str, Mapping[str, float]]) -> bool:
         """Return whether the integration resolves the lag of every sensor."""
         least = SHORTEST_LAG * self.step
         return all(values["time"] >= least for name, values in truth.items() if name in self.own_states)
 
-    def first_state(self, names: Collection[str], run: Run) -> np.ndarray:
+    def first_state(self, names: Collection[str], run: Run) -> Array:
         """Return the start state; a lagging sensor begins at what it shows."""
         lags = [y.state for name, y in self.plants_outputs.items() if f"lag_at_{place(name)}" in names]
         return np.concatenate([run.start, run.start[lags]])
 
     # -- inputs ---------------------------------------------------------------------------------------
 
-    def acting(self, p: Flat, run: Run, parts: int) -> np.ndarray:
+    def acting(self, p: Flat, run: Run, parts: int) -> Array:
         """Return the mean acting inputs of each of `parts` parts of a row, shape (rows, parts, inputs)."""
         columns = []
         for number, (name, u) in enumerate(self.plants_inputs.items()):
@@ -299,7 +309,7 @@ class FmuRig(Rig):
         return np.stack(columns, axis=-1).reshape(len(run.times), parts, -1)
 
     def course(
-        self, p: Mapping[str, float], run: Run, resets: Mapping[int, np.ndarray] | None = None, parts: int = PARTS
+        self, p: Mapping[str, float], run: Run, resets: Mapping[int, Array] | None = None, parts: int = PARTS
     ) -> Course:
         """Return the simulated log: `parts` Runge-Kutta steps a row, after a preroll at rest commands.
 
@@ -311,37 +321,30 @@ class FmuRig(Rig):
         """
         rate, look = self.bind(Floats, p)
         h, lead = self.step / parts, self.preroll_rows
-        acting = self.acting(p, run, parts).reshape(-1, len(self.inputs))
-        before = [
-            float(_static(np.array([u.rest]), _parameters(p, place(n)))[0]) for n, u in self.plants_inputs.items()
-        ]
-        acting = np.vstack([np.tile(before, (lead * parts, 1)), acting]).tolist()
+        rest = [float(_static(np.array([u.rest]), _parameters(p, place(n)))[0]) for n, u in self.plants_inputs.items()]
+        acting = [rest] * (lead * parts) + self.acting(p, run, parts).reshape(-1, len(rest)).tolist()
         rows, begin = len(run.times), float(run.times[0])
         state = self.first_state({name.partition(".")[0] for name in p}, run).tolist()
-        states, fine = np.empty((rows, len(state))), np.empty(((lead + rows) * parts, len(self.outputs)))
-        for k in range((lead + rows) * parts):
-            row, part = divmod(k, parts)
-            push = run.pushes[max(row - lead, 0)]
-            if part == 0 and row >= lead:
-                if resets and row - lead in resets:
-                    state = list(resets[row - lead])
-                states[row - lead] = state
-            t = begin + (k - lead * parts) * h
+        states, fine = np.empty((rows, len(state))), np.empty((len(acting), len(self.outputs)))
+        moments = begin + h * (np.arange(len(acting)) - lead * parts)
+        for k, (t, u) in enumerate(zip(moments.tolist(), acting, strict=True)):
+            row, part = k // parts - lead, k % parts
+            push = run.pushes[max(row, 0)]
+            if part == 0 and row >= 0:
+                state = list((resets or {}).get(row, state))
+                states[row] = state
             fine[k] = look(t, state, push)
-            state = _runge_kutta(rate, t, state, acting[k], push, h)
+            state = _runge_kutta(rate, t, state, u, push, h)
         if not np.all(np.isfinite(states)):
             raise ArithmeticError(f"{self.name}: states are not finite")
+        readings = fine[lead * parts :: parts].copy()
         late, late_output = self.late()
-        moments = begin + h * (np.arange(len(fine)) - lead * parts)
-        columns = []
-        for number, output in enumerate(self.outputs):
-            column = fine[lead * parts :: parts, number]
-            if output == late_output and f"{late}.value" in p:
-                column = np.interp(run.times - p[f"{late}.value"], moments, fine[:, number])
-            columns.append(self.sensed(p, output, column))
-        return Course(np.column_stack(columns), states)
+        if f"{late}.value" in p:
+            number = list(self.outputs).index(late_output)
+            readings[:, number] = np.interp(run.times - p[f"{late}.value"], moments, fine[:, number])
+        return Course(self.all_sensed(p, readings), states)
 
-    def drive(self, rng: np.random.Generator) -> np.ndarray:
+    def drive(self, rng: Random) -> Array:
         """Return the commands of a log, for each input steps, levels, ramps, multisines, noise; at first at rest."""
         columns = [manoeuvre(rng, self.rows, self.step, (u.low, u.high), u.holds) for u in self.plants_inputs.values()]
         commands = np.column_stack(columns)
@@ -349,7 +352,23 @@ class FmuRig(Rig):
         return rounded(commands)
 
 
-_LOSSES = (("leak", "coefficient"), ("overflow", "level"), ("overflow", "coefficient"))
+def _placed(at: str, kinds: str, every: Mapping[str, Entry]) -> dict[str, Entry]:
+    return {f"{kind}_at_{place(at)}": every[kind] for kind in kinds.split()}
+
+
+# (functions, position, velocity, direction, parameters) → force against the motion
+DRAGS: dict[str, Callable[..., Any]] = {
+    "coulomb": lambda f, q, v, way, level: level * way,
+    "stribeck": lambda f, q, v, way, level, breakaway, speed: (
+        (level + (breakaway - level) * f.exp(-((v / speed) ** 2))) * way
+    ),
+    "viscous": lambda f, q, v, way, coefficient: coefficient * v,
+    "quadratic_drag": lambda f, q, v, way, coefficient: coefficient * v * f.absolute(v),
+    "cogging": lambda f, q, v, way, sine, cosine, period: (
+        sine * f.sin(2.0 * math.pi / period * q) + cosine * f.cos(2.0 * math.pi / period * q)
+    ),
+    "cubic_spring": lambda f, q, v, way, stiffness: stiffness * q**3,
+}
 
 
 def _parameters(p: Flat, at: str) -> dict[str, float]:
@@ -361,7 +380,7 @@ def _parameters(p: Flat, at: str) -> dict[str, float]:
     }
 
 
-def _static(u: np.ndarray, at: Mapping[str, float]) -> np.ndarray:
+def _static(u: Array, at: Mapping[str, float]) -> Array:
     """Return commands after gain, bias, dead band, saturation and play."""
     v = at.get("gain.value", 1.0) * u + at.get("bias.value", 0.0)
     v = np.sign(v) * np.maximum(np.abs(v) - at.get("dead_band.width", 0.0), 0.0)
@@ -375,7 +394,7 @@ def _static(u: np.ndarray, at: Mapping[str, float]) -> np.ndarray:
     return v
 
 
-def _delayed(u: np.ndarray, rows: float, parts: int) -> np.ndarray:
+def _delayed(u: Array, rows: float, parts: int) -> Array:
     """Return the means over parts of rows of a held signal; its first value has been there for ever."""
     edges = np.arange((u.size - 1) * parts + 1) / parts - rows
     total = np.concatenate([[0.0], np.cumsum(u[1:])])
@@ -383,7 +402,7 @@ def _delayed(u: np.ndarray, rows: float, parts: int) -> np.ndarray:
     return np.diff(area) * parts
 
 
-def _slow(u: np.ndarray, rest: float, at: Mapping[str, float], h: float) -> np.ndarray:
+def _slow(u: Array, rest: float, at: Mapping[str, float], h: float) -> Array:
     """Return the means over parts of `h` seconds after rate limit and lags."""
     if (rate := at.get("rate_limit.rate", math.inf)) * h < 10.0 * np.ptp(np.append(u, rest)):
         means, last = np.empty_like(u), rest
@@ -403,7 +422,7 @@ def _slow(u: np.ndarray, rest: float, at: Mapping[str, float], h: float) -> np.n
     return u
 
 
-def _filtered(u: np.ndarray, rest: float, a: np.ndarray, b: np.ndarray, h: float) -> np.ndarray:
+def _filtered(u: Array, rest: float, a: Array, b: Array, h: float) -> Array:
     """Return the means over parts of the first state of x' = a·x + b·u, from rest."""
     n = len(b)
     whole = np.zeros((n + 2, n + 2))  # states, input, integral of the first state
@@ -416,61 +435,25 @@ def _filtered(u: np.ndarray, rest: float, a: np.ndarray, b: np.ndarray, h: float
     return means
 
 
-def _drag(f: Any, p: Flat, name: str, creep: float) -> list[Callable[[Any, Any], Any]]:
-    """Return the forces (position, velocity) → force against the motion of the effects at a velocity."""
-    level, viscous, drag, cubic = (
-        p.get(f"{kind}_at_{name}.{n}")
-        for kind, n in (
-            ("coulomb", "level"), ("viscous", "coefficient"),
-            ("quadratic_drag", "coefficient"), ("cubic_spring", "stiffness"),
-        )
-    )  # fmt: skip
-    low, peak, speed = (p.get(f"stribeck_at_{name}.{n}") for n in ("level", "breakaway", "speed"))
-    sine, cosine, period = (p.get(f"cogging_at_{name}.{n}") for n in ("sine", "cosine", "period"))
-    terms: list[Callable[[Any, Any], Any]] = []
-    if level is not None:
-        terms.append(lambda q, v: level * f.tanh(v / creep))
-    if peak is not None:
-        terms.append(lambda q, v: (low + (peak - low) * f.exp(-((v / speed) ** 2))) * f.tanh(v / creep))
-    if viscous is not None:
-        terms.append(lambda q, v: viscous * v)
-    if drag is not None:
-        terms.append(lambda q, v: drag * v * f.absolute(v))
-    if sine is not None:
-        turn = 2.0 * math.pi / period
-        terms.append(lambda q, v: sine * f.sin(turn * q) + cosine * f.cos(turn * q))
-    if cubic is not None:
-        terms.append(lambda q, v: cubic * q**3)
-    return terms
-
-
 def _of_time(at: str, u: Input, duration: float) -> dict[str, Entry]:
     """Return effects at an input that depend on time, which no catalogue has."""
-    some = 0.5 * (u.holds[0] + u.holds[1])
+    some, reach = 0.5 * (u.holds[0] + u.holds[1]), u.reach
+    now_and_then = {"period": (0.15 * duration, 0.25 * duration), "share": (0.2, 0.4)}
     return {
-        f"hunting_at_{at}": Entry(
-            ("depth",), 0.05, (2e-3, 0.6), shape={"frequency": (0.3 / some, 1.0 / some)}
-        ),
-        f"tiring_at_{at}": Entry(("share",), 0.1, (5e-3, 0.8), shape={"time": (0.2 * duration, 0.5 * duration)}),
-        f"gusts_at_{at}": Entry(
-            ("size",), 0.03 * u.reach, (1e-3 * u.reach, 0.4 * u.reach),
-            shape={"period": (0.15 * duration, 0.25 * duration), "share": (0.2, 0.4)},
-        ),
-    }  # fmt: skip
+        f"hunting_at_{at}": Entry("depth", 0.05, 2e-3, 0.6, shape={"frequency": (0.3 / some, 1.0 / some)}),
+        f"tiring_at_{at}": Entry("share", 0.1, 5e-3, 0.8, shape={"time": (0.2 * duration, 0.5 * duration)}),
+        f"gusts_at_{at}": Entry("size", 0.03 * reach, 1e-3 * reach, 0.4 * reach, shape=now_and_then),
+    }
 
 
-def _clock(f: Any, p: Flat, at: str) -> Callable[[Any, Any], Any] | None:
-    """Return (t, u) → u with the effects of `_of_time`; None without."""
-    depth, hertz = (p.get(f"hunting_at_{at}.{n}") for n in ("depth", "frequency"))
-    share, time = (p.get(f"tiring_at_{at}.{n}") for n in ("share", "time"))
-    size, period, part = (p.get(f"gusts_at_{at}.{n}") for n in ("size", "period", "share"))
-    if depth is not None:
-        return lambda t, u: u * (1.0 + depth * f.sin(2.0 * math.pi * hertz * t))
-    if share is not None:
-        return lambda t, u: u * (1.0 - share * (1.0 - f.exp(-t / time)))
-    if size is not None:
-        return lambda t, u: u + f.where(t % period < part * period, 1.0, 0.0) * size
-    return None
+def _at_time(f: Any, hidden: Any, at: str, t: Any, u: Any) -> Any:
+    """Return an input with the effects of `_of_time`."""
+    hunting = hidden(f"hunting_at_{at}", lambda depth, frequency: depth * f.sin(2.0 * math.pi * frequency * t))
+    tired = hidden(f"tiring_at_{at}", lambda share, time: share * (1.0 - f.exp(-t / time)))
+    u = u * (1.0 + hunting) * (1.0 - tired)
+    return u + hidden(
+        f"gusts_at_{at}", lambda size, period, share: f.where(t % period < share * period, 1.0, 0.0) * size
+    )
 
 
 def _runge_kutta(rate: Rate, t: float, x: list[float], u: Any, push: Any, h: float) -> list[float]:

@@ -1,36 +1,26 @@
 """Studies of the FMUs' suite, drawn by seed: plant, way, version of FMI, kind, effects, sizes, base parameters.
 
     python -m tests.blind.fmu_study 3 /tmp/study      seed and folder; prints the answer
-    python -m tests.blind.fmu_study --costs 60        what the hidden effects are worth
 
 Six plants alternate; over 24 consecutive seeds each is drawn with both ways and both versions. Of 20 consecutive seeds
 12 hide one or two effects of the catalogue, 5 nothing, 3 an effect outside of it. An effect of usual size costs 500 to
 5000 nats (`field_cost`); half of the known studies have a fifth of that size instead, which costs 20 nats at least.
-`fmu_apart` finds the studies that no rule can name reliably.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import math
 import shutil
-import sys
 import tempfile
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from tests.blind import field_write
-from tests.blind.field_cost import costs
 from tests.blind.field_recorder import Recorder
-from tests.blind.field_rig import Entry, Rig
-from tests.blind.field_study import LEAST, OUTSIDE_COST, Study, base_numbers, card, conditions, names_of, sized, stream
+from tests.blind.field_rig import Entry, Random, Rig, base_numbers, show, write_study
+from tests.blind.field_study import LEAST, OUTSIDE_COST, Study, card, costing, names_of, sized, stream, with_costs
 from tests.blind.fmu_build import PLANTS as DECLARED
 from tests.blind.fmu_build import WAYS, build, build_slave
 from tests.blind.fmu_rig import CoSimulation, FmuRig, ModelExchange, place
@@ -83,12 +73,8 @@ class FmuStudy(Study):
 
 def deal(seed: int) -> Deal:
     """Return the properties of a seed from the decks."""
-    block, at = divmod(seed, len(BLOCK))
-    order = [BLOCK[k] for k in stream(block, OWN, 1).permutation(len(BLOCK))]
-    kind = order[at]
-    size, count = "", int(kind == "outside")
-    if kind == "known":
-        size, count = card(HIDDEN, block * BLOCK.count(kind) + order[:at].count(kind), OWN + 1)
+    kind, number = card(BLOCK, seed, OWN, 1)
+    size, count = card(HIDDEN, number, OWN + 1)[0] if kind == "known" else ("", int(kind == "outside"))
     round_, half = seed // len(PLANTS), seed // (2 * len(PLANTS))
     plant, way, version = PLANTS[seed % len(PLANTS)], WAYS[(seed + round_) % 2], 2 + (seed + half) % 2
     return Deal(seed, plant, way, version, kind, size, count)
@@ -99,10 +85,9 @@ def draw(seed: int) -> FmuStudy:
     """Return the study of a seed, reproducible byte for byte."""
     dealt, rng = deal(seed), stream(seed, OWN, 2)
     rig = RIGS[dealt.plant, dealt.way]
-    plain = Recorder((), dict.fromkeys(rig.outputs, 1.0), {}, 0.0, 0.0, 0.0, False, 0, 0.0)
     study = FmuStudy(
-        seed, dealt.plant, dealt.kind, {}, base_numbers(rig, rng), "small", plain, 0.0, {}, dealt.way, dealt.version,
-        dealt.size,
+        seed, dealt.plant, dealt.kind, {}, base_numbers(rig.sheet, rng), "small",
+        Recorder(noise=dict.fromkeys(rig.outputs, 1.0)), way=dealt.way, version=dealt.version, size=dealt.size,
     )  # fmt: skip
     if dealt.kind == "nothing":
         return study
@@ -110,15 +95,15 @@ def draw(seed: int) -> FmuStudy:
         if dealt.kind == "known":
             found = _known(study, names_of(rig, rng, dealt.effects), rng)
         else:
-            found = sized(study, [str(rng.choice(sorted(rig.outside)))], rng, _wanted(OUTSIDE_COST))
+            found = sized(study, [str(rng.choice(sorted(rig.outside)))], rng, costing(OUTSIDE_COST))
         if isinstance(found, FmuStudy):
             return found
     raise RuntimeError(f"seed {seed}: no effects that can be seen")
 
 
-def _known(study: FmuStudy, names: Sequence[str], rng: np.random.Generator) -> Study | None:
+def _known(study: FmuStudy, names: Sequence[str], rng: Random) -> Study | None:
     """Return the study with effects of usual size or a fifth; None if one cannot have it."""
-    found = sized(study, names, rng, _wanted(USUAL))
+    found = sized(study, names, rng, costing(USUAL))
     if found is None or study.size == "usual":
         return found
     entries = found.rig.entries
@@ -126,12 +111,8 @@ def _known(study: FmuStudy, names: Sequence[str], rng: np.random.Generator) -> S
     assert isinstance(found.rig, FmuRig)
     if not found.rig.resolves(found.truth):
         return None
-    found = replace(found, costs=costs(found.rig, found.base, found.truth, conditions(found)))
+    found = with_costs(found)
     return found if min(found.costs.values()) >= LEAST else None
-
-
-def _wanted(between: tuple[float, float]) -> Any:
-    return lambda rng: math.exp(rng.uniform(*np.log(between)))
 
 
 def shrunk(entry: Entry, values: dict[str, float]) -> dict[str, float]:
@@ -161,14 +142,10 @@ def known_names() -> set[str]:
 
 def write(study: FmuStudy, folder: Path) -> Path:
     """Write study.yaml, the FMU and the logs, without the answer; return the path of study.yaml."""
-    field_write.write_logs(study, folder)
-    shutil.copyfile(_fmu(study.plant, study.version, study.way, study.exporter), folder / "plant.fmu")
     names = {place(v.name): v.name for v in DECLARED[study.plant].parameters}
     tolerance = ", ".join(f"{names[name]}: {share:g}" for name, (_, share) in study.rig.sheet.items())
-    path = folder / "study.yaml"
-    path.write_text(
-        f"model: plant.fmu\nlogs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\ntolerance: {{{tolerance}}}\n"
-    )
+    path = write_study(folder, "plant.fmu", field_write.logs_of(study), f"tolerance: {{{tolerance}}}\n")
+    shutil.copyfile(_fmu(study.plant, study.version, study.way, study.exporter), folder / "plant.fmu")
     return path
 
 
@@ -200,38 +177,8 @@ def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
 
 def answer(study: FmuStudy) -> str:
     """Return the answer as JSON, to be opened after the verdict."""
-    told = json.loads(field_write.answer(study)) | {"half": "fmu", "truth": claimed(study), "physical": study.truth}
-    return json.dumps(told, indent=1) + "\n"
-
-
-def distribution(seeds: Sequence[int]) -> str:
-    """Return a table of the hidden effects with their costs."""
-    lines = []
-    for seed in seeds:
-        study = draw(seed)
-        hidden = ", ".join(f"{name} {cost:.0f} nats" for name, cost in study.costs.items())
-        lines.append(
-            f"{seed:5d} {study.plant:11} {study.way:15} {study.version} {study.kind:8} {study.size:6} {hidden}"
-        )
-    return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.blind.fmu_study", description=__doc__.splitlines()[0])
-    parser.add_argument("seed", type=int, nargs="?", default=0)
-    parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--costs", type=int, metavar="N", help="list the studies of N seeds from SEED on")
-    options = parser.parse_args(arguments)
-    if options.costs:
-        print(distribution(range(options.seed, options.seed + options.costs)))
-        return 0
-    if options.folder is None:
-        parser.error("say in which folder the study is to be written")
-    study = draw(options.seed)
-    print(write(study, options.folder), file=sys.stderr)
-    print(answer(study), end="")
-    return 0
+    return field_write.answer(study, half="fmu", truth=claimed(study), physical=study.truth)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    show("fmu_study", draw, write, answer)

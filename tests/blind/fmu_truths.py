@@ -4,7 +4,7 @@ Parameters are named as in the FMU, with _ for every other character. The equati
 balances, and import neither the FMUs' sources nor the project.
 """
 
-# ruff: noqa: RUF012 - what a plant declares are ClassVars of its base
+# ruff: noqa: RUF012 - what a rig declares are attributes of its class
 from __future__ import annotations
 
 import math
@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Entry, Flat, Rate
+from tests.blind.field_rig import Array, Entry, Flat, Random, Rate, hidden_in, moving, rounded
 from tests.blind.fmu_rig import CoSimulation, FmuRig, Input, ModelExchange, Output, Pair, Storage
 
-LAGS = ("lag", "second_order_lag", "rate_limit")
-STATIC = ("dead_band", "saturation", "play")
+LAGS = "lag second_order_lag rate_limit"
+STATIC = "dead_band saturation play"
 
 
 class Drive(FmuRig):
@@ -24,17 +24,15 @@ class Drive(FmuRig):
 
     name = "drive"
     states = {"motor.phi": 1.0, "motor.w": 10.0, "load.phi": 1.0, "load.w": 10.0}
-    plants_inputs = {"torque": Input(0.0, -2.0, 2.0, (0.05, 1.5), ("bias", *STATIC, *LAGS))}
+    plants_inputs = {"torque": Input(0.0, -2.0, 2.0, (0.05, 1.5), f"bias {STATIC} {LAGS}")}
     pairs = {
-        "motor_w": Pair(2.0, 15.0, 1.0, ("coulomb", "stribeck", "quadratic_drag", "cogging"), True, "", (0.7, 2.0)),
-        "load_w": Pair(
-            2.0, 15.0, 1.0, ("coulomb", "stribeck", "viscous", "quadratic_drag", "cogging"), False, "load_J", (0.7, 2.0)
-        ),
+        "motor_w": Pair(2.0, 15.0, 1.0, "coulomb stribeck quadratic_drag cogging", True, "", (0.7, 2.0)),
+        "load_w": Pair(2.0, 15.0, 1.0, "coulomb stribeck viscous quadratic_drag cogging", False, "load_J", (0.7, 2.0)),
     }
     plants_outputs = {
-        "motor.phi": Output(0, 1e-2, 10.0, ("scale", "lag")),
-        "motor.w": Output(1, 0.3, 30.0, ("bias", "scale", "lag", "drift")),
-        "load.phi": Output(2, 1e-2, 10.0, ("scale", "lag", "drift", "latency")),
+        "motor.phi": Output(0, 1e-2, 10.0, "scale lag"),
+        "motor.w": Output(1, 0.3, 30.0, "bias scale lag drift"),
+        "load.phi": Output(2, 1e-2, 10.0, "scale lag drift latency"),
     }
     sheet = {
         "motor_J": (0.01, 0.05),
@@ -44,7 +42,7 @@ class Drive(FmuRig):
         "motor_b": (0.02, 0.1),
     }
     strangers = {
-        "brake": Entry(("level",), 0.1, (2e-3, 1.0), shape={"period": (2.5, 4.0), "length": (0.6, 1.2)}),
+        "brake": Entry("level", 0.1, 2e-3, 1.0, shape={"period": (2.5, 4.0), "length": (0.6, 1.2)}),
     }
     pushes, correlation_time = (2.0, 2.0), 0.2
     step, rows, horizon = 0.005, 2000, 0.5
@@ -53,20 +51,19 @@ class Drive(FmuRig):
 
     def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
         """Return the derivatives from the balance of momentum of both discs."""
-        brake, period, length = (p.get(f"brake.{n}") for n in ("level", "period", "length"))
+        hidden = hidden_in(p)
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             a, wa, b, wb = x[:4]
             through = p["shaft_c"] * (a - b) + p["shaft_d"] * (wa - wb)
-            slows = 0.03 * wb + drag("load_w", b, wb)
-            if brake is not None:
-                slows = slows + f.where(t % period < length, brake, 0.0) * f.tanh(wb / 0.3)
+            brake = hidden("brake", lambda level, period, length: f.where(t % period < length, level, 0.0))
+            slows = 0.03 * wb + drag("load_w", b, wb) + brake * f.tanh(wb / 0.3)
             from_motor = u[0] + push[0] - p["motor_b"] * wa - drag("motor_w", a, wa)
             return [wa, (from_motor - through) / p["motor_J"], wb, (through + push[1] - slows) / p["load_J"]]
 
         return rate
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return a start at rest, or turning."""
         speed = float(rng.choice([0.0, 1.0]) * rng.uniform(-20.0, 20.0))
         return np.array([0.0, speed, 0.0, speed])
@@ -78,18 +75,16 @@ class DcMotor(FmuRig):
     name = "dc_motor"
     states = {"current": 1.0, "angle": 1.0, "speed": 50.0}
     plants_inputs = {
-        "voltage": Input(0.0, -12.0, 12.0, (0.03, 1.0), ("bias", "gain", *STATIC, *LAGS)),
-        "load_torque": Input(0.0, -0.04, 0.04, (0.1, 2.0), ("gain", "dead_band", "lag")),
+        "voltage": Input(0.0, -12.0, 12.0, (0.03, 1.0), f"bias gain {STATIC} {LAGS}"),
+        "load_torque": Input(0.0, -0.04, 0.04, (0.1, 2.0), "gain dead_band lag"),
     }
     pairs = {
-        "speed": Pair(
-            0.1, 100.0, 1.0, ("coulomb", "stribeck", "quadratic_drag", "cogging"), True, "", (2 * math.pi / 7, 2.0)
-        ),
+        "speed": Pair(0.1, 100.0, 1.0, "coulomb stribeck quadratic_drag cogging", True, "", (2 * math.pi / 7, 2.0)),
     }
     plants_outputs = {
-        "current": Output(0, 0.03, 6.0, ("bias", "scale", "lag", "drift")),
-        "angle": Output(1, 0.05, 100.0, ("scale", "lag", "latency")),
-        "speed": Output(2, 1.0, 200.0, ("bias", "scale", "lag", "drift")),
+        "current": Output(0, 0.03, 6.0, "bias scale lag drift"),
+        "angle": Output(1, 0.05, 100.0, "scale lag latency"),
+        "speed": Output(2, 1.0, 200.0, "bias scale lag drift"),
     }
     sheet = {
         "resistance": (1.2, 0.1),
@@ -98,7 +93,7 @@ class DcMotor(FmuRig):
         "inertia": (2e-4, 0.05),
         "damping": (1e-4, 0.1),
     }
-    strangers = {"iron": Entry(("share",), 0.02, (1e-3, 0.6))}
+    strangers = {"iron": Entry("share", 0.02, 1e-3, 0.6)}
     pushes, correlation_time = (12.0, 0.1), 0.2
     step, rows, horizon = 0.005, 2000, 0.5
     substeps = 2
@@ -106,19 +101,19 @@ class DcMotor(FmuRig):
 
     def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
         """Return the derivatives from flux linkage and momentum."""
-        iron = p.get("iron.share")
+        hidden = hidden_in(p)
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             i, angle, w = x[:3]
-            flux = p["constant"] if iron is None else p["constant"] * (1.0 - iron * (i / 5.0) ** 2)
+            flux = p["constant"] * (1.0 - hidden("iron", lambda share: share * (i / 5.0) ** 2))
             voltage = u[0] + push[0] - flux * w
             torque = flux * i + push[1] - u[1] - drag("speed", angle, w)
-            return [voltage / p["inductance"] - p["resistance"] / p["inductance"] * i, w,
-                    torque / p["inertia"] - p["damping"] / p["inertia"] * w]  # fmt: skip
+            faster = torque / p["inertia"] - p["damping"] / p["inertia"] * w
+            return [voltage / p["inductance"] - p["resistance"] / p["inductance"] * i, w, faster]
 
         return rate
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return a start at rest, or turning."""
         return np.array([0.0, 0.0, float(rng.choice([0.0, 1.0]) * rng.uniform(-150.0, 150.0))])
 
@@ -129,15 +124,15 @@ class Tanks(FmuRig):
     name = "tanks"
     states = {"left.h": 0.1, "right.h": 0.1}
     plants_inputs = {
-        name: Input(5.0, 0.0, 10.0, (8.0, 150.0), ("bias", *STATIC, *LAGS)) for name in ("pump_left", "pump_right")
+        name: Input(5.0, 0.0, 10.0, (8.0, 150.0), f"bias {STATIC} {LAGS}") for name in ("pump_left", "pump_right")
     }
     storages = {
-        "left_h": Storage(0.3, 0.4, 3e-3, ("leak", "overflow")),
-        "right_h": Storage(0.25, 0.33, 3e-3, ("leak", "overflow")),
+        "left_h": Storage(0.3, 0.4, 3e-3, "leak overflow"),
+        "right_h": Storage(0.25, 0.33, 3e-3, "leak overflow"),
     }
     plants_outputs = {
-        "gauge_left": Output(0, 1e-3, 0.2, ("bias", "scale", "lag", "drift", "latency")),
-        "gauge_right": Output(1, 1e-3, 0.2, ("bias", "scale", "lag", "drift")),
+        "gauge_left": Output(0, 1e-3, 0.2, "bias scale lag drift latency"),
+        "gauge_right": Output(1, 1e-3, 0.2, "bias scale lag drift"),
     }
     sheet = {
         "left_area": (0.02, 0.02),
@@ -148,8 +143,8 @@ class Tanks(FmuRig):
         "gain_right": (6e-6, 0.05),
     }
     strangers = {
-        "cone": Entry(("slope",), 0.2, (5e-3, 1.8)),
-        "tap": Entry(("flow",), 3e-6, (1e-7, 4e-5), shape={"period": (250.0, 400.0), "length": (60.0, 120.0)}),
+        "cone": Entry("slope", 0.2, 5e-3, 1.8),
+        "tap": Entry("flow", 3e-6, 1e-7, 4e-5, shape={"period": (250.0, 400.0), "length": (60.0, 120.0)}),
     }
     pushes, correlation_time = (6e-5, 6e-5), 30.0
     step, rows, horizon = 1.0, 1800, 40.0
@@ -158,7 +153,7 @@ class Tanks(FmuRig):
 
     def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
         """Return the derivatives from the balance of volume."""
-        slope, flow, period, length = p.get("cone.slope"), *(p.get(f"tap.{n}") for n in ("flow", "period", "length"))
+        hidden = hidden_in(p)
 
         def orifice(k: Any, head: Any) -> Any:
             return k * head * (1e-4 + head * head) ** -0.25
@@ -166,9 +161,8 @@ class Tanks(FmuRig):
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             left, right = x[0], x[1]
             pipe, out = orifice(p["pipe_k"], left - right), orifice(p["outlet_k"], right)
-            if flow is not None:
-                out = out + f.where(t % period < length, flow, 0.0)
-            area = p["left_area"] if slope is None else p["left_area"] * (1.0 + slope * (left - 0.3))
+            out = out + hidden("tap", lambda flow, period, length: f.where(t % period < length, flow, 0.0))
+            area = p["left_area"] * (1.0 + hidden("cone", lambda slope: slope * (left - 0.3)))
             return [
                 (p["gain_left"] * u[0] + push[0] - pipe) / area - loss("left_h", left),
                 (p["gain_right"] * u[1] + push[1] + pipe - out) / p["right_area"] - loss("right_h", right),
@@ -176,7 +170,7 @@ class Tanks(FmuRig):
 
         return rate
 
-    def drive(self, rng: np.random.Generator) -> np.ndarray:
+    def drive(self, rng: Random) -> Array:
         """Return voltages that keep nominal tanks from running over and dry."""
         pumps = super().drive(rng)
         h = np.array(self.rest)
@@ -187,9 +181,9 @@ class Tanks(FmuRig):
             pipe, out = 1.2e-4 * fall * (1e-4 + fall * fall) ** -0.25, 1.2e-4 * math.sqrt(max(h[1], 1e-3))
             h = h + self.step / 0.02 * (6e-6 * volts + np.array([-pipe, pipe - out]))
         pumps[:10] = 5.0
-        return np.vectorize(lambda v: float(f"{v:.6g}"))(pumps)
+        return rounded(pumps)
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return start levels, half full or near."""
         return np.array(self.rest) + rng.choice([0.0, 1.0]) * rng.uniform(-0.06, 0.06, 2)
 
@@ -200,12 +194,12 @@ class HeatedBox(FmuRig):
     name = "heated_box"
     states = {"T_heater": 10.0, "T_air": 10.0}
     plants_inputs = {
-        "heater": Input(0.0, 0.0, 1.0, (20.0, 250.0), ("dead_band", "saturation", "play", *LAGS)),
-        "T_room": Input(295.0, 292.0, 298.0, (100.0, 600.0), ()),
+        "heater": Input(0.0, 0.0, 1.0, (20.0, 250.0), f"dead_band saturation play {LAGS}"),
+        "T_room": Input(295.0, 292.0, 298.0, (100.0, 600.0)),
     }
     plants_outputs = {
-        "T_heater": Output(0, 0.1, 40.0, ("bias", "lag", "drift")),
-        "T_air": Output(1, 0.05, 30.0, ("bias", "lag", "drift", "latency")),
+        "T_heater": Output(0, 0.1, 40.0, "bias lag drift"),
+        "T_air": Output(1, 0.05, 30.0, "bias lag drift latency"),
     }
     sheet = {
         "power": (100.0, 0.05),
@@ -215,8 +209,8 @@ class HeatedBox(FmuRig):
         "G_wall": (1.5, 0.1),
     }
     strangers = {
-        "radiation": Entry(("share",), 0.02, (1e-3, 1.0)),
-        "door": Entry(("conductance",), 0.1, (5e-3, 3.0), shape={"period": (500.0, 800.0), "length": (60.0, 150.0)}),
+        "radiation": Entry("share", 0.02, 1e-3, 1.0),
+        "door": Entry("conductance", 0.1, 5e-3, 3.0, shape={"period": (500.0, 800.0), "length": (60.0, 150.0)}),
     }
     pushes, correlation_time = (100.0, 100.0), 60.0
     step, rows, horizon = 2.0, 1500, 100.0
@@ -225,22 +219,18 @@ class HeatedBox(FmuRig):
 
     def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
         """Return the derivatives from the balance of heat."""
-        share, door, period, length = (
-            p.get("radiation.share"),
-            *(p.get(f"door.{n}") for n in ("conductance", "period", "length")),
-        )
+        hidden = hidden_in(p)
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             hot, air = x[0], x[1]
-            between = p["G_heater"] if share is None else p["G_heater"] * (1.0 + share * (hot - air) / 30.0)
-            given = between * (hot - air)
-            wall = p["G_wall"] if door is None else p["G_wall"] + f.where(t % period < length, door, 0.0)
-            lost = wall * (air - u[1])
+            given = p["G_heater"] * (1.0 + hidden("radiation", lambda share: share * (hot - air) / 30.0)) * (hot - air)
+            door = hidden("door", lambda conductance, period, length: f.where(t % period < length, conductance, 0.0))
+            lost = (p["G_wall"] + door) * (air - u[1])
             return [(p["power"] * u[0] + push[0] - given) / p["C_heater"], (given + push[1] - lost) / p["C_air"]]
 
         return rate
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return a start at the temperature of the room, or warm."""
         warm = float(rng.choice([0.0, 1.0]))
         return np.array(self.rest) + warm * np.array([rng.uniform(5.0, 30.0), rng.uniform(5.0, 20.0)])
@@ -251,16 +241,14 @@ class Pendulum(FmuRig):
 
     name = "pendulum"
     states = {"x": 0.3, "v": 0.5, "phi": 0.3, "w": 1.0}
-    plants_inputs = {"force": Input(0.0, -4.0, 4.0, (0.2, 3.0), (*STATIC, *LAGS))}
+    plants_inputs = {"force": Input(0.0, -4.0, 4.0, (0.2, 3.0), f"{STATIC} {LAGS}")}
     pairs = {
-        "v": Pair(
-            4.0, 1.0, 1.0, ("coulomb", "stribeck", "quadratic_drag", "cubic_spring", "cogging"), True, "", (0.3, 0.6)
-        ),
-        "w": Pair(1.0, 2.0, 0.5, ("coulomb", "quadratic_drag")),
+        "v": Pair(4.0, 1.0, 1.0, "coulomb stribeck quadratic_drag cubic_spring cogging", True, "", (0.3, 0.6)),
+        "w": Pair(1.0, 2.0, 0.5, "coulomb quadratic_drag"),
     }
     plants_outputs = {
-        "x": Output(0, 2e-3, 1.5, ("scale", "lag")),
-        "phi": Output(2, 3e-3, 0.8, ("bias", "scale", "lag", "drift", "latency")),
+        "x": Output(0, 2e-3, 1.5, "scale lag"),
+        "phi": Output(2, 3e-3, 0.8, "bias scale lag drift latency"),
     }
     sheet = {
         "cart": (1.0, 0.05),
@@ -271,7 +259,7 @@ class Pendulum(FmuRig):
         "hinge": (5e-3, 0.1),
     }
     strangers = {
-        "magnet": Entry(("force",), 0.1, (2e-3, 2.0), shape={"place": (-0.5, 0.5), "width": (0.1, 0.2)}),
+        "magnet": Entry("force", 0.1, 2e-3, 2.0, shape={"place": (-0.5, 0.5), "width": (0.1, 0.2)}),
     }
     pushes, correlation_time = (4.0, 1.0), 1.0
     step, rows, horizon = 0.02, 2000, 2.0
@@ -284,25 +272,26 @@ class Pendulum(FmuRig):
         Along the rod and across it: l·w' = −g·sin φ − v'·cos φ + hinge/(m·l), and the cart feels the rod.
         """
         mass, bob, length = p["cart"], p["bob"], p["length"]
-        depth, centre, width = (p.get(f"magnet.{n}") for n in ("force", "place", "width"))
+        hidden = hidden_in(p)
+
+        def attracted(force: Any, off: Any) -> Any:
+            return force * off * f.exp(-off * off)
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             q, v, phi, w = x[:4]
             sin, cos = f.sin(phi), f.cos(phi)
             hinge = push[1] - p["hinge"] * w - drag("w", phi, w)
             outer = u[0] + push[0] - p["spring"] * q - p["rub"] * v - drag("v", q, v)
-            if depth is not None:
-                off = (q - centre) / width
-                outer = outer - depth * off * f.exp(-off * off)
+            outer = outer - hidden("magnet", lambda force, place, width: attracted(force, (q - place) / width))
             bent = bob * sin * (length * w * w + 9.81 * cos) - hinge * cos / length
             faster = (outer + bent) / (mass + bob * sin * sin)
             return [v, faster, w, (hinge / (bob * length) - 9.81 * sin - faster * cos) / length]
 
         return rate
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return a start at rest, or swinging."""
-        return rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, 4) * np.array([0.4, 0.5, 0.4, 1.5])
+        return moving(rng, 0.4, 0.5, 0.4, 1.5)
 
 
 class Cylinder(FmuRig):
@@ -311,17 +300,17 @@ class Cylinder(FmuRig):
     name = "cylinder"
     states = {"piston.x": 0.02, "piston.v": 0.1, "p_a": 2e5, "p_b": 2e5}
     plants_inputs = {
-        "valve": Input(0.0, -0.6, 0.6, (0.03, 0.6), ("bias", *STATIC, *LAGS)),
-        "load": Input(0.0, -300.0, 300.0, (0.1, 1.5), ("gain", "dead_band", "lag")),
+        "valve": Input(0.0, -0.6, 0.6, (0.03, 0.6), f"bias {STATIC} {LAGS}"),
+        "load": Input(0.0, -300.0, 300.0, (0.1, 1.5), "gain dead_band lag"),
     }
     pairs = {
-        "piston_v": Pair(1500.0, 0.1, 0.05, ("coulomb", "stribeck", "quadratic_drag", "cubic_spring"), True),
+        "piston_v": Pair(1500.0, 0.1, 0.05, "coulomb stribeck quadratic_drag cubic_spring", True),
     }
-    storages = {"p_a": Storage(1e6, 1.5e6, 1e7, ("leak",)), "p_b": Storage(1e6, 1.5e6, 1e7, ("leak",))}
+    storages = {"p_a": Storage(1e6, 1.5e6, 1e7, "leak"), "p_b": Storage(1e6, 1.5e6, 1e7, "leak")}
     plants_outputs = {
-        "piston.x": Output(0, 2e-4, 0.1, ("scale", "lag", "latency")),
-        "p_a": Output(2, 5e3, 1e6, ("bias", "scale", "lag", "drift")),
-        "p_b": Output(3, 5e3, 1e6, ("bias", "scale", "lag", "drift")),
+        "piston.x": Output(0, 2e-4, 0.1, "scale lag latency"),
+        "p_a": Output(2, 5e3, 1e6, "bias scale lag drift"),
+        "p_b": Output(3, 5e3, 1e6, "bias scale lag drift"),
     }
     sheet = {
         "mass": (50.0, 0.05),
@@ -331,7 +320,7 @@ class Cylinder(FmuRig):
         "valve_k": (2e-7, 0.05),
         "supply": (2e6, 0.03),
     }
-    strangers = {"foam": Entry(("share",), 0.05, (2e-3, 0.9))}
+    strangers = {"foam": Entry("share", 0.05, 2e-3, 0.9)}
     pushes, correlation_time = (1500.0,), 0.3
     step, rows, horizon = 0.005, 2000, 0.5
     substeps = 4
@@ -339,13 +328,13 @@ class Cylinder(FmuRig):
 
     def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
         """Return the derivatives from momentum and the balance of volume of both chambers."""
-        foam = p.get("foam.share")
+        hidden = hidden_in(p)
 
         def orifice(opening: Any, head: Any) -> Any:
             return p["valve_k"] * opening * head * (4e8 + head * head) ** -0.25
 
         def stiff(pressure: Any) -> Any:
-            return p["bulk"] if foam is None else p["bulk"] * (1.0 - foam * f.exp(-pressure / 5e5))
+            return p["bulk"] * (1.0 - hidden("foam", lambda share: share * f.exp(-pressure / 5e5)))
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             q, v, a, b = x[:4]
@@ -362,10 +351,9 @@ class Cylinder(FmuRig):
 
         return rate
 
-    def begin(self, rng: np.random.Generator) -> np.ndarray:
+    def begin(self, rng: Random) -> Array:
         """Return a start at rest, or moving."""
-        moving = float(rng.choice([0.0, 1.0]))
-        return np.array(self.rest) + moving * rng.uniform(-1.0, 1.0, 4) * np.array([0.01, 0.1, 1e5, 1e5])
+        return np.array(self.rest) + moving(rng, 0.01, 0.1, 1e5, 1e5)
 
 
 CLASSES: tuple[type[FmuRig], ...] = (Drive, DcMotor, Tanks, HeatedBox, Pendulum, Cylinder)

@@ -1,8 +1,12 @@
-"""Scores of the laboratory half: comparison of a study's truth with the refiner's verdict, from result lines.
+"""Scores of all suites: comparison of a study's truth with the refiner's verdict, from result lines.
 
-Fractions refer to the studies of a kind: right, in_set, wrong to known studies; false_alarms to studies without effect;
-outside_flagged, outside_misnamed to studies with an effect outside the catalogue. A failed study stays in the
-denominator and counts as no hit.
+Fractions refer to the studies of a kind: right, in_set, wrong to known studies; false_alarms, no_effect to studies
+without effect; outside_flagged, outside_misnamed to studies with an effect outside the catalogue. A failed study stays
+in the denominator and counts as no hit. Only a claim can be right. A part of the answer is neither right nor wrong,
+unless it contains a name that is not in the truth; the nearest model names nothing.
+
+Of mixed studies and the arm the parts of the truth count. A part is named if it is claimed, alone or as part of the
+answer, or if one of at most three rivals contains it.
 """
 
 from __future__ import annotations
@@ -10,17 +14,23 @@ from __future__ import annotations
 import math
 import re
 import statistics
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
 from tests.blind.truth_study import BASE, SENSORS
 
 Line = dict[str, Any]
+Counts = dict[str, tuple[int, int]]  # figure → number of hits, number of cases
 
+LABORATORY, FIELD, MIXED, ARM, FMU = "laboratory", "field", "mixed", "arm", "fmu"
+KINDS = ("known", "nothing", "outside")
+OUTCOMES = ("right", "in set", "part", "wrong", "no_effect", "unexplained", "ambiguous", "failed")
 CONFIDENT = ("effect_found", "parameter_error", "sensor_error")
 LARGEST_SET = 3
+HALVED = 0.5  # of the sealed error of the arm's yardstick, from which friction has to be named
+BY_NAMES = ("right", "in_set", "wrong")
 
 
 def wilson(hits: int, of: int, z: float = 1.959963984540054) -> tuple[float, float]:
@@ -32,16 +42,33 @@ def wilson(hits: int, of: int, z: float = 1.959963984540054) -> tuple[float, flo
     return max(0.0, (middle - half) / (1.0 + zz)), min(1.0, (middle + half) / (1.0 + zz))
 
 
+def share_text(hits: int, of: int, width: int = 4) -> str:
+    """Return hits, cases, their share and Wilson's 95 % interval."""
+    low, high = wilson(hits, of)
+    part = f"{100 * hits / of:5.1f} %" if of else "    – "
+    return f" {hits:{width}d} of {of:{width}d}  {part}  [{100 * low:5.1f}, {100 * high:5.1f}]"
+
+
+# -- a study -----------------------------------------------------------------------------------------------
+
+
 def named(line: Line) -> set[str]:
     """Return the names of the effects in a verdict."""
     return {effect["name"] for effect in line["effects"]}
 
 
-def expected_verdict(truth: Iterable[str], sensors: Iterable[str] = SENSORS) -> str:
-    """Return the verdict for a truth.
+def grade(line: Line) -> str:
+    """Return the grade `claimed`, `part`, `nearest` or ""; names under a confident verdict without one are claimed."""
+    return line.get("grade") or ("claimed" if line["verdict"] in CONFIDENT else "")
 
-    Base parameters alone give parameter_error, sensor errors alone sensor_error, all else effect_found.
-    """
+
+def put_forward(line: Line) -> set[str]:
+    """Return the names that a verdict claims, wholly (`claimed`) or in part (`part`)."""
+    return named(line) if grade(line) in ("claimed", "part") else set()
+
+
+def expected_verdict(truth: Iterable[str], sensors: Iterable[str]) -> str:
+    """Return the verdict for a truth: base parameters alone, sensor errors alone, or effects."""
     names = set(truth)
     if names <= set(BASE):
         return "parameter_error"
@@ -53,11 +80,6 @@ def alternatives(line: Line) -> list[set[str]]:
     return [set(re.split(r"\s*[+,&]\s*", rival.strip())) for rival in line["rivals"]]
 
 
-def left_open(line: Line) -> list[set[str]]:
-    """Return sets of the claimed names, with one replaced by an effect that the verdict leaves open in its place."""
-    return [(named(line) - {claimed}) | {other} for claimed, other in replaceable(line)]
-
-
 def replaceable(line: Line) -> list[tuple[str, str]]:
     """Return pairs of a claimed name and of an effect that is `not_excluded` in its place, or acts `alike`."""
     special = [(x["in_place_of"], x["name"]) for x in line.get("not_excluded", ())]
@@ -65,58 +87,67 @@ def replaceable(line: Line) -> list[tuple[str, str]]:
     return special + [(name, other) for name, other in alike if name in named(line)]
 
 
-def share(hits: int, of: int) -> float | None:
-    """Return a fraction with four digits; None without cases."""
-    return round(hits / of, 4) if of else None
+def left_open(line: Line) -> list[set[str]]:
+    """Return sets of the claimed names, with one replaced by an effect that the verdict leaves open in its place."""
+    return [(named(line) - {claimed}) | {other} for claimed, other in replaceable(line)]
 
 
 def is_right(line: Line) -> bool:
-    """Return whether a known study has the expected verdict and exactly the names of the truth."""
-    return line["verdict"] == expected_verdict(line["truth"]) and named(line) == set(line["truth"])
+    """Return whether a known study has the expected verdict and claims exactly the names of the truth."""
+    fits = line["verdict"] == expected_verdict(line["truth"], (*SENSORS, *line.get("sensors", ())))
+    return fits and grade(line) == "claimed" and named(line) == set(line["truth"])
 
 
 def is_in_set(line: Line) -> bool:
     """Return whether a known study is right, or ambiguous with the truth in a small set.
 
     An alternative is an entry of `rivals` (`a + b` means both effects). The truth is one of at most three alternatives,
-    or within at most three names of all rivals and effects together.
+    or within at most three names of all alternatives together. A claim in whose place the verdict leaves the truth open
+    (`not_excluded`, `alike`) is in the set, too.
     """
-    if is_right(line):
+    truth, sets = set(line["truth"]), alternatives(line)
+    if is_right(line) or (grade(line) == "claimed" and truth in left_open(line)):
         return True
-    if line["verdict"] != "ambiguous":
+    if line["verdict"] != "ambiguous" or not put_forward(line) <= truth:
         return False
-    truth = set(line["truth"])
-    sets = alternatives(line)
-    if truth in sets and len(sets) <= LARGEST_SET:
-        return True
     together = set().union(named(line), *sets)
-    return truth <= together and len(together) <= LARGEST_SET
+    return (truth in sets and len(sets) <= LARGEST_SET) or (truth <= together and len(together) <= LARGEST_SET)
 
 
 def is_wrong(line: Line) -> bool:
-    """Return whether a known study has a confident verdict with a name that is not in the truth."""
-    return line["verdict"] in CONFIDENT and not named(line) <= set(line["truth"])
+    """Return whether a known study gets a name, claimed wholly or in part, that is not in the truth.
 
-
-def is_false_alarm(line: Line) -> bool:
-    """Return whether a study without effect has a verdict other than `no_effect` and `unexplained`.
-
-    `ambiguous` counts as false alarm, since it claims an effect.
+    A name in whose place the verdict leaves the true effect open is not wrong.
     """
-    return line["verdict"] not in ("no_effect", "unexplained", "failed")
-
-
-def is_flagged(line: Line) -> bool:
-    """Return whether a study with an effect outside the catalogue is `unexplained` or `ambiguous`.
-
-    `no_effect` is neither flagged nor misnamed, but missed.
-    """
-    return line["verdict"] in ("unexplained", "ambiguous")
+    return is_misnamed(line) and not any(names <= set(line["truth"]) for names in left_open(line))
 
 
 def is_misnamed(line: Line) -> bool:
-    """Return whether a study with an effect outside the catalogue has a confident verdict; any name is wrong."""
-    return line["verdict"] in CONFIDENT
+    """Return whether a study gets any name that is not in the truth."""
+    return not put_forward(line) <= set(line["truth"])
+
+
+def is_false_alarm(line: Line) -> bool:
+    """Return whether a study without effect gets a verdict other than `no_effect` and `unexplained`, or a name."""
+    return line["verdict"] not in ("no_effect", "unexplained", "failed") or bool(put_forward(line))
+
+
+def is_flagged(line: Line) -> bool:
+    """Return whether a study with an effect outside the catalogue is `unexplained` or `ambiguous`, without a name."""
+    return line["verdict"] in ("unexplained", "ambiguous") and not put_forward(line)
+
+
+def claims(line: Line) -> list[bool]:
+    """Return for each claimed true parameter whether its 95 % interval contains the true value."""
+    if line["verdict"] not in CONFIDENT or grade(line) != "claimed":
+        return []
+    found = []
+    for effect in line["effects"]:
+        truth = line["truth"].get(effect["name"], {})
+        for name in effect["parameters"].keys() & truth.keys():
+            low, high = effect["parameters"][name].get("ci95") or (math.inf, -math.inf)
+            found.append(low <= truth[name] <= high)
+    return found
 
 
 def excess_left(line: Line) -> float | None:
@@ -136,95 +167,212 @@ def excess_left(line: Line) -> float | None:
     return statistics.fmean(shares) if shares else None
 
 
-def covered(line: Line) -> list[bool]:
-    """Return for each true parameter in a confident verdict whether its 95 % interval contains the true value."""
-    if line["verdict"] not in CONFIDENT:
-        return []
-    found = []
-    for effect in line["effects"]:
-        truth = line["truth"].get(effect["name"], {})
-        for name, claim in effect["parameters"].items():
-            if name in truth:
-                low, high = claim.get("ci95") or (math.inf, -math.inf)
-                found.append(low <= truth[name] <= high)
+def delivered(line: Line) -> Any:
+    """Return the errors of the claim, else of the nearest model."""
+    return line["error"]["nearest" if grade(line) != "claimed" and "nearest" in line["error"] else "after"]
+
+
+def sealed_ratio(line: Line) -> float | None:
+    """Return the mean ratio of the sealed error of what is delivered to the true model's error.
+
+    A failed study has ratio ∞, one without a channel of both None.
+    """
+    if line["verdict"] == "failed":
+        return math.inf
+    error, true = delivered(line), line["error_true"]
+    ratios = [error[c] / true[c] for c in true if c in error]
+    return statistics.fmean(ratios) if ratios else None
+
+
+def parts(line: Line) -> set[str]:
+    """Return the true effects of a study without strangers (effects outside the catalogue)."""
+    return set(line["truth"]) - set(line.get("strangers", ()))
+
+
+def named_parts(line: Line) -> set[str]:
+    """Return the true effects that a verdict claims, wholly or in part, or that one of a few rivals contains."""
+    sets = alternatives(line)
+    shared = set().union(*sets) if len(sets) <= LARGEST_SET else set()
+    return parts(line) & (put_forward(line) | shared)
+
+
+def wrong_parts(line: Line) -> set[str]:
+    """Return names that a verdict claims, wholly or in part, and that are not true effects of the catalogue.
+
+    A name in whose place the verdict leaves the true effect open is not wrong.
+    """
+    open_cases = {claimed for claimed, other in replaceable(line) if other in parts(line)}
+    return put_forward(line) - parts(line) - open_cases
+
+
+def is_due(line: Line) -> bool:
+    """Return whether friction in a least-squares fit of the arm at least halves a channel's error on the sealed log."""
+    errors = line.get("yardstick")
+    return not errors or any(w <= HALVED * o for o, w in zip(errors["without"], errors["with"], strict=True))
+
+
+# -- many studies ------------------------------------------------------------------------------------------
+
+
+def counts(suite: str, lines: Sequence[Line]) -> Counts:
+    """Return the counted figures of a suite."""
+    known, nothing, outside = ([line for line in lines if line["kind"] == kind] for kind in KINDS)
+    if suite in (MIXED, ARM):
+        due = [line for line in known if is_due(line)]
+        return {
+            "all_parts_named": _count(lambda line: named_parts(line) == parts(line), due),
+            "parts_named": (sum(len(named_parts(line)) for line in due), sum(len(parts(line)) for line in due)),
+            "wrong_parts": (sum(len(wrong_parts(line)) for line in lines), sum(len(put_forward(x)) for x in lines)),
+            "studies_with_wrong_parts": _count(wrong_parts, lines),
+        }
+    found = {
+        "right": _count(is_right, known),
+        "in_set": _count(is_in_set, known),
+        "wrong": _count(is_wrong, known),
+        "false_alarms": _count(is_false_alarm, nothing),
+        "no_effect": _count(lambda line: line["verdict"] == "no_effect", nothing),
+        "outside_flagged": _count(is_flagged, outside),
+        "outside_misnamed": _count(is_misnamed, outside),
+        "coverage": coverage(known),
+    }
+    if suite == LABORATORY:
+        del found["no_effect"]
+    if suite == FIELD:
+        for size in ("small", "large"):
+            found[f"coverage_disturbed_{size}"] = coverage(line for line in known if line["disturbance"] == size)
     return found
 
 
-def summary(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the figures at the end of `make blind`: a count, then fractions (None without cases)."""
-    figures = {name: hits / of if of else None for name, (hits, of) in counts(lines).items()}
-    left = [e for line in _of(lines, "known") if (e := excess_left(line)) is not None]
-    rounded = {name: None if value is None else round(value, 4) for name, value in figures.items()}
-    coverage = rounded.pop("coverage")
-    excess = round(statistics.median(left), 4) if left else None
-    return {"studies": len(lines), **rounded, "excess_left": excess, "coverage": coverage}
+def _count(holds: Callable[[Line], Any], lines: Sequence[Line]) -> tuple[int, int]:
+    return sum(bool(holds(line)) for line in lines), len(lines)
 
 
-def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
-    """Return figure → (number of hits, number of cases)."""
-    known, nothing, outside = (_of(lines, kind) for kind in ("known", "nothing", "outside"))
-    claims = [hit for line in known for hit in covered(line)]
-    return {
-        "right": (sum(map(is_right, known)), len(known)),
-        "in_set": (sum(map(is_in_set, known)), len(known)),
-        "wrong": (sum(map(is_wrong, known)), len(known)),
-        "false_alarms": (sum(map(is_false_alarm, nothing)), len(nothing)),
-        "outside_flagged": (sum(map(is_flagged, outside)), len(outside)),
-        "outside_misnamed": (sum(map(is_misnamed, outside)), len(outside)),
-        "coverage": (sum(claims), len(claims)),
-    }
+def coverage(lines: Iterable[Line]) -> tuple[int, int]:
+    """Return how many intervals of claims hold the truth, and how many there are."""
+    hits = [hit for line in lines for hit in claims(line)]
+    return sum(hits), len(hits)
 
 
-def _of(lines: Sequence[Line], kind: str) -> list[Line]:
-    return [line for line in lines if line["kind"] == kind]
-
-
-def table(lines: Sequence[Line]) -> str:
-    """Return the confusion matrix with a row per hidden effect, then the figures with counts and Wilson intervals."""
-    rows: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
+def groups(lines: Sequence[Line]) -> dict[str, tuple[tuple[str, ...], list[Line]]]:
+    """Return group of studies of FMUs → (its figures, its lines): ways, sizes, both together."""
+    found: dict[str, tuple[tuple[str, ...], list[Line]]] = {}
     for line in lines:
-        rows[line["kind"], label(line)][outcome_text(line)] += 1
-    columns = ("right", "in set", "part", "wrong", "no_effect", "unexplained", "ambiguous", "failed")
-    text = [f"{'hidden':48} {'n':>3}  " + "  ".join(f"{c:>{len(c)}}" for c in columns) + "  instead"]
-    for kind in ("known", "nothing", "outside"):
-        for (of_kind, hidden), outcomes in sorted(rows.items()):
-            if of_kind != kind:
-                continue
-            cells = [sum(n for what, n in outcomes.items() if what.split(": ")[0] == c) for c in columns]
-            instead = ", ".join(f"{w.split(': ')[1]} ×{n}" for w, n in sorted(outcomes.items()) if ": " in w)
-            numbers = "  ".join(f"{n or '·':>{len(c)}}" for n, c in zip(cells, columns, strict=True))
-            text.append(f"{hidden:48} {outcomes.total():3d}  {numbers}  {instead}".rstrip())
-    text.append("")
-    for name, (hits, of) in counts(lines).items():
-        low, high = wilson(hits, of)
-        share = f"{100 * hits / of:5.1f} %" if of else "    – "
-        text.append(f"{name:18} {hits:4d} of {of:4d}  {share}  [{100 * low:5.1f}, {100 * high:5.1f}]")
+        size, way = line["size"], line["way"]
+        by_size = (*BY_NAMES, "coverage")
+        names = {way: tuple(counts(FMU, ()))} | ({size: by_size, f"{size}, {way}": by_size} if size else {})
+        for name, figures in names.items():
+            found.setdefault(name, (figures, []))[1].append(line)
+    return dict(sorted(found.items()))
+
+
+def summary(suite: str, lines: Sequence[Line]) -> dict[str, Any]:
+    """Return the figures of a suite in the last line of the output; None for figures without cases."""
+    found = _shares(suite, lines)
+    known = [line for line in lines if line["kind"] == "known"]
+    if suite == LABORATORY:
+        left = [e for line in known if (e := excess_left(line)) is not None]
+        covered = found.pop("coverage")
+        found |= {"excess_left": round(statistics.median(left), 4) if left else None, "coverage": covered}
+    if suite not in (FIELD, FMU):
+        return found
+    ratios = sorted(ratio for line in known if (ratio := sealed_ratio(line)) is not None)
+    seconds = sorted(line["seconds"] for line in lines)
+    found |= {"sealed_ratio_median": _ranked(ratios, 0.5), "sealed_ratio_90": _ranked(ratios, 0.9)}
+    if suite == FIELD:
+        by_number = defaultdict(list)
+        for line in sorted(known, key=lambda line: len(line["truth"])):
+            by_number[str(len(line["truth"]))].append(line)
+        found["by_effects"] = {number: _shares(suite, chosen, BY_NAMES) for number, chosen in by_number.items()}
+    found |= {"seconds_median": _ranked(seconds, 0.5), "seconds_95": _ranked(seconds, 0.95)}
+    if suite == FMU:
+        found["by"] = {name: _shares(suite, chosen, figures) for name, (figures, chosen) in groups(lines).items()}
+    return found
+
+
+def _shares(suite: str, lines: Sequence[Line], names: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the number of studies, and figure → share of its cases, of all figures or of those named."""
+    counted = counts(suite, lines)
+    shares = {name: round(hits / of, 4) if of else None for name, (hits, of) in counted.items()}
+    return {"studies": len(lines)} | {name: shares[name] for name in names or counted}
+
+
+def _ranked(values: Sequence[float], part: float) -> float | None:
+    """Return the smallest value not exceeded by `part` of all values; None without values or if infinite."""
+    value = values[max(0, math.ceil(part * len(values)) - 1)] if values else math.inf
+    return round(value, 4) if math.isfinite(value) else None
+
+
+# -- texts -------------------------------------------------------------------------------------------------
+
+
+def label(suite: str, line: Line) -> str:
+    """Return the label of a study: plant and hidden names."""
+    names = " + ".join(sorted(line["truth"])) or "nothing"
+    strange = "outside: " if line["kind"] == "outside" else ""
+    if suite == LABORATORY:
+        condition = ("disturbed" if line["disturbed"] else "clean") if line["kind"] == "nothing" else ""
+        return f"{strange}{names}{condition and ', '}{condition}"
+    if suite == FMU:
+        way = "".join(word[0] for word in line["way"].split("_"))
+        return f"{line['plant']} {way}{line['version']}: {line['size'] or line['kind']}: {names}"
+    return f"{line['plant']}: {strange if suite == FIELD else ''}{names}"
+
+
+def outcome_text(suite: str, line: Line) -> str:
+    """Return the outcome of a study: a column of the table; after a colon wrong names, in the laboratory also rivals.
+
+    Of a study in parts: number of named effects, wrong names, verdict and grade.
+    """
+    verdict = str(line["verdict"])
+    if suite in (MIXED, ARM):
+        wrong = "".join(f", wrong: {name}" for name in sorted(wrong_parts(line)))
+        return f"{len(named_parts(line))} of {len(parts(line))}{wrong} ({verdict}, {line.get('grade', '')})"
+    names = " + ".join(sorted(put_forward(line)))
+    if line["kind"] == "known":
+        for word, holds in (("right", is_right), ("in set", is_in_set)):
+            if holds(line):
+                return word
+    if names:
+        return f"{'wrong' if line['kind'] != 'known' or is_wrong(line) else 'part'}: {names}"
+    return f"{verdict}: {' | '.join(line['rivals'])}" if suite == LABORATORY and verdict == "ambiguous" else verdict
+
+
+def table(suite: str, lines: Sequence[Line]) -> str:
+    """Return a table of outcomes, then the figures with Wilson's 95 % intervals."""
+    if suite in (MIXED, ARM):
+        text = [f"{label(suite, line):70} {outcome_text(suite, line)}" for line in lines]
+        return "\n".join(text + _figures(counts(suite, lines)))
+    rows: dict[tuple[Any, str], list[str]] = defaultdict(list)
+    for line in lines:
+        for row in _rows(suite, line):
+            rows[row].append(outcome_text(suite, line))
+    title, last = ("hidden", "  instead") if suite == LABORATORY else (suite, "")
+    text = [f"{title:48} {'n':>3}  {'  '.join(OUTCOMES)}{last}"]
+    for (_, name), outcomes in sorted(rows.items()):
+        words = [outcome.split(": ")[0] for outcome in outcomes]
+        cells = "  ".join(f"{words.count(c) or '·':>{len(c)}}" for c in OUTCOMES)
+        told = sorted({(outcome, outcomes.count(outcome)) for outcome in outcomes if ": " in outcome})
+        instead = ", ".join(f"{outcome.split(': ')[1]} ×{n}" for outcome, n in told) if last else ""
+        text.append(f"{name:48} {len(outcomes):3d}  {cells}  {instead}".rstrip())
+    if suite != FMU:
+        return "\n".join([*text, "", *_figures(counts(suite, lines), 18 if suite == LABORATORY else 25)])
+    every = {"all": (tuple(counts(suite, ())), list(lines))} | groups(lines)
+    for name, (figures, chosen) in every.items():
+        counted = counts(suite, chosen)
+        text += ["", name, *_figures({figure: counted[figure] for figure in figures})]
     return "\n".join(text)
 
 
-def label(line: Line) -> str:
-    """Return the hidden effects as label of a row."""
-    if line["kind"] == "nothing":
-        return "nothing, disturbed" if line["disturbed"] else "nothing, clean"
-    names = " + ".join(sorted(line["truth"]))
-    return f"outside: {names}" if line["kind"] == "outside" else names
+def _rows(suite: str, line: Line) -> list[tuple[Any, str]]:
+    """Return the rows of the table, with what sorts them, in which a study counts."""
+    kind, plant = line["kind"], line.get("plant")
+    if suite == LABORATORY:
+        return [(KINDS.index(kind), label(suite, line))]
+    if suite == FMU:
+        return [("", f"{plant}, {kind}{', ' if line['size'] else ''}{line['size']}")]
+    strange = "outside: " if kind == "outside" else ""
+    return [("", f"{plant}, {kind}"), *((kind, f"{strange}{plant}: {name}") for name in line["truth"])]
 
 
-def outcome_text(line: Line) -> str:
-    """Return the outcome of a study, a column of the table; wrong names follow after a colon."""
-    verdict = line["verdict"]
-    names = " + ".join(sorted(named(line))) or "?"
-    if line["kind"] == "known":
-        if is_right(line):
-            return "right"
-        if is_in_set(line):
-            return "in set"
-        if is_wrong(line):
-            return f"wrong: {names}"
-        if verdict in CONFIDENT:
-            return f"part: {names}"
-    elif verdict in CONFIDENT:
-        return f"wrong: {names}"
-    if verdict == "ambiguous":
-        return "ambiguous: " + " | ".join(line["rivals"])
-    return str(verdict)
+def _figures(counted: Mapping[str, tuple[int, int]], width: int = 25) -> list[str]:
+    return [f"{name:{width}}{share_text(hits, of)}" for name, (hits, of) in counted.items()]

@@ -13,9 +13,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from scipy.integrate import ode
+
+from tests.blind.field_rig import Array, Flat, Floats, Look, Rate, advanced, flat, solver
 
 STEP = 0.02  # sample time [s]
 DUTY = 6.38763  # nominal duty [%]
@@ -44,7 +46,13 @@ STATES = (*BODY, *POWER)
 OUTPUTS = (*BODY, "ax", "thrust_right", "thrust_left", "tilt_right_actual", "tilt_left_actual")
 
 Command = tuple[float, float, float, float]  # duty right, left [%]; tilt right, left [rad]
+Disturbance = tuple[float, float, float]  # forward, starboard [N], yaw [N m]; held over a sample
 Push = tuple[float, float, float, float, float, float]  # felt forward, starboard [N], yaw, roll [N m]; unfelt f, s [N]
+
+REST: Command = (DUTY, DUTY, 0.0, 0.0)
+CALM: Disturbance = (0.0, 0.0, 0.0)
+# eq 5.46, and a camera of 1 mm
+VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479, "x_world": 1e-6, "y_world": 1e-6}
 
 
 @dataclass(frozen=True)
@@ -69,151 +77,133 @@ class Craft:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     outside: Outside = Outside()
 
-    def number(self, name: str) -> float:
-        return self.base.get(name, SHEET[name])
+    def numbers(self) -> dict[str, float]:
+        """Return all parameters by full name."""
+        return {**SHEET, **self.base, **flat(self.effects)}
 
-    def value(self, effect: str, parameter: str, neutral: float = 0.0) -> float:
-        return self.effects.get(effect, {}).get(parameter, neutral)
-
-    def static_thrust(self, duty: float) -> float:
-        """Return the thrust out of ground effect, eq 4.20 [N]."""
-        grams = self.number("thrust_offset") + self.number("thrust_slope") * duty
-        return max(0.0, grams) * self.number("gravity") / 1000.0
-
-    def rest(self, **start: float) -> np.ndarray:
+    def rest(self, **start: float) -> Array:
         """Return the state of a hovering craft, with some states replaced by name."""
-        hover = self.static_thrust(DUTY)
+        hover = static_thrust(Floats, self.numbers(), DUTY)
         values = {"thrust_right": hover, "thrust_left": hover} | start
         return np.array([values.pop(name, 0.0) for name in STATES])
 
 
-Disturbance = tuple[float, float, float]  # forward, starboard [N], yaw [N m]; held over a sample
+def static_thrust(f: Any, p: Flat, duty: Any) -> Any:
+    """Return the thrust out of ground effect, eq 4.20 [N]."""
+    return f.maximum(p["thrust_offset"] + p["thrust_slope"] * duty, 0.0) * p["gravity"] / 1000.0
 
 
-class Dynamics:
-    """State derivative and outputs of a craft, with constants computed once."""
+def gripped(force: float, slip: float) -> float:
+    """Return the dry friction per speed: force·tanh(s/0.01)/s."""
+    return force * (math.tanh(slip / 0.01) / slip if slip > 1e-12 else 100.0)
 
-    def __init__(self, craft: Craft) -> None:
-        self.craft = craft
-        self.command: Command = (DUTY, DUTY, 0.0, 0.0)
-        self.disturbance: Disturbance = (0.0, 0.0, 0.0)
-        number, value = craft.number, craft.value
-        self.m, self.izz, self.ixx, self.arm = number("mass"), number("izz"), number("ixx"), number("arm")
-        self.z, self.radius, self.k = number("height"), number("propeller_radius"), number("ground_effect_exponent")
-        self.tau, self.c, self.g = number("lag"), number("friction"), number("gravity")
-        self.kt, self.dt = number("table_roll_stiffness"), number("table_roll_damping")
-        self.asymmetry = value("thrust_asymmetry", "ratio")
-        self.drop, self.sag_time = value("battery_sag", "drop"), value("battery_sag", "time", 15.0)
-        self.inflow = value("inflow_thrust_loss", "coefficient")
-        self.coulomb, self.drag = value("coulomb_friction", "force"), value("quadratic_drag", "coefficient")
-        stribeck = [value("stribeck_friction", p, d) for p, d in (("force", 0), ("static_force", 0), ("speed", 0.05))]
-        self.slide, self.stick, self.stick_speed = stribeck
-        self.yaw_viscous = value("yaw_damping", "coefficient")
-        self.yaw_dry = value("yaw_coulomb_friction", "moment")
-        self.com = value("com_offset", "right")
-        tilt_x, tilt_y = value("table_tilt", "x"), value("table_tilt", "y")
-        self.downhill = (self.m * self.g * math.sin(tilt_x), self.m * self.g * math.sin(tilt_y))
-        self.turning = value("coriolis", "gain")
-        self.omega = value("actuator_second_order", "natural_frequency")
-        self.zeta = value("actuator_second_order", "damping_ratio", 0.7)
-        self.slew = value("servo_rate_limit", "rate") or math.inf
 
-    def _gamma(self, height: float) -> float:
+def equations(
+    f: Any, p: Flat, outside: Outside, speed: Callable[..., Any] = math.hypot, grip: Callable[..., Any] = gripped
+) -> tuple[Rate, Look]:
+    """Return the derivatives of `STATES`, and all of `OUTPUTS` without sensor errors, in body axes, eqs 5.9 to 5.14.
+
+    Args:
+        f: math functions, `Floats` or `Arrays`.
+        p: parameters; effects missing in it are absent.
+        outside: an effect outside the catalogue, for floats.
+        speed: from both velocities.
+        grip: (force, speed) → dry friction per speed.
+    """
+    arm, mass, lag, radius, get = p["arm"], p["mass"], p["lag"], p["propeller_radius"], p.get
+    drop, sag_time = get("battery_sag.drop", 0.0), get("battery_sag.time", 15.0)
+    inflow, uneven = get("inflow_thrust_loss.coefficient", 0.0), get("thrust_asymmetry.ratio", 0.0)
+    coulomb, drag = get("coulomb_friction.force", 0.0), get("quadratic_drag.coefficient", 0.0)
+    slide, stick = get("stribeck_friction.force", 0.0), get("stribeck_friction.static_force", 0.0)
+    stick_speed = get("stribeck_friction.speed", 0.05)
+    com, yaw_viscous = get("com_offset.right", 0.0), get("yaw_damping.coefficient", 0.0)
+    yaw_dry, turning = get("yaw_coulomb_friction.moment", 0.0), get("coriolis.gain", 0.0)
+    down_x, down_y = (mass * p["gravity"] * f.sin(get(f"table_tilt.{axis}", 0.0)) for axis in ("x", "y"))
+    slew, omega = get("servo_rate_limit.rate") or math.inf, get("actuator_second_order.natural_frequency", 0.0)
+    zeta = get("actuator_second_order.damping_ratio", 0.7)
+
+    def lift(height: Any) -> Any:
         """Return the ground effect, eqs 4.23 and 4.28 (with the minus sign)."""
-        return 1.0 / (1.0 - (self.radius / 4.0 / max(height, self.radius / 2.0)) ** self.k)
+        return 1.0 / (1.0 - (radius / 4.0 / f.maximum(height, radius / 2.0)) ** p["ground_effect_exponent"])
 
-    def thrusts(self, t: float, state: list[float]) -> tuple[float, float]:
+    def thrusts(t: Any, x: Any) -> tuple[Any, Any]:
         """Return right and left thrust in ground effect, each propeller at its own height [N]."""
-        rise = self.arm * math.sin(state[8])
-        both = 1.0 - self.drop * (1.0 - math.exp(-t / self.sag_time)) if self.drop else 1.0
-        both *= 1.0 - self.inflow * state[5]
-        if self.craft.outside.gain:
-            both *= self.craft.outside.gain(t)
-        right = state[10] * self._gamma(self.z + rise) * both * (1.0 + self.asymmetry)
-        left = state[11] * self._gamma(self.z - rise) * both * (1.0 - self.asymmetry)
-        return right, left
+        rise = arm * f.sin(x[8])
+        both = (1.0 - drop * (1.0 - f.exp(-t / sag_time))) * (1.0 - inflow * x[5])
+        if outside.gain:
+            both *= outside.gain(t)
+        right = x[10] * lift(p["height"] + rise) * both * (1.0 + uneven)
+        return right, x[11] * lift(p["height"] - rise) * both * (1.0 - uneven)
 
-    def push(self, t: float, state: list[float]) -> Push:
+    def push(t: Any, x: Any, disturbance: Any) -> tuple[Any, ...]:
         """Return contact forces and moments on the craft in body axes, and gravity separately for the accelerometer."""
-        _, _, _, _, psi, vf, vs, r, phi, p = state[:10]
-        right, left = self.thrusts(t, state)
-        right_f, right_up = right * math.sin(state[12]), right * math.cos(state[12])
-        left_f, left_up = left * math.sin(state[13]), left * math.cos(state[13])
+        _, _, _, _, psi, vf, vs, r, phi, p_phi = x[:10]
+        right, left = thrusts(t, x)
+        right_f, right_up = right * f.sin(x[12]), right * f.cos(x[12])
+        left_f, left_up = left * f.sin(x[13]), left * f.cos(x[13])
         ahead, up = right_f + left_f, right_up + left_up
-        speed = math.hypot(vf, vs)
-        brake = self.c + self.drag * speed  # force per velocity
-        dry = self.coulomb
-        if self.slide or self.stick:
-            dry += self.slide + (self.stick - self.slide) * math.exp(-((speed / self.stick_speed) ** 2))
-        if dry:
-            # tanh(s/0.01)/s tends to 1/0.01 at rest
-            brake += dry * (math.tanh(speed / 0.01) / speed if speed > 1e-12 else 100.0)
-        forward = ahead - brake * vf + self.disturbance[0]
-        starboard = -up * math.sin(phi) - brake * vs + self.disturbance[1]
-        yaw = self.arm * (right_f - left_f) - self.com * ahead - self.yaw_viscous * r + self.disturbance[2]
-        if self.yaw_dry:
-            yaw -= self.yaw_dry * math.tanh(r / 0.02)
-        roll = self.arm * (right_up - left_up) - self.com * up - self.kt * phi - self.dt * p
-        cos, sin = math.cos(psi), math.sin(psi)
-        fall_f = self.downhill[0] * cos + self.downhill[1] * sin
-        fall_s = self.downhill[0] * sin - self.downhill[1] * cos
-        if self.craft.outside.force:
-            more = self.craft.outside.force(t, state, (right, left))
-            forward, starboard, yaw, roll = forward + more[0], starboard + more[1], yaw + more[2], roll + more[3]
-            fall_f, fall_s = fall_f + more[4], fall_s + more[5]
-        return forward, starboard, yaw, roll, fall_f, fall_s
 
-    def derivative(self, t: float, vector: np.ndarray) -> list[float]:
-        state = vector.tolist()
-        _, _, _, _, psi, vf, vs, r, _, p, tr, tl, ar, al, wr, wl = state
-        forward, starboard, yaw, roll, fall_f, fall_s = self.push(t, state)
-        duty_r, duty_l, goal_r, goal_l = self.command
-        if self.omega:
-            speed_r, speed_l = wr, wl
-            acc_r = self.omega * (self.omega * (goal_r - ar) - 2.0 * self.zeta * wr)
-            acc_l = self.omega * (self.omega * (goal_l - al) - 2.0 * self.zeta * wl)
+        slip = speed(vf, vs)
+
+        dry = coulomb + slide + (stick - slide) * f.exp(-((slip / stick_speed) ** 2))
+        brake = p["friction"] + drag * slip + grip(dry, slip)
+        forward = ahead - brake * vf + disturbance[0]
+        starboard = -up * f.sin(phi) - brake * vs + disturbance[1]
+        yaw = arm * (right_f - left_f) - com * ahead - yaw_viscous * r - yaw_dry * f.tanh(r / 0.02) + disturbance[2]
+        roll = arm * (right_up - left_up) - com * up
+        roll = roll - p["table_roll_stiffness"] * phi - p["table_roll_damping"] * p_phi
+        cos, sin = f.cos(psi), f.sin(psi)
+        felt = forward, starboard, yaw, roll, down_x * cos + down_y * sin, down_x * sin - down_y * cos
+        if not outside.force:
+            return felt
+        return tuple(a + b for a, b in zip(felt, outside.force(t, x, (right, left)), strict=True))
+
+    def rate(t: Any, x: Any, u: Any, disturbance: Any) -> list[Any]:
+        _, _, _, _, psi, vf, vs, r, _, p_phi, tr, tl, *servos = x
+        forward, starboard, yaw, roll, fall_f, fall_s = push(t, x, disturbance)
+        speeds, accelerations = servos[2:], [0.0, 0.0]
+        if omega:
+            both = zip(u[2:], servos[:2], speeds, strict=True)
+            accelerations = [omega * (omega * (goal - a) - 2.0 * zeta * w) for goal, a, w in both]
         else:
-            speed_r, speed_l, acc_r, acc_l = (goal_r - ar) / self.tau, (goal_l - al) / self.tau, 0.0, 0.0
-        cos, sin = math.cos(psi), math.sin(psi)
+            speeds = [(goal - a) / lag for goal, a in zip(u[2:], servos[:2], strict=True)]
+        cos, sin = f.cos(psi), f.sin(psi)
         return [
             vf,
             vs,
             vf * cos + vs * sin,
             vf * sin - vs * cos,
             r,
-            (forward + fall_f) / self.m - self.turning * r * vs,
-            (starboard + fall_s) / self.m + self.turning * r * vf,
-            yaw / self.izz,
-            p,
-            roll / self.ixx,
-            (self.craft.static_thrust(duty_r) - tr) / self.tau,
-            (self.craft.static_thrust(duty_l) - tl) / self.tau,
-            min(max(speed_r, -self.slew), self.slew),
-            min(max(speed_l, -self.slew), self.slew),
-            acc_r,
-            acc_l,
+            (forward + fall_f) / mass - turning * r * vs,
+            (starboard + fall_s) / mass + turning * r * vf,
+            yaw / p["izz"],
+            p_phi,
+            roll / p["ixx"],
+            (static_thrust(f, p, u[0]) - tr) / lag,
+            (static_thrust(f, p, u[1]) - tl) / lag,
+            *(f.minimum(f.maximum(v, -slew), slew) for v in speeds),
+            *accelerations,
         ]
 
-    def outputs(self, t: float, vector: np.ndarray) -> dict[str, float]:
-        """Return every quantity of `OUTPUTS` without sensor errors; acceleration is contact force / mass."""
-        state = vector.tolist()
-        values = (*state[:10], self.push(t, state)[0] / self.m, *self.thrusts(t, state), *state[12:14])
-        return dict(zip(OUTPUTS, values, strict=True))
+    def look(t: Any, x: Any, disturbance: Any) -> list[Any]:
+        """Return the outputs; acceleration is contact force / mass."""
+        return [*x[:10], push(t, x, disturbance)[0] / mass, *thrusts(t, x), *x[12:14]]
+
+    return rate, look
 
 
 class Servos:
     """Servos without their lag: delay, play, offset, dead band, in this order; then effects outside the catalogue."""
 
-    def __init__(self, craft: Craft) -> None:
-        self.craft = craft
-        self.delay = craft.value("actuator_delay", "time")
-        self.sent: list[tuple[float, Command]] = [(-math.inf, (DUTY, DUTY, 0.0, 0.0))]
+    def __init__(self, p: Flat, outside: Outside) -> None:
+        self.p, self.outside = p, outside
+        self.sent: list[tuple[float, Command]] = [(-math.inf, REST)]
         self.play = [0.0, 0.0]
         self.memory: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def pieces(self, t: float, end: float, command: Command) -> list[tuple[float, float, Command]]:
         """Return (from, until, acting command) within the sample from `t` to `end`; `command` is sent at `t`."""
-        self.sent.append((t + self.delay, command))
+        self.sent.append((t + self.p.get("actuator_delay.time", 0.0), command))
         cuts = [t, *(s for s, _ in self.sent if t + 1e-9 < s < end - 1e-9), end]
         while len(self.sent) > 1 and self.sent[1][0] <= t + 1e-9:
             del self.sent[0]
@@ -221,16 +211,15 @@ class Servos:
         return [(a, b, self._shaped(a, u)) for a, b, u in arrived]
 
     def _shaped(self, t: float, command: Command) -> Command:
-        value = self.craft.value
-        half, band = value("servo_backlash", "width") / 2.0, value("servo_dead_band", "width")
+        half, band = self.p.get("servo_backlash.width", 0.0) / 2.0, self.p.get("servo_dead_band.width", 0.0)
         tilts = []
         for i, side in enumerate(("right", "left")):
             goal = command[2 + i]
             self.play[i] = min(max(self.play[i], goal - half), goal + half)
-            goal = self.play[i] + value("tilt_offset", side)
+            goal = self.play[i] + self.p.get(f"tilt_offset.{side}", 0.0)
             goal = math.copysign(max(abs(goal) - band, 0.0), goal)
-            if self.craft.outside.servo:
-                goal = self.craft.outside.servo(t, goal, self.memory[i])
+            if self.outside.servo:
+                goal = self.outside.servo(t, goal, self.memory[i])
             tilts.append(goal)
         return command[0], command[1], tilts[0], tilts[1]
 
@@ -238,31 +227,22 @@ class Servos:
 class Flight:
     """A moving craft, advanced by samples; the integrator restarts at each change of the acting command."""
 
-    def __init__(self, craft: Craft, state: np.ndarray, t: float = 0.0, tolerance: float = 1e-9) -> None:
-        self.dynamics, self.servos = Dynamics(craft), Servos(craft)
-        self.state, self.start, self.count = state, t, 0
-        self._solver = ode(self.dynamics.derivative).set_integrator(
-            "dop853", rtol=tolerance, atol=1e-2 * tolerance, first_step=STEP / 2, nsteps=10_000
-        )
+    def __init__(self, craft: Craft, state: Array, t: float = 0.0, tolerance: float = 1e-9) -> None:
+        rate, self._look = equations(Floats, craft.numbers(), craft.outside)
+        self.servos, self.state, self.t = Servos(craft.numbers(), craft.outside), state, t
+        self._acting: list[Any] = [REST, CALM]
+        self._start, self._count = t, 0
+        self._solver = solver(lambda t, x: rate(t, x.tolist(), *self._acting), tolerance, STEP)
 
-    def advance(self, command: Command, disturbance: Disturbance = (0.0, 0.0, 0.0)) -> None:
-        """Advance by a sample with `command` sent at its start."""
-        self.dynamics.disturbance = disturbance
-        for begin, end, acting in self.servos.pieces(self.t, self.t_next, command):
-            self.dynamics.command = acting
-            self._solver.set_initial_value(self.state, begin)
-            self.state = self._solver.integrate(end)
-            if not self._solver.successful():
-                raise ArithmeticError(f"integration failed at {begin:.3f} s")
-        self.count += 1
+    def advance(self, command: Command, disturbance: Disturbance = CALM, end: float | None = None) -> None:
+        """Advance to `end`, by default by a sample, with `command` sent at the start."""
+        self._count += 1
+        end = self._start + self._count * STEP if end is None else end
+        for begin, until, acting in self.servos.pieces(self.t, end, command):
+            self._acting[:] = acting, disturbance
+            self.state = advanced(self._solver, self.state, begin, until)
+        self.t = end
 
-    @property
-    def t(self) -> float:
-        return self.start + self.count * STEP
-
-    @property
-    def t_next(self) -> float:
-        return self.start + (self.count + 1) * STEP
-
-    def outputs(self) -> dict[str, float]:
-        return self.dynamics.outputs(self.t, self.state)
+    def outputs(self, disturbance: Disturbance = CALM) -> dict[str, float]:
+        """Return every quantity of `OUTPUTS` without sensor errors."""
+        return dict(zip(OUTPUTS, self._look(self.t, self.state.tolist(), disturbance), strict=True))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tests.blind.field_rig import Array, Random
 from tests.blind.truth_craft import DUTY, SHEET, STEP, TILT_MAX, Command
 
 THRUST = 2.4973  # nominal thrust of a propeller in ground effect, eq 5.36 [N]
@@ -26,7 +27,7 @@ class Style:
     duty_dither: float
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, duty: bool) -> Style:
+    def draw(cls, rng: Random, duty: bool) -> Style:
         return cls(
             forward_gain=rng.uniform(0.7, 1.1),
             yaw_gain=rng.uniform(0.6, 0.9),
@@ -39,7 +40,7 @@ class Style:
 Range = tuple[float, float]
 
 
-def reference(rng: np.random.Generator, count: int, size: Range, rate: Range, pause: Range) -> np.ndarray:
+def reference(rng: Random, count: int, size: Range, rate: Range, pause: Range) -> Array:
     """Return steps and ramps: changes of ±`size`, half of them with a random `rate`, each followed by a `pause`."""
     values = np.zeros(count)
     target = 0.0
@@ -57,7 +58,7 @@ def reference(rng: np.random.Generator, count: int, size: Range, rate: Range, pa
     return values
 
 
-def telegraph(rng: np.random.Generator, count: int, amplitude: float, hold: Range) -> np.ndarray:
+def telegraph(rng: Random, count: int, amplitude: float, hold: Range) -> Array:
     """Return random levels within ±`amplitude`, each held for a time within `hold` [s]: broadband, down to DC."""
     values = np.zeros(count)
     k = 0
@@ -71,7 +72,7 @@ def telegraph(rng: np.random.Generator, count: int, amplitude: float, hold: Rang
 class Pilot:
     """Observer and feedback, with distance and speed from the accelerometer and, if measured, the position."""
 
-    def __init__(self, rng: np.random.Generator, style: Style, count: int, heading: float) -> None:
+    def __init__(self, rng: Random, style: Style, count: int, heading: float) -> None:
         self.style = style
         self.distance_ref = reference(rng, count, (0.2, 1.4), (0.1, 0.6), (1.0, 4.0))
         self.heading_ref = heading + reference(rng, count, (0.3, 2.0), (0.25, 1.2), (0.5, 2.5))

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
-
+from tests.blind.field_rig import Random, Truth, dealt
+from tests.blind.field_rig import stream as any_stream
 from tests.blind.truth_craft import SHEET
 from tests.blind.truth_outside import OUTSIDE
-
-Truth = dict[str, dict[str, float]]
 
 BASE = ("mass", "izz", "friction", "lag", "thrust_slope")
 SENSORS = ("accelerometer_bias", "accelerometer_scale", "gyro_bias")
@@ -46,22 +45,10 @@ FAMILIES = (
     {"thrust_asymmetry", "com_offset", "tilt_offset"},
     {"battery_sag", "inflow_thrust_loss"},
 )
-# what the accelerometer and the heading show without any position (docs/blind.md says why the others are not here)
-IMU_ENOUGH = {
-    "yaw_damping",
-    "yaw_coulomb_friction",
-    "actuator_second_order",
-    "actuator_delay",
-    "servo_rate_limit",
-    "servo_backlash",
-    "servo_dead_band",
-    "tilt_offset",
-    "battery_sag",
-    "inflow_thrust_loss",
-    "izz",
-    "lag",
-    "thrust_slope",
-    "gyro_bias",
+# what the accelerometer and the heading do not show without any position (docs/blind.md says why)
+NEED_POSITION = {
+    *("coulomb_friction", "stribeck_friction", "quadratic_drag", "thrust_asymmetry", "com_offset", "table_tilt"),
+    *("coriolis", "mass", "friction", "accelerometer_bias", "accelerometer_scale"),
 }
 # a block of twenty consecutive seeds, in shuffled order
 BLOCK = ("known",) * 11 + ("nothing",) * 5 + ("outside",) * 4
@@ -82,21 +69,19 @@ class Study:
     duty_varied: bool
 
 
-def stream(seed: int, *purpose: int) -> np.random.Generator:
-    """Return an independent random stream for a purpose of a seed."""
-    return np.random.default_rng([9137, seed, *purpose])
+stream = partial(any_stream, 9137)  # of this half
 
 
-def _sign(rng: np.random.Generator) -> float:
+def _sign(rng: Random) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _near(rng: np.random.Generator, size: float) -> float:
+def _near(rng: Random, size: float) -> float:
     """Return a random value within 20 % of `size`."""
     return size * float(rng.uniform(0.8, 1.2))
 
 
-def size(name: str, rng: np.random.Generator) -> dict[str, float]:
+def size(name: str, rng: Random) -> dict[str, float]:
     """Return random parameters of the effect, base parameter or sensor error `name`, in SI (thrust_slope in gf/%)."""
     degree = math.pi / 180.0
     between = rng.uniform
@@ -131,7 +116,7 @@ def size(name: str, rng: np.random.Generator) -> dict[str, float]:
     return {p: float(v) for p, v in drawn[name].items()}
 
 
-def _wrong_by(name: str, rng: np.random.Generator) -> float:
+def _wrong_by(name: str, rng: Random) -> float:
     """Return the relative error of a base parameter: 10-70 % up or 10-45 % down; of the thrust slope ±3-7 %."""
     if name == "thrust_slope":
         # 7 % less slope is 72 % less thrust at the nominal duty: the line's offset does not shrink with it
@@ -139,22 +124,13 @@ def _wrong_by(name: str, rng: np.random.Generator) -> float:
     return float(rng.uniform(0.1, 0.7) if rng.random() < 0.5 else -rng.uniform(0.1, 0.45))
 
 
-def _deal(deck: tuple[str, ...], number: int, purpose: int) -> str:
-    """Return card `number` of an endless pile of equal decks, each shuffled separately."""
-    pile, card = divmod(number, len(deck))
-    return str(stream(pile, purpose).permutation(np.array(deck))[card])
+def _deal(deck: tuple[str, ...], number: int, purpose: int) -> tuple[str, int]:
+    """Return card `number` of an endless pile of equal decks, and how many equal cards are above it."""
+    card, before = dealt(deck, number, lambda pile: stream(pile, purpose))
+    return card, before
 
 
-def _place(seed: int) -> tuple[str, int]:
-    """Return the kind of study of a seed, and the number of earlier seeds of this kind."""
-    block, place = divmod(seed, len(BLOCK))
-    order = stream(block, 1).permutation(np.array(BLOCK))
-    kind = str(order[place])
-    before = int(np.sum(order[:place] == kind))
-    return kind, block * BLOCK.count(kind) + before
-
-
-def _names_of_card(card: str, rng: np.random.Generator) -> list[str]:
+def _names_of_card(card: str, rng: Random) -> list[str]:
     if card == BASE_PAIR:
         return [str(n) for n in rng.choice(BASE[:4], 2, replace=False)]
     if card != PAIR:
@@ -167,20 +143,20 @@ def _names_of_card(card: str, rng: np.random.Generator) -> list[str]:
 
 def draw(seed: int) -> Study:
     """Return the study of a seed, reproducible byte for byte."""
-    kind, number = _place(seed)
+    kind, number = _deal(BLOCK, seed, 1)
     rng = stream(seed, 2)
     disturbed, imu_alone, duty = rng.random(3) < (0.5, 0.4, 0.5)
     truth: Truth = {}
     if kind == "known":
-        truth = {name: size(name, rng) for name in _names_of_card(_deal(KNOWN_DECK, number, 3), rng)}
-        imu_alone &= truth.keys() <= IMU_ENOUGH
+        truth = {name: size(name, rng) for name in _names_of_card(_deal(KNOWN_DECK, number, 3)[0], rng)}
+        imu_alone &= not truth.keys() & NEED_POSITION
         duty |= "thrust_slope" in truth
     elif kind == "outside":
-        name = _deal(tuple(OUTSIDE), number, 4)
+        name, _ = _deal(tuple(OUTSIDE), number, 4)
         entry = OUTSIDE[name]
         truth = {name: {p: float(rng.uniform(*r)) for p, r in entry.ranges.items()}}
         imu_alone &= not entry.needs_position
         duty |= entry.needs_duty
     else:
-        disturbed = _deal(NOTHING_DECK, number, 5) == "disturbed"
+        disturbed = _deal(NOTHING_DECK, number, 5)[0] == "disturbed"
     return Study(seed, kind, truth, bool(disturbed), not imu_alone, bool(duty))

@@ -198,19 +198,13 @@ def leaf_difference(old: Leaf, new: Leaf, tolerance: float) -> tuple[str, str] |
     if isinstance(old, np.ndarray) and isinstance(new, np.ndarray):
         return _column_difference(old, new, tolerance)
     if _is_number(old) and _is_number(new):
-        equal = _are_near(old, new, tolerance)
+        near = math.isclose(old, new, rel_tol=tolerance, abs_tol=NEXT_TO_ZERO if tolerance else 0.0)
+        equal = near or (math.isnan(old) and math.isnan(new))
     elif isinstance(old, str) and isinstance(new, str) and _kind(old) and _kind(old) == _kind(new):
         equal = True
     else:
         equal = type(old) is type(new) and not isinstance(old, np.ndarray) and old == new
     return None if equal else (_shown(old), _shown(new))
-
-
-def _are_near(old: float, new: float, tolerance: float) -> bool:
-    if old == new or (math.isnan(old) and math.isnan(new)):
-        return True
-    floor = NEXT_TO_ZERO if tolerance else 0.0
-    return math.isfinite(old) and abs(old - new) <= max(tolerance * max(abs(old), abs(new)), floor)
 
 
 def _column_difference(old: np.ndarray, new: np.ndarray, tolerance: float) -> tuple[str, str] | None:
@@ -224,11 +218,8 @@ def _column_difference(old: np.ndarray, new: np.ndarray, tolerance: float) -> tu
         return None
     apart = np.where(equal, 0.0, np.where(np.isnan(apart), np.inf, apart))
     place = np.unravel_index(int(apart.argmax()), apart.shape)
-    row = ", ".join(str(int(k)) for k in place)
-    return (
-        f"{float(old[place])!r}",
-        f"{float(new[place])!r} (row {row}; {int((~equal).sum())} of {old.size} values differ)",
-    )
+    count = int((~equal).sum())
+    return f"{old[place]}", f"{new[place]} ({count} of {old.size} values differ, most at {place})"
 
 
 def _is_number(value: Leaf) -> bool:

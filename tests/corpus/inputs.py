@@ -21,30 +21,20 @@ SOURCES = Path(__file__).parent / "inputs"
 FMU_SOURCES = SOURCES / "fmus"  # of tests, too
 FIXED_DATE = (2020, 1, 1, 0, 0, 0)
 # FMU → source, options of the compiler, further members; its description is NAME.xml, of another FMU where stated
+DEEDS = {"crashes": "segfault", "hangs": "hang", "fails": "error", "ends": "end", "leaves": "exit"}
 FMUS: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, str]]] = {
-    "bounce1": ("bounce1", (), {}),
-    "decay": ("decay", (), {}),
-    "typed2": ("typed2", (), {}),
-    "typed3": ("typed3", (), {}),
-    "instants": ("instants", (), {}),
+    **{name: (name, (), {}) for name in ("bounce1", "decay", "typed2", "typed3", "instants")},
     "clocked": ("instants", (), {}),
     "scheduled": ("instants", (), {}),
     "slider2cs": ("slider", (), {"resources/follow": ""}),
-    "slider2me": ("slider", (), {}),
-    "slider3cs": ("slider", (), {}),
-    "slider3me": ("slider", (), {}),
+    **{name: ("slider", (), {}) for name in ("slider2me", "slider3cs", "slider3me")},
     **{
         name: ("coupled", (f"-DLAW={law}",), {})
         for law, name in enumerate(("linear", "loop_a", "loop_b", "square", "chassis", "wheel"))
     },
     "deeds": ("deeds", (), {"resources/deed.txt": "none none 1\n"}),
-    "crashes": ("deeds", (), {"resources/deed.txt": "DoStep segfault 5\n"}),
-    "hangs": ("deeds", (), {"resources/deed.txt": "DoStep hang 5\n"}),
-    "fails": ("deeds", (), {"resources/deed.txt": "DoStep error 5\n"}),
-    "ends": ("deeds", (), {"resources/deed.txt": "DoStep end 5\n"}),
-    "leaves": ("deeds", (), {"resources/deed.txt": "DoStep exit 5\n"}),
+    **{name: ("deeds", (), {"resources/deed.txt": f"DoStep {deed} 5\n"}) for name, deed in DEEDS.items()},
 }
-OF_ANOTHER = dict.fromkeys(("crashes", "hangs", "fails", "ends", "leaves"), "deeds")
 
 
 def make_inputs(place: Path) -> Path:
@@ -73,7 +63,7 @@ def write_fmus(folder: Path) -> None:
     if platform.system() != "Linux" or platform.machine() != "x86_64":
         raise SystemExit("the corpus needs Linux on x86_64 and a C compiler")
     for name, (source, options, members) in FMUS.items():
-        text = (FMU_SOURCES / f"{OF_ANOTHER.get(name, name)}.xml").read_text(encoding="utf-8")
+        text = (FMU_SOURCES / f"{'deeds' if name in DEEDS else name}.xml").read_text(encoding="utf-8")
         pack(folder / f"{name}.fmu", text, library(source, options), members)
     text = (FMU_SOURCES / "decay.xml").read_text(encoding="utf-8")
     code = (FMU_SOURCES / "decay.c").read_text(encoding="utf-8")
@@ -187,9 +177,12 @@ def write_wrong(folder: Path) -> None:
     pack(place / "no_library.fmu", text, None, {})
     pack(place / "no_functions.fmu", text, library("nothing", ()), {})
     pack(place / "version.fmu", text.replace('fmiVersion="2.0"', 'fmiVersion="9.0"'), None, {})
-    pack(place / "no_guid.fmu", slides.replace(' guid="g"', ""), binary, {})
-    pack(place / "twice.fmu", slides.replace('name="velocity"', 'name="position"'), binary, {})
-    pack(place / "no_number.fmu", slides.replace('start="1.0"', 'start="one"'), binary, {})
-    pack(place / "reference.fmu", slides.replace('valueReference="2"', 'valueReference="-2"'), binary, {})
+    for name, old, new in (
+        ("no_guid", ' guid="g"', ""),
+        ("twice", 'name="velocity"', 'name="position"'),
+        ("no_number", 'start="1.0"', 'start="one"'),
+        ("reference", 'valueReference="2"', 'valueReference="-2"'),
+    ):
+        pack(place / f"{name}.fmu", slides.replace(old, new), binary, {})
     with zipfile.ZipFile(place / "cut.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", slides[: len(slides) // 2])

@@ -10,8 +10,6 @@ import shlex
 import shutil
 import signal
 import subprocess
-import threading
-import time
 import zipfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -46,7 +44,6 @@ class Outcome:
 
     line: str
     code: int | str
-    seconds: float
     printed: Any
     removed: tuple[str, ...]
     files: Path | None
@@ -128,33 +125,22 @@ def environment(side: Side) -> dict[str, str]:
 def _run_command(side: Side, line: str, folder: Path, kept: Path) -> None:
     kept.mkdir(parents=True)
     before = _snapshot(folder)
-    begin = time.monotonic()
+    code: int | str = "timeout"
     with (kept / "stdout").open("wb") as out, (kept / "stderr").open("wb") as errors:
         process = subprocess.Popen(
             shlex.split(line), cwd=folder, env=environment(side), start_new_session=True,
             stdin=subprocess.DEVNULL, stdout=out, stderr=errors,
         )  # fmt: skip
-        late = threading.Event()
-
-        def end() -> None:
-            late.set()
+        try:
+            code = process.wait(TIMEOUT_S)
+        except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
-
-        timer = threading.Timer(TIMEOUT_S, end)
-        timer.start()
-        _, status, usage = os.wait4(process.pid, 0)
-        timer.cancel()
-        process.returncode = os.waitstatus_to_exitcode(status)
+            process.wait()
     after = _snapshot(folder)
     for name in sorted(name for name, state in after.items() if before.get(name) != state):
         _keep(folder / name, kept / "files" / name)
-    about = {
-        "code": "timeout" if late.is_set() else process.returncode,
-        "seconds": usage.ru_utime + usage.ru_stime,
-        "wall": time.monotonic() - begin,
-        "removed": sorted(before.keys() - after.keys()),
-        "folders": [str(folder), str(side.tree), str(side.folder)],
-    }
+    folders = [str(folder), str(side.tree), str(side.folder)]
+    about = {"code": code, "removed": sorted(before.keys() - after.keys()), "folders": folders}
     (kept / "outcome.json").write_text(json.dumps(about), encoding="utf-8")
 
 
@@ -200,5 +186,4 @@ def _read_outcome(kept: Path, line: str) -> Outcome:
         answer = json.loads(printed)
     except ValueError:
         answer = None
-    removed = tuple(about["removed"])
-    return Outcome(line, about["code"], about["seconds"], answer, removed, kept / "files", plain, errors[-2000:])
+    return Outcome(line, about["code"], answer, tuple(about["removed"]), kept / "files", plain, errors[-2000:])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
 from tests.known.cases import CASES
-from tests.known.table import KINDS, Case
+from tests.known.table import Case, Run
 
 HEAD = """# Known answers
 
@@ -22,52 +23,45 @@ number differs, the last column says which one it is, and who is right. An empty
 TABLE = "\n## {title}\n\n| case | system | right value and its source | FMPy 0.3.32 |\n|---|---|---|---|\n"
 
 
-def page() -> str:
+def written() -> str:
     """Return docs/known.md."""
-    parts = [HEAD]
-    for kind in KINDS:
-        rows = [case for case in CASES if case.kind == kind]
-        parts.append(TABLE.format(title=kind[0].upper() + kind[1:]))
-        parts += [f"| {' | '.join(_cells(case))} |\n" for case in rows]
-    parts.append(f"\n{len(CASES)} systems, {sum(len(case.runs) for case in CASES)} runs.\n")
-    return "".join(parts)
+    page = HEAD
+    for kind, cases in CASES.items():
+        page += TABLE.format(title=kind[0].upper() + kind[1:])
+        for case in cases:
+            cells = [text.replace("|", "\\|") for text in (case.system, case.source, case.fmpy)]
+            page += f"| {' | '.join([f'`{case.name}`', *cells])} |\n"
+    every = [case for cases in CASES.values() for case in cases]
+    return page + f"\n{len(every)} systems, {sum(len(case.variants) for case in every)} runs.\n"
 
 
-def _cells(case: Case) -> Iterator[str]:
-    peer = case.differs or ("same" if case.peer else "")
-    yield from (f"`{case.name}`", *(text.replace("|", "\\|") for text in (case.system, case.source, peer)))
-
-
-def measure() -> None:
-    """Print the right numbers beside those of FMPy."""
+def measure(case: Case) -> None:
+    """Print the right numbers beside those of FMPy, for the last run of a case."""
     import fmpy
 
-    for case in CASES:
-        if case.peer is None:
-            continue
-        names = {a.signal.partition(".")[2] for a in case.answers if "." in a.signal}
-        try:
-            rows = fmpy.simulate_fmu(str(case.peer.fmu()), output=sorted(names), **case.peer.arguments)
-        except Exception as error:
-            print(f"{case.name}: {type(error).__name__}: {error}")
-            continue
-        begin = float(case.peer.arguments.get("start_time", 0))
-        for answer in case.answers:
-            name = answer.signal.partition(".")[2]
-            if name not in rows.dtype.names:
-                print(f"{case.name}: no {answer.signal}; last row {rows[-1]}")
-                continue
-            wanted = answer.value() if callable(answer.value) else answer.value
-            time = rows["time"][-1] if answer.time is None else answer.time
-            right = np.ravel(wanted)[-1]
-            value = rows[name][np.argmin(np.abs(rows["time"] - time))]
-            place = f"{case.name}: {name}({time - begin:g} s)"
-            mark = "" if abs(value - right) <= max(answer.tolerance, 1e-12) else "  DIFFERS"
-            print(f"{place} is {value:.12g} by FMPy, right is {right:.12g}: {value - right:+.3g}{mark}")
+    run = [*case.variants.values()][-1]
+    assert isinstance(run, Run)
+    with tempfile.TemporaryDirectory() as folder:
+        content = run.written(Path(folder))
+        part, *sources = content["components"].values()
+        begin = content.get("start_time", 0.0)
+        made = fmpy.simulate_fmu(
+            part["fmu"], start_time=begin, stop_time=begin + content["duration"], output_interval=content["step"],
+            relative_tolerance=content.get("tolerance"), start_values=part.get("start", {}), record_events=False,
+            output=[a.signal[2:] for a in case.answers if a.signal.startswith("m.")],
+            input=np.genfromtxt(sources[0]["file"], delimiter=",", names=True) if sources else None,
+        )  # fmt: skip
+    print(f"{case.name}: {case.fmpy}")
+    for answer in case.answers:
+        if (name := answer.signal[2:]) in made.dtype.names:
+            time = made["time"][-1] if answer.time is None else answer.time
+            value = made[name][np.argmin(np.abs(made["time"] - time))]
+            print(f"    {name}({time - begin:g} s) is {value:.12g}, right is {np.ravel(answer.value)[-1]:.12g}")
 
 
 if __name__ == "__main__":
     if "--fmpy" in sys.argv:
-        measure()
+        for one in [case for cases in CASES.values() for case in cases if case.fmpy]:
+            measure(one)
     else:
-        print(page(), end="")
+        print(written(), end="")

@@ -5,27 +5,21 @@ A library holds all interfaces of a model and is compiled once a session.
 
 from __future__ import annotations
 
-import atexit
 import hashlib
 import os
-import platform
 import re
 import shutil
-import subprocess
 import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from xml.sax.saxutils import quoteattr
 
-import pytest
+from tests.compiled import library
 
-from cosim.fmi.native.compiler import compiler
-
-HERE = Path(__file__).parent
 Way = Literal["cs", "me"]
 C_TYPES = {
     "Float64": ("F64", "double"), "Float32": ("F32", "float"), "Int8": ("I8", "int8_t"), "UInt8": ("U8", "uint8_t"),
@@ -35,7 +29,11 @@ C_TYPES = {
     "Binary": ("BIN", "Bytes"),
 }  # fmt: skip
 FEWER = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration"}
+FIRST = {"parameter": "internal", "local": "internal", "fixed": "parameter", "tunable": "parameter"}  # words of FMI 1.0
 RESERVED = ("time", "next", "changed", "more", "end", "ask", "initializing", "memory")  # fields of each model
+
+
+DECLARATION = re.compile(r"([\w ]*?)(\w+)(?:\[(\d+)\])?(?::(-?\w+))?(?: = ([^{]*?))?(?: ?\{(.*)\})?")
 
 
 @dataclass(frozen=True)
@@ -45,18 +43,17 @@ class V:
     Attributes:
         size: Number of elements of an array, 0 for a scalar.
         alias: Name of the variable whose value reference this one has; "-x" for the negated alias of FMI 1.0.
-        extra: Further XML attributes, such as a declared type.
+        extra: Further XML attributes, such as a unit or a declared type.
     """
 
     name: str
     causality: str = "output"
     type: str = "Float64"
-    start: object = None
-    unit: str = ""
     variability: str = ""
+    start: str | None = None
     size: int = 0
     alias: str = ""
-    extra: str = ""
+    extra: Mapping[str, str] = field(default_factory=dict)
     readable: bool = True
 
     @property
@@ -72,21 +69,34 @@ class V:
             return "fixed"
         return "continuous" if self.type in ("Float64", "Float32") else "discrete"
 
-    @property
-    def text(self) -> str:
-        """Return the start value as XML has it."""
-        values = self.start if isinstance(self.start, list | tuple) else [self.start]
-        return " ".join(str(v).lower() if isinstance(v, bool) else v if isinstance(v, str) else repr(v) for v in values)
+
+@cache
+def declared(text: str) -> tuple[V, ...]:
+    """Return the variables of `hidden String s = abc, tunable parameter k = 1, y {unit=K}, Int32 n[3], m:-n`."""
+    found = []
+    for declaration in text.split(", "):
+        match = DECLARATION.fullmatch(declaration)
+        assert match is not None, declaration
+        words, name, size, alias, start, extra = match.groups()
+        keys: dict[str, str] = {}
+        for word in words.split():
+            kind = "type" if word in C_TYPES else "variability" if word in ("discrete", "tunable") else "causality"
+            keys[kind] = word
+        readable = keys.get("causality") != "hidden"
+        if not readable:
+            keys["causality"] = "input"
+        more = dict(pair.split("=") for pair in (extra or "").split())
+        found.append(
+            V(name, start=start, size=int(size or 0), alias=alias or "", extra=more, readable=readable, **keys)
+        )
+    return tuple(found)
 
 
-def u(name: str = "u", start: object = 0.0, **more: object) -> V:
-    """Return an input."""
-    return V(name, "input", start=start, **more)  # type: ignore[arg-type]
-
-
-def p(name: str, start: object, **more: object) -> V:
-    """Return a parameter."""
-    return V(name, "parameter", start=start, **more)  # type: ignore[arg-type]
+def tag(element: str, /, *inside: str, **attributes: object) -> str:
+    """Return an XML element; what is None is no attribute."""
+    texts = {k: str(v).lower() if isinstance(v, bool) else str(v) for k, v in attributes.items() if v is not None}
+    head = " ".join([element, *(f"{k}={quoteattr(v)}" for k, v in texts.items())])
+    return f"<{head}>{''.join(inside)}</{element}>"
 
 
 @dataclass(frozen=True)
@@ -94,39 +104,44 @@ class Model:
     """A model by C expressions and statements, in which variables have their names.
 
     Attributes:
-        rates: State → expression of its derivative.
+        declarations: Variables, as `declared` reads them.
+        equations: Derivatives of states, such as `x' = v, v' = -x`.
         calc: Statements that compute outputs from states, inputs and `time`.
+        depends: Output → inputs on which it depends directly; None declares nothing.
         start: Statements at the end of initialization.
         step: Statements at the end of a step of co-simulation, from `t` over `h`.
         zeros: Event indicators.
         event: Statements of an update of discrete states; they set `changed`, `more`, `end` and `next`.
         completed: Statements of a completed step of the integrator; they may set `ask`.
-        depends: Output → inputs on which it depends directly; None declares nothing.
         initial: Output → inputs on which it depends in initialization.
         functions: Further C functions.
     """
 
-    name: str
-    variables: tuple[V, ...]
-    rates: Mapping[str, str] = field(default_factory=dict)
+    declarations: str
+    equations: str = ""
     calc: str = ""
+    depends: Mapping[str, tuple[str, ...]] | None = field(default_factory=dict)
     start: str = ""
     step: str = ""
     zeros: tuple[str, ...] = ()
     event: str = ""
     completed: str = ""
-    depends: Mapping[str, tuple[str, ...]] | None = None
     initial: Mapping[str, tuple[str, ...]] | None = None
     units: str = ""
     types: str = ""
     functions: str = ""
-    saves: bool = True
     any_step: bool = True
+    name: str = "m"
+
+    @property
+    def rates(self) -> dict[str, str]:
+        """Return the expressions of derivatives by states."""
+        return dict(equation.split("' = ") for equation in self.equations.split(", ") if equation)
 
     @property
     def all(self) -> tuple[V, ...]:
         """Return the variables and the derivatives of the states."""
-        return (*self.variables, *(V(f"der({x})", "local") for x in self.rates))
+        return (*declared(self.declarations), *(V(f"der({x})", "local") for x in self.rates))
 
     def reference(self, name: str) -> int:
         """Return the value reference of a variable."""
@@ -149,23 +164,19 @@ class Model:
 
         def initialize(v: V) -> str:
             if v.type == "String":
-                return f"strcpy(m->{v.field}, {quoteattr(str(v.start))});"
+                return f"strcpy(m->{v.field}, {quoteattr(v.start or '')});"
             if v.type == "Binary":
-                data = bytes.fromhex(str(v.start))
-                puts = "".join(f"m->{v.field}.byte[{k}] = {byte};" for k, byte in enumerate(data))
-                return f"m->{v.field}.size = {len(data)}; {puts}"
-            values = v.start if isinstance(v.start, list | tuple) else [v.start]
-            texts = [f"{value}{'ull' if v.type == 'UInt64' else ''}" for value in map(_c_value, values)]
+                data = bytes.fromhex(v.start or "")
+                return f"m->{v.field} = (Bytes){{{len(data)}, {{{', '.join(map(str, data))}}}}};"
             if v.size:
-                return "".join(f"m->{v.field}[{k}] = {text};" for k, text in enumerate(texts))
-            return f"m->{v.field} = {texts[0]};"
+                return "".join(f"m->{v.field}[{k}] = {text};" for k, text in enumerate((v.start or "").split()))
+            return f"m->{v.field} = {v.start}{'ull' if v.type == 'UInt64' else ''};"
 
-        rows = ", ".join(
+        rows = "".join(
             f"{{{self.reference(v.name)}, {C_TYPES[v.type][0]}, offsetof(M, {v.field}), {v.size or 1}, "
-            f"{int(v.readable)}}}"
+            f"{int(v.readable)}}}, "
             for v in own
         )
-        rows += ", {899, F64, offsetof(M, time), 1, 1}"
         states = "".join(f"offsetof(M, {V(x).field}), " for x in self.rates)
         references = "".join(f"{self.reference(x)}, " for x in self.rates)
         derivatives = [(V(f"der({x})").field, body(f"({rate})")) for x, rate in self.rates.items()]
@@ -176,7 +187,7 @@ class Model:
             f"{self.functions}\n#define NAME {self.name}\n#define NX {len(self.rates)}\n#define NZ {len(self.zeros)}\n"
             "typedef struct { double time, next, memory[400]; bool changed, more, end, ask, initializing;\n"
             f"{' '.join(map(declare, own))} }} M;\n"
-            f"static const Row ROWS[] = {{{rows}}};\n"
+            f"static const Row ROWS[] = {{{rows}{{899, F64, offsetof(M, time), 1, 1}}}};\n"
             f"static const size_t STATES[] = {{{states}0}}; static const VR STATE_VRS[] = {{{references}0}};\n"
             f"static void defaults(M *m) {{ {' '.join(initialize(v) for v in own if v.start is not None)} }}\n"
             f"static void calc(M *m) {{ {body(self.calc)} {shown} }}\n"
@@ -190,186 +201,121 @@ class Model:
 
     def description(self, version: int, way: Way) -> str:
         """Return modelDescription.xml."""
-        return (self._first, self._second, self._third)[version - 1](way)
+        variables = "".join(self._variable(v, version) for v in self.all if version < 3 or not v.alias)
+        time: dict[str, Any] = {"name": "time", "valueReference": 899, "causality": "independent"}
+        if version == 2:
+            variables += tag("ScalarVariable", tag("Real"), **time, variability="continuous")
+        elif version == 3:
+            variables += tag("Float64", **time, variability="continuous")
+            for k in range(len(self.zeros)):
+                variables += tag("Float64", name=f"zero{k}", valueReference=900 + k, causality="local")
+        inside = [
+            tag(f"{kind}Definitions", text) for kind, text in (("Unit", self.units), ("Type", self.types)) if text
+        ]
+        inside.append(tag("ModelVariables", variables))
+        head: dict[str, Any] = {"fmiVersion": f"{version}.0", "modelName": self.name}
+        head["instantiationToken" if version == 3 else "guid"] = "g"
+        if version < 3:
+            head["numberOfEventIndicators"] = len(self.zeros)
+        flags: dict[str, Any] = {"canHandleVariableCommunicationStepSize": self.any_step} if way == "cs" else {}
+        if version == 1:
+            head |= {"modelIdentifier": self.name, "numberOfContinuousStates": len(self.rates)}
+            kind = tag("CoSimulation_StandAlone", tag("Capabilities", **flags))
+            inside += [tag("Implementation", kind)] if way == "cs" else []
+        else:
+            flags |= {
+                "modelIdentifier": self.name,
+                {2: "canGetAndSetFMUstate", 3: "canGetAndSetFMUState"}[version]: True,
+            }
+            if way == "me" and version == 2:
+                flags["completedIntegratorStepNotNeeded"] = not self.completed
+            elif way == "me":
+                flags["needsCompletedIntegratorStep"] = bool(self.completed)
+            inside.insert(0, tag("CoSimulation" if way == "cs" else "ModelExchange", **flags))
+            inside.append(tag("ModelStructure", self._structure(version)))
+        return '<?xml version="1.0" encoding="UTF-8"?>\n' + tag("fmiModelDescription", *inside, **head)
 
-    def _first(self, way: Way) -> str:
-        causalities = {"input": "input", "output": "output", "parameter": "internal", "local": "internal"}
-        changes = {"fixed": "parameter", "tunable": "parameter"}
-        scalars = ""
-        for v in self.all:
-            alias = "" if not v.alias else "negatedAlias" if v.alias[0] == "-" else "alias"
-            attributes = _attributes(
-                name=v.name, valueReference=self.reference(v.name), causality=causalities[v.causality],
-                variability=changes.get(v.changes, v.changes), alias=alias,
-            )  # fmt: skip
-            real = _attributes(start="" if v.start is None or alias else v.text, unit=v.unit)
+    def _variable(self, v: V, version: int) -> str:
+        who: dict[str, Any] = {"name": v.name, "valueReference": self.reference(v.name)}
+        value: dict[str, Any] = {"start": v.start, **v.extra}
+        if version == 1:
+            if v.alias:
+                who["alias"], value["start"] = "negatedAlias" if v.alias[0] == "-" else "alias", None
             direct = ""
             if v.causality == "output" and self.depends is not None:
-                names = "".join(f"<Name>{x}</Name>" for x in self.depends.get(v.name, ()))
-                direct = f"<DirectDependency>{names}</DirectDependency>"
-            scalars += f"<ScalarVariable {attributes}><{FEWER[v.type]} {real} {v.extra}/>{direct}</ScalarVariable>\n"
-        flags = _attributes(canHandleVariableCommunicationStepSize=self.any_step)
-        part = f"<CoSimulation_StandAlone><Capabilities {flags}/></CoSimulation_StandAlone>"
-        part = f"<Implementation>{part}</Implementation>"
-        head = _attributes(
-            fmiVersion="1.0", modelName=self.name, modelIdentifier=self.name, guid="g",
-            numberOfContinuousStates=len(self.rates), numberOfEventIndicators=len(self.zeros),
-        )  # fmt: skip
-        units = f"<UnitDefinitions>{self.units}</UnitDefinitions>" if self.units else ""
-        types = f"<TypeDefinitions>{self.types}</TypeDefinitions>" if self.types else ""
-        return _document(
-            head, f"{units}{types}<ModelVariables>\n{scalars}</ModelVariables>{part if way == 'cs' else ''}"
-        )
+                direct = tag("DirectDependency", *(tag("Name", x) for x in self.depends.get(v.name, ())))
+            who |= {"causality": FIRST.get(v.causality, v.causality), "variability": FIRST.get(v.changes, v.changes)}
+            return tag("ScalarVariable", tag(FEWER[v.type], **value), direct, **who)
+        who |= {"causality": v.causality, "variability": v.changes}
+        if v.causality != "input":
+            who["initial"] = "calculated" if v.start is None else "exact"
+        if v.name.startswith("der("):
+            state = v.name[4:-1]
+            value["derivative"] = self._index(state) if version == 2 else self.reference(state)
+        if version == 2:
+            return tag("ScalarVariable", tag(FEWER[v.type], **value), **who)
+        inside = [tag("Dimension", start=v.size)] if v.size else []
+        if v.start is not None and v.type in ("String", "Binary"):
+            inside.append(tag("Start", value=value.pop("start")))
+        inside += [tag("Alias", name=a.name) for a in self.all if a.alias == v.name]
+        return tag(v.type, *inside, **who, **value)
 
-    def _second(self, way: Way) -> str:
-        index = {v.name: k + 1 for k, v in enumerate(self.all)}
-        scalars = ""
-        for v in self.all:
-            attributes = _attributes(
-                name=v.name, valueReference=self.reference(v.name), causality=v.causality, variability=v.changes,
-                initial=self._initial(v),
-            )  # fmt: skip
-            state = index[v.name[4:-1]] if v.name.startswith("der(") else ""
-            real = _attributes(start="" if v.start is None else v.text, unit=v.unit, derivative=state)
-            scalars += f"<ScalarVariable {attributes}><{FEWER[v.type]} {real} {v.extra}/></ScalarVariable>\n"
+    def _index(self, name: str) -> int:
+        return 1 + [v.name for v in self.all].index(name)
 
-        attributes = 'name="time" valueReference="899" causality="independent" variability="continuous"'
-        scalars += f"<ScalarVariable {attributes}><Real/></ScalarVariable>\n"
-
-        def unknown(name: str, depends: Mapping[str, tuple[str, ...]] | None) -> str:
-            ends = {} if depends is None else {"dependencies": " ".join(str(index[x]) for x in depends.get(name, ()))}
-            return f'<Unknown index="{index[name]}"' + "".join(f' {k}="{x}"' for k, x in ends.items()) + "/>"
-
-        outputs = "".join(unknown(v.name, self.depends) for v in self.all if v.causality == "output")
-        slopes = "".join(unknown(f"der({x})", None) for x in self.rates)
-        first = "".join(unknown(name, self.initial) for name in self._initial_unknowns())
-        structure = "".join(
-            f"<{tag}>{content}</{tag}>"
-            for tag, content in (("Outputs", outputs), ("Derivatives", slopes), ("InitialUnknowns", first))
-            if content
-        )
-        return self._document(2, way, scalars, structure, 'fmiVersion="2.0" guid="g"')
-
-    def _third(self, way: Way) -> str:
-        scalars = ""
-        for v in self.all:
-            if v.alias:
-                continue
-            state = self.reference(v.name[4:-1]) if v.name.startswith("der(") else ""
-            written = v.start is not None and v.type not in ("String", "Binary")
-            attributes = _attributes(
-                name=v.name, valueReference=self.reference(v.name), causality=v.causality, variability=v.changes,
-                initial=self._initial(v), start=v.text if written else "", unit=v.unit, derivative=state,
-            )  # fmt: skip
-            inner = f'<Dimension start="{v.size}"/>' if v.size else ""
-            if v.start is not None and not written:
-                inner += f"<Start value={quoteattr(v.text)}/>"
-            inner += "".join(f"<Alias name={quoteattr(a.name)}/>" for a in self.all if a.alias == v.name)
-            scalars += f"<{v.type} {attributes} {v.extra}>{inner}</{v.type}>\n"
-        scalars += '<Float64 name="time" valueReference="899" causality="independent" variability="continuous"/>\n'
-        kinds = {f"zero{k}": 900 + k for k in range(len(self.zeros))}
-        scalars += "".join(f'<Float64 name="{z}" valueReference="{k}" causality="local"/>\n' for z, k in kinds.items())
-
-        def unknown(tag: str, name: str, depends: Mapping[str, tuple[str, ...]] | None) -> str:
-            text = f'<{tag} valueReference="{self.reference(name)}"'
-            if depends is not None:
-                text += f' dependencies="{" ".join(str(self.reference(x)) for x in depends.get(name, ()))}"'
-            return text + "/>"
-
-        structure = "".join(
-            unknown("Output", v.name, self.depends) for v in self.all if v.causality == "output" and not v.alias
-        )
-        structure += "".join(unknown("ContinuousStateDerivative", f"der({x})", None) for x in self.rates)
-        structure += "".join(unknown("InitialUnknown", name, self.initial) for name in self._initial_unknowns())
-        structure += "".join(f'<EventIndicator valueReference="{k}"/>' for k in kinds.values())
-        return self._document(3, way, scalars, structure, 'fmiVersion="3.0" instantiationToken="g"')
-
-    def _initial(self, v: V) -> str:
-        if v.causality in ("input", "independent"):
-            return ""
-        return "exact" if v.start is not None else "calculated"
-
-    def _initial_unknowns(self) -> list[str]:
-        kinds = ("output", "calculatedParameter")
-        first = [v.name for v in self.all if v.causality in kinds and v.start is None and not v.alias]
-        return first + [f"der({x})" for x in self.rates]
-
-    def _document(self, version: int, way: Way, scalars: str, structure: str, head: str) -> str:
-        states = {2: "canGetAndSetFMUstate", 3: "canGetAndSetFMUState"}[version]
-        flags = {"modelIdentifier": self.name, states: self.saves}
-        if way == "cs":
-            flags["canHandleVariableCommunicationStepSize"] = self.any_step
-        else:
-            name = {2: "completedIntegratorStepNotNeeded", 3: "needsCompletedIntegratorStep"}[version]
-            flags[name] = bool(self.completed) if version == 3 else not self.completed
-        head += f' modelName="{self.name}"' + (f' numberOfEventIndicators="{len(self.zeros)}"' if version == 2 else "")
-        part = f"<{'CoSimulation' if way == 'cs' else 'ModelExchange'} {_attributes(**flags)}/>"
-        units = f"<UnitDefinitions>{self.units}</UnitDefinitions>" if self.units else ""
-        types = f"<TypeDefinitions>{self.types}</TypeDefinitions>" if self.types else ""
-        variables = f"<ModelVariables>\n{scalars}</ModelVariables>\n<ModelStructure>{structure}</ModelStructure>"
-        return _document(head, f"{part}{units}{types}{variables}")
+    def _structure(self, version: int) -> str:
+        outputs = [v for v in self.all if v.causality == "output" and not (v.alias and version == 3)]
+        free = [v.name for v in self.all if v.causality in ("output", "calculatedParameter")
+                and v.start is None and not v.alias]  # fmt: skip
+        slopes = [f"der({x})" for x in self.rates]
+        text = ""
+        for second, third, names, depends in (
+            ("Outputs", "Output", [v.name for v in outputs], self.depends),
+            ("Derivatives", "ContinuousStateDerivative", slopes, None),
+            ("InitialUnknowns", "InitialUnknown", free + slopes, self.initial),
+        ):
+            place = self._index if version == 2 else self.reference
+            unknowns = ""
+            for name in names:
+                ends = None if depends is None else " ".join(str(place(x)) for x in depends.get(name, ()))
+                where = {"index" if version == 2 else "valueReference": place(name)}
+                unknowns += tag("Unknown" if version == 2 else third, **where, dependencies=ends)
+            text += tag(second, unknowns) if version == 2 and unknowns else unknowns
+        zeros = range(len(self.zeros)) if version == 3 else ()
+        return text + "".join(tag("EventIndicator", valueReference=900 + k) for k in zeros)
 
     def fmu(self, version: int = 2, way: Way = "cs") -> Path:
         """Return the FMU, named after the model."""
         return _fmu(self.c(), self.description(version, way), self.name, version)
 
 
-def _c_value(value: object) -> str:
-    return str(int(value)) if isinstance(value, bool) else repr(value)
-
-
-def _attributes(**attributes: object) -> str:
-    """Return XML attributes without the empty ones."""
-    texts = {k: str(v).lower() if isinstance(v, bool) else str(v) for k, v in attributes.items()}
-    return " ".join(f"{k}={quoteattr(v)}" for k, v in texts.items() if v != "")
-
-
-def _document(head: str, content: str) -> str:
-    root = "fmiModelDescription"
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n<{root} {head}>\n{content}\n</{root}>\n'
-
-
 @cache
 def _folder() -> Path:
-    """Return the folder of FMUs, which the workers of a test session share."""
+    """Return the folder of libraries and FMUs, which the workers of a test session share."""
     shared = os.environ.get("XDG_CACHE_HOME") if "PYTEST_CURRENT_TEST" in os.environ else None
-    if shared:
-        folder = Path(shared) / "known"
-        folder.mkdir(exist_ok=True)
-        return folder
-    alone = Path(tempfile.mkdtemp(prefix="known-"))
-    atexit.register(shutil.rmtree, alone, ignore_errors=True)
-    return alone
+    folder = Path(shared or tempfile.mkdtemp()) / "known"
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 @cache
 def _library(code: str) -> Path:
     """Return the compiled library; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
     made = _folder() / f"{hashlib.sha256(code.encode()).hexdigest()[:16]}.so"
     if not made.exists():
         with tempfile.TemporaryDirectory(dir=_folder()) as place:
             (Path(place) / "model.c").write_text(code)
-            library = Path(place) / "library.so"
-            options = ["-O0", "-w", "-shared", "-fPIC", f"-I{place}"]
-            subprocess.run([*command, *options, "-o", str(library), str(HERE / "kit.c"), "-lm"], check=True)
-            library.replace(made)
+            draft = Path(place) / "draft.so"
+            shutil.copy(library(Path(__file__).with_name("kit.c"), f"-I{place}", "-O0"), draft)
+            draft.replace(made)
     return made
 
 
 @cache
 def _fmu(code: str, description: str, name: str, version: int) -> Path:
-    """Return the FMU, written once."""
-    folder = _folder() / hashlib.sha256(f"{code}{description}".encode()).hexdigest()[:16]
-    made = folder / f"{name}.fmu"
-    if not made.exists():
-        folder.mkdir(exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder) as place:
-            draft = Path(place) / "draft"
-            with zipfile.ZipFile(draft, "w") as archive:
-                archive.writestr("modelDescription.xml", description)
-                archive.write(_library(code), f"binaries/{'x86_64-linux' if version == 3 else 'linux64'}/{name}.so")
-            draft.replace(made)
+    """Return the FMU, written once a process."""
+    made = Path(tempfile.mkdtemp(dir=_folder())) / f"{name}.fmu"
+    with zipfile.ZipFile(made, "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        archive.write(_library(code), f"binaries/{'x86_64-linux' if version == 3 else 'linux64'}/{name}.so")
     return made

@@ -24,7 +24,7 @@ from cosim.estimation.subject.interface import Predict, Replayer, Start, Workpla
 from cosim.estimation.subject.model_subject import FILES, ModelSubject, new_fmu
 from cosim.estimation.subject.probed_model import probed_model
 from cosim.fmi.building.file import LoadedModel
-from cosim.fmi.description import read_description, takes_any_step
+from cosim.fmi.description import display_units, read_description, takes_any_step
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.fmi.wrapping.wrap import wrap
 from cosim.fmi.wrapping.wrapped_description import CannotWrap
@@ -70,6 +70,7 @@ class FmuSubject(ModelSubject):
         self.untried = NO_ACCESS if self.is_stepped else ""
         self.source = f"{structure.fmu}, {WAYS[structure.way]}"
         self._description = read_description(structure.fmu)
+        self.display = display_units([self._description])
         names = (kind.name for kind in (*self.model.catalogue, *self.model.sensors))
         self.told_apart_by = {**self.model.told_apart_by, **experiments_for(names)}
         self.start_variance = {START + with_place(s.name): s.size**2 for s in structure.starts}

@@ -107,6 +107,7 @@ class Subject(Protocol):
         drawn_against: Candidate → signals for plots.
         inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
         probed: True for an FMU, whose terms are those of a general catalogue.
+        display: Unit → name of its display unit, factor and offset to its values.
         source: Origin, for the provenance.
         undelivered: Reason why `write` writes nothing although it should.
         missing_platforms: Platforms of an FMU that the delivered FMU lacks.
@@ -133,6 +134,7 @@ class Subject(Protocol):
     drawn_against: Mapping[str, tuple[str, ...]] = {}
     inestimable: frozenset[str] = frozenset()
     probed: bool = False
+    display: Mapping[str, Sequence[Any]] = {}
     source: str = "an object of Python"
     undelivered: str = ""
     missing_platforms: Sequence[str] = ()

@@ -11,6 +11,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal, Self
 
+from cosim.core.units import DISPLAY
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.kernel.nameless import Known, bases
@@ -46,7 +47,7 @@ class ModelSubject(Subject):
         model = loaded.model
         self.loaded, self.model = loaded, model
         self.fmu: Path | None = None
-        self.title, self.source = model.title, loaded.source
+        self.title, self.source, self.display = model.title, loaded.source, DISPLAY
         self.inputs, self.outputs, self.states = model.inputs, model.outputs, model.states
         self.horizon, self.rate = model.horizon, model.rate
         self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors

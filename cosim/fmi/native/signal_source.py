@@ -1,4 +1,4 @@
-"""Native FMU without inputs: steps and ramps in time, as tables above `source.c`."""
+"""Native FMUs without states: steps and ramps as tables above `source.c`; a gain as numbers above `gain.c`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from cosim.fmi.native.printing import variable_tables
 from cosim.fmi.ports import Port
 
 ALWAYS = -1e300  # before any time [s]
-TEXT = "<p>Outputs that are functions of time: steps, ramps, recorded values.</p>"
-__all__ = ["CompilerFailed", "NoCompiler", "SignalChange", "TimeSignal", "build_source"]
+TEXT = "<p>Outputs that are functions of time or of one input.</p>"
+__all__ = ["CompilerFailed", "NoCompiler", "SignalChange", "TimeSignal", "build_gain", "build_source"]
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,6 @@ def build_source(
     ports = tuple(Port(output, "output", 0.0, unit, "a function of time") for output, unit in units.items())
     none: dict[str, Sequence[str]] = {port.name: () for port in ports}
     about = Description("Signals that step and ramp in time", ports, none, none, step, stop, variable_step=True)
-    variables, texts = variable_tables(ports)
-    sizes = {"VARIABLES": len(ports), "OUTPUTS": len(ports), "TEXTS": texts}
-    sizes |= dict.fromkeys(("INPUTS", "STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE"), 0)
     # a constant piece from the beginning of time, then the changes
     pieces = [(SignalChange(ALWAYS, s.begin, s.begin), *s.changes) for s in signals.values()]
     changes = [change for each in pieces for change in each]
@@ -68,12 +65,44 @@ def build_source(
         "TO": [c.to for c in changes],
         "RATE": [c.rate for c in changes],
     }
-    lines = [variables, f"static const double GRID = {step.hex()};"]
+    lines = [f"static const double GRID = {step.hex()};"]
     lines.append(f"static const int CHANGES[] = {{{', '.join(str(len(each)) for each in pieces)}}};")
     for column, values in columns.items():
         lines.append(f"static const double {column}[] = {{")
         lines += ["    " + ", ".join(v.hex() for v in values[k : k + 6]) + "," for k in range(0, len(values), 6)]
         lines.append("};")
-    identifier = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
-    parts = {file: part(file) for file in ("source.c", "steps_only.c")}
-    return build_native(Native(identifier, about, "\n".join([*lines, ""]), sizes, parts, TEXT), path).path
+    return _build(f"source_{name}", about, lines, "source.c", path)
+
+
+def build_gain(name: str, linear: tuple[float, float], units: tuple[str, str], path: Path, step: float = 0.01) -> Path:
+    """Write an FMU with y = factor·u + offset, completely or not at all.
+
+    Args:
+        linear: Factor and offset.
+        units: Units of u and y.
+
+    Raises:
+        NoCompiler: No compiler exists.
+        CompilerFailed: Compilation failed.
+    """
+    (factor, offset), (unit, to) = linear, (unit if parse(unit) else "" for unit in units)
+    ports = (
+        Port("u", "input", 0.0, unit, "value to convert"),
+        Port("y", "output", offset, to, f"{factor!r}*u + {offset!r}"),
+    )
+    about = Description("Conversion of a signal", ports, {"y": ("u",)}, {"y": ("u",)}, step, 10.0, variable_step=True)
+    lines = [
+        f"static const double FACTOR[] = {{{factor.hex()}}};",
+        f"static const double OFFSET[] = {{{offset.hex()}}};",
+    ]
+    return _build(f"gain_{name}", about, lines, "gain.c", path)
+
+
+def _build(name: str, about: Description, lines: Sequence[str], file: str, path: Path) -> Path:
+    variables, texts = variable_tables(about.ports)
+    inputs = sum(port.causality == "input" for port in about.ports)
+    sizes = {"VARIABLES": len(about.ports), "INPUTS": inputs, "OUTPUTS": len(about.ports) - inputs, "TEXTS": texts}
+    sizes |= dict.fromkeys(("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE"), 0)
+    parts = {each: part(each) for each in (file, "stateless.c", "steps_only.c")}
+    identifier = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return build_native(Native(identifier, about, "\n".join([variables, *lines, ""]), sizes, parts, TEXT), path).path

@@ -32,21 +32,3 @@ static int refresh_outputs(Instance *m)
         m->values[INPUTS + k] = value_at(first, CHANGES[k], m->time);
     return 0;
 }
-
-static int initialize(Instance *m)
-{
-    if (check_bounds(m)) return 1;
-    m->time = m->start_time;
-    return refresh_outputs(m);
-}
-
-static int advance(Instance *m, double t, double h)
-{
-    m->time = t + h;
-    return refresh_outputs(m);
-}
-
-static void after_restore(Instance *m)
-{
-    (void)m;
-}

@@ -58,7 +58,9 @@ class SignalPlot extends Chart {
       if (this.across && (isText || !(this.across.name in units))) continue;
       if (this.curves.some((c) => c.run === run && c.name === name)) continue;
       const used = new Set(this.curves.filter((c) => c.kind !== "text").map((c) => c.colour)),
-        free = [...Array(used.size + 1).keys()].find((k) => !used.has(k)),
+        isAlone = this.curves.every((c) => c.name === name), // one signal of several runs: a colour for each run
+        choices = [...(isAlone && this.host.runs.length > 1 ? [run] : []), ...Array(used.size + 1).keys()],
+        free = choices.find((k) => !used.has(k)),
         curve = this.curveOf(run, name, { colour: isText ? 0 : free });
       (place === null ? this.axisFor(curve) : this.axes[place]).curves.push(curve);
     }
@@ -199,7 +201,8 @@ const MOST_DROPPED = 24, // signals of a group that are added at once
   LATE = 150, // [ms] until many points are drawn as they are here, if the answer has not come
   QUICK = 2000, // points; more are painted as pixels, once, when the answer comes
   DENSE = 24, // curves; more are painted as pixels, of half as many columns
-  IN_PLOT = 6; // signals of a plot at the start of a running command
+  IN_PLOT = 6, // signals of a plot at the start of a running command
+  MOST_JUDGED = 6; // plots at the start, of signals with criteria
 const READY = ["a - b", "a + b", "a * b", "a / b", "der(a)", "integral(a)", "lowpass(a, 1)", "abs(a)", "hypot(a, b)"];
 const paper = matchMedia("print");
 
@@ -668,6 +671,21 @@ class Desk extends Linked {
     }
     if (waiting.length) wrong.push(`Derived from themselves, and left out: ${waiting.map((f) => f.name).join(", ")}`);
   }
+  // The signals of criteria, each with its target, in all runs that have them.
+  plotJudged() {
+    const pairs = new Map();
+    this.runs.forEach(({ judged, units }, run) => {
+      for (const [name, target] of judged) {
+        const curves = [[run, name], ...(target ? [[run, target]] : [])].filter(([, each]) => each in units);
+        const known = pairs.get(name) ?? [];
+        pairs.set(name, [...known, ...curves.filter(([, each]) => !known.some((c) => c[0] === run && c[1] === each))]);
+      }
+    });
+    for (const curves of [...pairs.values()].slice(0, MOST_JUDGED))
+      if (curves.length) this.add(curves.slice(0, MOST_DROPPED), this.addPlot("time"));
+    if (!this.charts.length) this.addPlot("time");
+    this.choose(this.charts[0]);
+  }
   // The first signals of a running command, a plot for each unit of a component.
   plotFirst(inputs) {
     const groups = new Map(),
@@ -898,7 +916,7 @@ async function startView(inputs = null) {
   const first = layouts.last ?? layouts[Object.keys(layouts)[0]];
   renew();
   if (inputs) desk.plotFirst(inputs);
-  else desk.addPlot("time");
+  else desk.plotJudged();
   desk.home();
   if (first) await inLayouts(() => open(first));
   new ResizeObserver(() => desk.looked()).observe(one("#charts"));

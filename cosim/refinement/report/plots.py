@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.core.arrays import Array, Rows
-from cosim.core.text import MISSING, counted, display, finer, percent, plain
+from cosim.core.text import MISSING, counted, display, displayed, finer, percent, plain, shown_unit
 from cosim.core.units import unit_of_rate
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
@@ -81,11 +81,12 @@ def _channel(
     log, old = curves[0][2][0]
     errors = [(label, style, e[0][1].errors(e[0][0])[name]) for label, style, e in curves]
     sizes, reading = [rmse(e) for _, _, e in errors], log.outputs[name]
-    (unit, factor), (fine, scale) = display(log.units.get(name, "")), finer(log.units.get(name, ""), max(sizes))
-    whole = [Trace("measured", reading * factor, "estimate")]
-    whole += [Trace(label, (reading - e) * factor, style, anew=True) for label, style, e in errors]
+    unit = log.units.get(name, "")
+    fine, scale = finer(unit, max(sizes))
+    whole = [Trace("measured", displayed(reading, unit), "estimate")]
+    whole += [Trace(label, displayed(reading - e, unit), style, anew=True) for label, style, e in errors]
     residuals = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
-    panels = [Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals)]
+    panels = [Panel(name, shown_unit(unit) or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals)]
     starts, inside, shaded = sorted(old.starts), np.zeros(log.time.size, dtype=bool), []
     for k in starts[::2]:
         inside |= (log.time >= log.time[k]) & (log.time <= log.time[k] + old.horizon)
@@ -379,7 +380,7 @@ def _plots(s: EffectComparison, charts: Charts) -> list[Any]:
 
     Estimates of neighbouring rows are correlated, so that each pass of the signal through an interval counts once.
     """
-    (unit, factor), x = display(s.unit), s.against.values * display(s.against.unit)[1]
+    (unit, factor), x = display(s.unit), displayed(s.against.values, s.against.unit)
     label, title = s.effect or "unnamed term", f"{s.quantity[0].upper()}{s.quantity[1:]}"
     bins = _bins(x)
     passes = np.array([1 + np.count_nonzero(np.diff(np.sort(rows)) > 1) for rows in bins])

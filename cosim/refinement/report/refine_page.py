@@ -19,6 +19,7 @@ from cosim.core.text import (
     append_unit,
     counted,
     display,
+    displayed,
     finer,
     join_names,
     percent,
@@ -282,20 +283,21 @@ def parameter_tables(r: Refinement) -> Rows:
 def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
     """Return an estimate with its interval, and the places of both between the value before and the interval."""
     declared, fit, start = r.study.subject.declared[free.name], h.fit, r.problem.values[free.name]
-    (unit, factor), value, (low, high) = display(declared.unit), fit.values[free.name], fit.interval(free.name)
+    own, value, (low, high) = declared.unit, fit.values[free.name], fit.interval(free.name)
+    unit, factor = display(own)
     ends, places = (min(start, low), max(start, high)), {"neutral": start, "low": low, "high": high, "estimate": value}
     half = NORMAL_95 * fit.sigma(free.name)
-    estimate, lower, upper = (rounded(x * factor, half * factor) for x in (value, low, high))
-    neutral = amount(start, declared.unit, None)
+    estimate, lower, upper = (rounded(displayed(x, own), half * factor) for x in (value, low, high))
+    neutral = amount(start, own, None)
     if free.prior:  # the tolerance is the half-width of the 95 % interval of the prior
-        tolerance = amount(NORMAL_95 * free.prior[1], declared.unit, 2)
-        neutral = f"{plain(start * factor, None)} ± {tolerance}"
+        tolerance = amount(NORMAL_95 * free.prior[1], own, 2, difference=True)
+        neutral = f"{plain(displayed(start, own), None)} ± {tolerance}"
     return {
         "name": free.name,
         "neutral": neutral,
         "value": append_unit(estimate, unit),
         "interval": f"{lower} … {append_unit(upper, unit)}",
-        "bounds": f"{plain(free.low * factor, None)} … {amount(free.high, declared.unit, None)}",
+        "bounds": f"{plain(displayed(free.low, own), None)} … {amount(free.high, own, None)}",
         "at": {key: np.interp(x, ends, (0.0, 1.0)) for key, x in places.items()},
         "meaning": declared.doc,
     }
@@ -311,7 +313,7 @@ def per_log_rows(r: Refinement) -> Rows:
             if "ci95" in e:
                 interval = " … ".join(amount(bound, unit) for bound in e["ci95"])
             else:
-                start = f"{amount(e['expected'], unit)} ± {amount(e['spread'], unit, 2)}"
+                start = f"{amount(e['expected'], unit)} ± {amount(e['spread'], unit, 2, difference=True)}"
                 how = f"by the filter at the end of the log, from {start} (one standard deviation)"
             value = amount(e["value"], unit, None)
             rows.append({"name": name, "group": group, "value": value, "interval": interval, "how": how})

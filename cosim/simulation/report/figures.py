@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.core import registry
 from cosim.core.arrays import Array
 from cosim.core.drafts import draft_of
+from cosim.core.text import showing
 from cosim.files.results import Results
 from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
@@ -47,7 +48,11 @@ ANGLE_STEPS = [1, 1.5, 3, 4.5, 9, 10]  # of ticks
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
     """Write PNG figures of a run and return their paths; a run without rows has none."""
-    run = drawable_run(results, manifest)
+    with showing(manifest):
+        return _figures(folder, drawable_run(results, manifest))
+
+
+def _figures(folder: Path, run: Run) -> list[Path]:
     if run.time.size == 0:
         return []
     folder.mkdir(parents=True, exist_ok=True)

@@ -9,8 +9,9 @@ from typing import Any
 
 from cosim.blocks.coupling import DEFAULT
 from cosim.core.arrays import Array
+from cosim.core.text import displayed
 from cosim.files.results import Results
-from cosim.report.panels import Trace, display_unit
+from cosim.report.panels import Trace
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
@@ -108,7 +109,7 @@ class Run:
 
     def trace(self, column: str, style: str, label: str = "") -> Trace:
         """Return the line of a column in its displayed unit."""
-        values, is_held = self.results[column] * display_unit(self.unit(column))[1], column in self.results.whole
+        values, is_held = displayed(self.results[column], self.unit(column)), column in self.results.whole
         return Trace(label or column, values, style, held=is_held, items=self.items.get(column, {}))
 
     def unit(self, column: str) -> str:

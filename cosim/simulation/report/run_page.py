@@ -14,12 +14,13 @@ import numpy as np
 
 from cosim.core import registry
 from cosim.core.arrays import far_beyond
+from cosim.core.text import displayed, showing
 from cosim.files.files import write_text
 from cosim.files.results import Results, is_rounded
 from cosim.report.cell.cell import MAX_CURVES, cell_of, rows_to_show
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Row
-from cosim.report.panels import Band, Panel, Trace, by_unit, display_unit, extent
+from cosim.report.panels import Band, Panel, Trace, axis_unit, by_unit, extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage
 from cosim.simulation.report.recorded import Run, mappings, number, texts
@@ -54,7 +55,11 @@ MOST_NAMES = 5  # in a note
 @far_beyond
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
     """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
-    run = drawable_run(results, manifest)
+    with showing(manifest):
+        write_text(path, _page(drawable_run(results, manifest)))
+
+
+def _page(run: Run) -> str:
     drawing, goals = Charts().over(run.time), criteria(run)
     tiles = []
     for c in sorted(goals, key=lambda c: bool(c["met"]))[:MAX_TILES]:
@@ -101,7 +106,7 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
         "own": bool(shown),
         **page.values,
     }
-    write_text(path, render(page.template, values, [TEMPLATE.parent]))
+    return render(page.template, values, [TEMPLATE.parent])
 
 
 def drawable_run(results: Results, manifest: Mapping[str, Any]) -> Run:
@@ -123,17 +128,17 @@ def judged_panels(run: Run) -> list[Panel]:
         name, target = str(entry.get("of")), entry.get("to", 0.0)
         if name not in run.results or name in panels or len(panels) == MAX_TILES:
             continue
-        unit, factor = display_unit(run.unit(name))
+        unit = run.unit(name)
         traces = [run.trace(name, "true")]
         limits: tuple[float, ...] = ()
         if not isinstance(target, str):
             width = number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))  # NaN without limits
-            ends = (factor * (number(target) + side * width) for side in (-1.0, 1.0))
+            ends = (displayed(number(target) + side * width, unit) for side in (-1.0, 1.0))
             limits = tuple(end for end in ends if math.isfinite(end))
         elif target in run.results:
             traces.append(run.trace(target, "reference"))
         band = _fault_band(run, [name], traces)
-        panels[name] = Panel(name, unit, traces, band, limits, LIMIT_LABEL if limits else "")
+        panels[name] = Panel(name, axis_unit(unit), traces, band, limits, LIMIT_LABEL if limits else "")
     return list(panels.values())
 
 
@@ -150,7 +155,7 @@ def connection_panels(
         traces = [run.trace(source, "true")]
         if not np.array_equal(run.results[source], run.results[target], equal_nan=True):
             traces.insert(0, run.trace(target, "estimate", ", ".join(filter(None, (target, link["noise"])))))
-        unit, _ = display_unit(run.unit(target))
+        unit = axis_unit(run.unit(target))
         panels[ends] = Panel(f"{source} → {target}", unit, traces, _fault_band(run, ends, traces))
     return panels
 
@@ -162,7 +167,7 @@ def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
     for unit, columns in by_unit(names, run.unit, run.results.__getitem__):
         traces = [run.trace(column, f"s{i}") for i, column in enumerate(columns)]
         title = ", ".join(dict.fromkeys(column.partition(".")[0] for column in columns))
-        panels.append(Panel(title, display_unit(unit)[0], traces, _fault_band(run, columns, traces)))
+        panels.append(Panel(title, axis_unit(unit), traces, _fault_band(run, columns, traces)))
     return panels
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from cosim.blocks.coupling import algorithms
-from cosim.core.text import amount, counted, join_names, plain
+from cosim.core.text import amount, counted, is_difference, join_names, plain
 from cosim.files.yaml_file import short
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
@@ -97,8 +98,8 @@ def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
     if noise:
         unit = run.unit(target) or run.unit(str(link.get("from")))
         variance, bias = number(noise.get("variance"), 0.0), number(noise.get("bias"), 0.0)
-        parts += [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit)}"] if variance > 0 else []
-        parts += [f"bias {amount(bias, unit)}"] if bias else []
+        parts += [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit, difference=True)}"] if variance > 0 else []
+        parts += [f"bias {amount(bias, unit, difference=True)}"] if bias else []
         parts += [f"{key} {value}" for key, value in noise.items() if key not in ("variance", "bias")]
         parts = [", ".join(parts) or "none"]
     return [*parts, *(fault_text(fault) for fault in faults_on(run, [target]))]
@@ -140,7 +141,9 @@ def component_rows(run: Run) -> list[dict[str, str]]:
     for name, component in run.components.items():
         kind = fmi_kind(mapping(fmus.get(name)))
         hidden = {"start", "fmu", "block", "sha256", *(("interface",) if kind else ())}
-        chosen = {key: setting for key, setting in component.items() if setting != {} and setting is not False}
+        chosen = {
+            key: setting for key, setting in component.items() if setting not in ({}, []) and setting is not False
+        }
         settings = []
         for key, value in {**chosen, **mapping(component.get("start"))}.items():
             if key not in hidden:
@@ -306,14 +309,19 @@ def criteria(run: Run) -> list[dict[str, Any]]:
         if target is not None:
             parts.append(f"to {target if isinstance(target, str) else amount(number(target), own_unit, None)}")
         if "band" in entry:
-            parts.append(f"within ±{amount(number(entry['band']), own_unit, None)}")
+            parts.append(f"within ±{amount(number(entry['band']), own_unit, None, difference=True)}")
         parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
         if abs(value) < NEGLIGIBLE * bound:
             value = 0.0
-        text = amount(value, unit) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
+        figure = partial(amount, unit=unit, difference=is_difference(entry))
+        text = figure(value) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
         rest = bound - value
-        margin = f"{amount(abs(rest), unit)} {'left' if rest >= 0 else 'over'}" if math.isfinite(rest) else ""
-        allowed = f"≤ {amount(bound, unit, None)}" if math.isfinite(bound) else ""
+        margin = (
+            f"{amount(abs(rest), unit, difference=True)} {'left' if rest >= 0 else 'over'}"
+            if math.isfinite(rest)
+            else ""
+        )
+        allowed = f"≤ {figure(bound, digits=None)}" if math.isfinite(bound) else ""
         rows.append({"title": " ".join(parts), "value": text, "allowed": allowed, "margin": margin, "met": met})
     return rows
 
