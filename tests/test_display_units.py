@@ -87,3 +87,6 @@ def test_differences_have_no_zero_and_runs_that_disagree_show_the_declared_unit(
         assert display("rad") == ("rad", 1.0)
         assert displayed(300.0, "K") == pytest.approx(26.85)
     assert display("rad") == ("rad", 1.0)
+    for damaged in (["deg", None, 0.0], ["deg", 57.3], [1.0, 57.3, 0.0], ["deg", float("nan"), 0.0], "deg"):
+        with showing({"display": {"rad": damaged}}):
+            assert display("rad") == ("rad", 1.0)

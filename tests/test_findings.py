@@ -1,8 +1,8 @@
 """What was found on real logs at revision 4444eb4, each by number, on a mass on a rail.
 
 More of these is shown elsewhere: 1 in test_refine_stands, 4 in test_refine_conditions, test_quantised and test_spikes,
-6 and 9 in test_refine_report (every refine of the tests is held against tests/verdicts.py), 7 in test_sealed and
-test_nearest, more of 8 in test_per_log, test_between_rows and test_excite_ranges.
+6 and 9 in test_refine_report (every refine of the tests is held against tests/verdicts.py), 7 in test_nearest, more of
+8 in test_per_log and test_between_rows.
 """
 
 from __future__ import annotations

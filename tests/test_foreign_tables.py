@@ -31,6 +31,9 @@ def test_an_input_of_another_name_drives_the_fmu(table: Path, native_plant: Path
     assert sum("foreign.csv" in text for text in made.warnings) >= 2  # separators and time were assumed
     with pytest.raises(InputError):
         cosim.simulate(native_plant, input=table, columns={"Left": "duty_lft"})
+    with pytest.raises(InputError) as error:
+        cosim.simulate(native_plant, columns={"Left": "duty_left"})
+    assert error.value.exit_code == 2
 
 
 def test_a_playback_a_browser_and_a_reader_take_it(table: Path) -> None:

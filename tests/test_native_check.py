@@ -85,9 +85,6 @@ class Rotor(Model):
 """
 
 
-ASLEEP = "def moment(self, m, rate, side):\n        return rate"  # has no value where its level is 0
-
-
 def rotor(folder: Path, at: str, line: str) -> str:
     """The model with other lines in one place."""
     text = ROTOR.replace(at, line)

@@ -53,15 +53,14 @@ def test_a_variable_is_set_by_its_name_or_its_path(plant_fmu: Path, name: str) -
 
 
 @pytest.mark.parametrize(
-    ("values", "place"),
-    [({"mas": (1.0, "")}, "parameters"), ({"mass": (1.0, "m")}, "parameters"), (None, "parameters")],
+    "values", [{"mas": (1.0, "")}, {"mass": (1.0, "m")}, None], ids=["unknown variable", "other unit", "no file"]
 )
 def test_faults_of_a_parameter_set_are_at_its_name(
-    plant_fmu: Path, tmp_path: Path, values: dict[str, tuple[float, str]] | None, place: str
+    plant_fmu: Path, tmp_path: Path, values: dict[str, tuple[float, str]] | None
 ) -> None:
     if values is not None:
         _write(tmp_path / "set.ssv", **values)
-    text = f"name: s\nduration: 1\nstep: 0.02\ncomponents:\n  plant:\n    fmu: {plant_fmu}\n    {place}: set.ssv\n"
+    text = f"name: s\nduration: 1\nstep: 0.02\ncomponents:\n  plant:\n    fmu: {plant_fmu}\n    parameters: set.ssv\n"
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as error:
         cosim.run(tmp_path / "s.yaml")

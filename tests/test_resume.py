@@ -113,7 +113,7 @@ def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, 
     assert "saving" not in said[0]
 
 
-@pytest.mark.thorough  # runs stopped again and again go on above; rows of killed ones stay: test_row_stops
+@pytest.mark.thorough  # runs stopped again and again go on above
 def test_runs_killed_by_the_system_go_on_to_the_same_bytes() -> None:
     assert kills.main(1) == 0
 

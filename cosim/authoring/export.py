@@ -101,11 +101,9 @@ def export_ssp(
             if linear != IDENTITY:
                 converted.append(c.target)
             if linear != IDENTITY and insert_gains:
-                gain, units_of_ends = (
-                    f"gain_{component}_{input_}",
-                    [system.signals[n].unit for n in (c.source, c.target)],
-                )
-                models.append(_gain(file, gain, linear, (units_of_ends[0], units_of_ends[1]), folder))
+                gain = f"gain_{component}_{input_}"
+                units_of_ends = system.signals[c.source].unit, system.signals[c.target].unit
+                models.append(_gain(file, gain, linear, units_of_ends, folder))
                 ends.append((first, (gain, "u"), IDENTITY))
                 first, linear = (gain, "y"), IDENTITY
             ends.append((first, last, linear))

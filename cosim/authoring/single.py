@@ -86,6 +86,8 @@ def simulate(
     """
     path = Path(fmu)
     (description,) = read_fmus([path])
+    if columns and input is None:
+        raise InputError.at(Path("--column"), "names columns of a file, and none is given; give it as --input FILE")
     settings = normalize_settings(set)
     values = settings if isinstance(settings, Mapping) else start_pairs(path, settings, description)
     (part,) = parts_of([path], values)

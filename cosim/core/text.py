@@ -16,7 +16,7 @@ from typing import Any
 DisplayUnits = Mapping[str, Sequence[Any]]  # unit → name of its display unit, factor and offset to its values
 _display_units: ContextVar[DisplayUnits] = ContextVar("display units", default=MappingProxyType({}))
 POWER = re.compile(r"(?<=[A-Za-z])\d")
-DEGREE, TEMPERATURE = re.compile(r"\bdeg(?=[CF]?\b)"), re.compile("°[CF]")
+DEGREE_WORD, TEMPERATURE = re.compile(r"\bdeg(?=[CF]?\b)"), re.compile("°[CF]")
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOT_IN_YAML = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 MINUS = "\u2212"
@@ -48,7 +48,7 @@ def amount(value: float, unit: str = "", digits: int | None = 3, *, difference: 
     """Return a value in its display unit.
 
     Args:
-        difference: Whether it is a difference, such as an error, which has no zero of its own.
+        difference: Whether it is a difference, such as an error, to which no offset of a display unit is added.
     """
     symbol, factor = display(unit)
     if difference:
@@ -135,13 +135,21 @@ def showing(*records: Mapping[str, Any]) -> Iterator[None]:
     for record in records:
         units = record.get("display")
         for unit, entry in units.items() if isinstance(units, Mapping) else ():
-            if isinstance(entry, list | tuple) and len(entry) == 3 and [*entry] not in found.setdefault(unit, []):
+            if _is_display(entry) and [*entry] not in found.setdefault(unit, []):
                 found[unit].append([*entry])
     token = _display_units.set({unit: entries[0] for unit, entries in found.items() if len(entries) == 1})
     try:
         yield
     finally:
         _display_units.reset(token)
+
+
+def _is_display(entry: Any) -> bool:
+    """Return whether an entry of a record names a display unit with its factor and offset."""
+    match entry:
+        case [str(), int() | float() as factor, int() | float() as offset]:
+            return 0.0 < factor < math.inf and math.isfinite(offset)
+    return False
 
 
 def display(unit: str) -> tuple[str, float]:
@@ -171,7 +179,7 @@ def written(unit: str, times: str = "·") -> str:
         times: Sign between factors.
     """
     text = "" if unit == "1" else POWER.sub(lambda match: match[0].translate(RAISED), unit).replace(".", times)
-    return DEGREE.sub("°", text)
+    return DEGREE_WORD.sub("°", text)
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:

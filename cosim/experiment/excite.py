@@ -119,9 +119,12 @@ class Excitation:
         """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
         warnings = []
         if self.excess > 1.0:
-            far = "diverges" if math.isinf(self.excess) else f"goes {self.excess:.2g} times as far as --limit allows"
+            far = "diverge" if math.isinf(self.excess) else f"go {self.excess:.2g} times as far as --limit allows"
+            beyond = [n for n, trial in self.rivals.items() if trial.excess(self.question.limits) > 1.0]
+            cause = f" if {join_names(beyond)} is true" if beyond else ""
             warnings.append(
-                f"the input {far} if a rival is true, however small it was made: play it with care, or not at all"
+                f"the outputs {far}{cause}, even under the smallest input tried; do not play it on the machine before "
+                "a wider --limit or fewer rivals give one within the limits"
             )
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
             warnings.append(

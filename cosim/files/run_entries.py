@@ -92,13 +92,10 @@ class Entry:
             for c in self.criteria:
                 title = f"{str(c.get('kind', 'criterion')).replace('_', ' ')} of {c.get('of', '?')}"
                 value, unit = c.get("value"), str(c.get("unit") or "")
-                is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-                text = (
-                    amount(float(value), unit, difference=is_difference(c))
-                    if is_number and value is not None
-                    else "never"
-                )
-                found[title] = (float(value) if is_number and value is not None else math.inf, text)
+                if isinstance(value, (int, float)) and not isinstance(value, bool):
+                    found[title] = float(value), amount(float(value), unit, difference=is_difference(c))
+                else:
+                    found[title] = math.inf, "never"
         return found
 
     @property

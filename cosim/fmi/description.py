@@ -221,7 +221,10 @@ def display_unit_of(variable: Any) -> str:
 
 
 def display_units(descriptions: Iterable[Any]) -> dict[str, tuple[str, float, float]]:
-    """Return unit → name of its display unit, factor and offset to its values, where all FMUs agree on one."""
+    """Return the display unit of each unit as name, factor and offset: displayed value = factor·value + offset.
+
+    A unit for which variables name several display units is left out.
+    """
     found: dict[str, set[tuple[str, float, float]]] = {}
     for description in descriptions:
         known = {(u.name, d.name): d for u in description.unitDefinitions for d in u.displayUnits}

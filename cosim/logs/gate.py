@@ -12,6 +12,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError
 from cosim.core.linear_algebra import least_squares
 from cosim.core.text import amount, counted, percent, plain
+from cosim.core.units import DEGREES
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.log import MISSING, TURN, Finding, Log, Severity, name_list
 from cosim.logs.model_comparison import input_unit_findings
@@ -24,7 +25,6 @@ ALIKE = 0.98  # correlation of two inseparable inputs
 SLOWER, FASTER = 1.5, 50.0  # ratio of the log's step to the model's from which the steps disagree
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
 STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
-DEGREES = 180.0 / math.pi
 MIN_AGREEMENT = 0.9  # correlation of the change of a signal with the integral of its rate
 FAR_OFF = 8.0  # multiple of the usual miss, or of the noise
 PAUSE = 0.2  # [s] without a reading

@@ -193,10 +193,10 @@ class Derivations:
                 raise
 
     def remove(self, number: int, name: str) -> None:
-        """Remove a derived signal of a run.
+        """Remove the derived signal `name` of the run with this number.
 
         Raises:
-            InputError: There is no such signal, or others depend on it.
+            InputError: The run has no derived signal of this name, or other signals are derived from it.
         """
         signal = number, name
         with self._lock:

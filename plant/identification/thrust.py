@@ -21,7 +21,7 @@ from plant.identification.protocol import HeightTest
 from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
 
-DEGREES = (1, 2, 3)
+POLYNOMIAL_DEGREES = (1, 2, 3)
 MARGIN = 0.02  # [%] margin of duty to the cell's range and to zero thrust, since a low pass has memory
 MEMORY = 5.0  # lags and low passes after which a higher duty is forgotten to 1 %
 MIN_LINE_ROWS, MIN_LINE_RANGE = 50, 0.1  # rows of a repetition, [%] of its ramp with thrust, for a line
@@ -206,7 +206,7 @@ def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, d
     """Return the lowest degree about as good as the best, and the mean error of repetitions left out by degree."""
     means, spreads = {}, {}
     every = [np.stack((d - MIDDLE_DUTY, y)) for d, y in zip(duty, thrust, strict=True)]
-    for degree in DEGREES:
+    for degree in POLYNOMIAL_DEGREES:
         rmse = []
         for k, (x, y) in enumerate(every):
             others = np.concatenate([*every[:k], *every[k + 1 :]], axis=1)
@@ -214,7 +214,7 @@ def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, d
             rmse.append(float(np.sqrt(np.mean((np.polyval(curve, x) - y) ** 2))))
         means[degree], spreads[degree] = float(np.mean(rmse)), float(stats.sem(rmse))
     best = min(means, key=lambda d: means[d])
-    return next(d for d in DEGREES if means[d] <= means[best] + spreads[best]), means
+    return next(d for d in POLYNOMIAL_DEGREES if means[d] <= means[best] + spreads[best]), means
 
 
 # -- ground effect --------------------------------------------------------------------------

@@ -208,7 +208,7 @@ def _likely_waves(test: ScoreTest, parts: Smoothed, signals: Signals) -> tuple[l
             own = zip(np.split(z, ends), tables, np.split(by, ends), strict=True)
             frequency, height = spectrum_along([(q, table * times) for q, table, times in own], low)
             line = 2 + int(np.argmax(height[2:]))  # one period in the travel at least
-            over = float(height[line] / np.mean(height))
+            over = float(height[line] / np.mean(height)) if height.any() else 0.0  # of logs at rest
             if over > found.get(name == "time", (0.0, None))[0]:
                 wave = Shape("", (name,), "wave", 0.0, 1.0 / float(frequency[line]), (factor,) if factor else ())
                 found[name == "time"] = over, wave
