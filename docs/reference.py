@@ -12,7 +12,7 @@ import typer.main
 
 import cosim.model
 from cosim.calibration.fitted import Fitted
-from cosim.comparison.differences import Compared
+from cosim.comparison.several import ComparedRuns
 from cosim.core.registry import resolve
 from cosim.refinement.refinement import Refined
 from cosim.residuals.replay_signals import Replay
@@ -22,7 +22,7 @@ from cosim.sweeps.store import Runs
 from cosim.verbs import verbs
 from cosim.verbs.cli import command_line
 
-RESULTS = (Run, Signals, Replay, Fitted, Refined, Compared, Swept, Runs)
+RESULTS = (Run, Signals, Replay, Fitted, Refined, ComparedRuns, Swept, Runs)
 ALIASES = {"Number", "Values"}  # of types: they have no docstring
 SECTIONS = re.compile(r"^(Args|Attributes|Returns|Raises):$", re.MULTILINE)
 

@@ -12,12 +12,11 @@ import pytest
 
 import cosim
 from cosim.calibration.fitted import Fitted
-from cosim.comparison.differences import compare_runs
 from cosim.core.errors import InputError
 from cosim.files.results import Results
 from cosim.refinement.refinement import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
-from cosim.simulation.run_signals import RecordedRun, Signals
+from cosim.simulation.run_signals import Signals
 from tests.test_python import turning
 
 PEAK = 123_457  # row of a single high value
@@ -65,14 +64,12 @@ def test_no_name_of_a_signal_becomes_code() -> None:
 
 
 def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
-    runs = (
-        RecordedRun(
-            Path(name), name, Results(np.arange(9.0), ("x",), np.arange(9.0)[:, np.newaxis] ** k, {"x": "m"}), {}
-        )
-        for k, name in enumerate("ab", 1)
-    )
-    (frame,) = frames(compare_runs(*runs)._repr_html_())
-    assert "x, b − a" in frame
+    time = np.arange(9.0)
+    runs = [
+        Signals(name, Results(time, ("x",), time[:, np.newaxis] ** k, {"x": "m"})) for k, name in enumerate("ab", 1)
+    ]
+    (frame,) = frames(cosim.compare(*runs)._repr_html_())
+    assert "x minus a" in frame
     entry = {"start": 1.0, "value": 2.0, "unit": "kg", "ci95": [1.5, 2.5], "status": "estimated"}
     fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})._repr_html_()
     assert "a &lt; b" in fitted

@@ -110,7 +110,7 @@ def test_criteria_are_judged_by_all_rows(tmp_path: Path, step: str, loop: str) -
     assert ran.results["ref.x"].max() == 1.0
     assert (ran.criteria[0]["value"], ran.criteria[0]["met"]) == (5.0, False)
     compared = cosim.compare(cosim.run(_file(tmp_path, "[]")), ran)
-    assert compared.only_a == ("ref.y", "more.x")  # type: ignore[union-attr]
+    assert compared.comparisons[0].only_a == ("ref.y", "more.x")
 
 
 def test_the_last_row_is_recorded_also_between_two_multiples(tmp_path: Path) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from cosim.blocks.component import Signal
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import InputError
-from cosim.core.extras import pandas_for_frames
 from cosim.core.text import amount, counted, plain, some
 from cosim.core.times import rounding
 from cosim.core.units import Conversion, conversion, definition_of
@@ -21,15 +20,10 @@ from cosim.files.results import is_rounded
 from cosim.files.table import as_text
 from cosim.simulation.run_signals import RecordedRun
 
-if TYPE_CHECKING:
-    import pandas
-    from matplotlib.figure import Figure
-
 SAME_TIME = 1e-9  # fraction of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
-BETWEEN = "between rows of a"
+BETWEEN = "between rows of the baseline"
 MAX_LISTED = 12  # signals in a short text
-MAX_DRAWN = 4  # signals in a figure by default
 
 
 @dataclass(frozen=True)
@@ -186,10 +180,11 @@ def compare_numbers(name: str, unit: str, time: Array, values: tuple[Array, Arra
 def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:
     """Return a note on the units of both runs."""
     if unit and unit == other:
-        return f"{unit} of another definition in b, converted" if by != Conversion() else ""
+        return f"{unit} of another definition, converted" if by != Conversion() else ""
     if unit and other:
-        return f"{other} in b, converted"
-    return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
+        return f"converted from {other}"
+    where = "here" if unit else "in the baseline"
+    return f"no unit {where}, taken as {d.unit}" if (unit or other) and d.largest else ""
 
 
 def compare_text(
@@ -233,46 +228,8 @@ def format_share(d: Difference) -> str:
     return f"{plain(100 * d.share, 2)} %" if math.isfinite(d.share) else "no number in one run"
 
 
-class Comparison:
-    """What comparisons of two and of several runs show in Python: a text, the cell of a notebook, a figure."""
-
-    def __repr__(self: Any) -> str:
-        rows = self.cells[1:]
-        more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
-        return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
-
-    def _repr_html_(self: Any) -> str:
-        from cosim.comparison.page import panels_of
-        from cosim.core.notebook import heading, table
-        from cosim.report.cell.cell import cell_of, rows_to_show
-
-        heads, *cells = self.cells
-        drawn = {name: self.values[name] for name in self.drawable[:MAX_DRAWN]}
-        rows = rows_to_show([values for curves in drawn.values() for values in curves])
-        panels = [p for name, curves in drawn.items() for p in panels_of(self, name, [v[rows] for v in curves])]
-        omitted = len(cells) - len(drawn)
-        chart = cell_of(self.time[rows], panels, self.summary, rows=len(self.time), omitted=omitted)
-        return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
-
-    def plot(self: Any, *names: str) -> Figure:
-        """Return a matplotlib figure of all runs, by default for the most different signals.
-
-        Raises:
-            KeyError: A signal has no curves.
-        """
-        from cosim.comparison.page import panels_of
-        from cosim.core.text import did_you_mean
-        from cosim.simulation.report.figures import sheet
-
-        for name in names:
-            if name not in self.drawable:
-                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.drawable)}')
-        shown = names or self.drawable[:MAX_DRAWN]
-        return sheet(self.time, [panel for name in shown for panel in panels_of(self, name, self.values[name])])
-
-
-@dataclass(frozen=True, repr=False)
-class Compared(Comparison):
+@dataclass(frozen=True)
+class Compared:
     """Differences of two runs.
 
     Attributes:
@@ -333,49 +290,12 @@ class Compared(Comparison):
             reasons.append(f"{counted(missing, 'signal')} of {self.a.path} {verb} missing in {self.b.path}: {names}")
         return reasons + ([self.shorter] if self.shorter else [])
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return one row per common signal, the largest difference first; raise ImportError without pandas."""
-        library = pandas_for_frames()
-        frame: pandas.DataFrame = library.DataFrame([asdict(d) for d in self.ranking])
-        return frame.set_index("name")
-
-    @property
-    def drawable(self) -> list[str]:
-        """Return the signals with curves, most different first."""
-        return [d.name for d in self.ranking if d.name in self.values]
-
-    @property
-    def summary(self) -> str:
-        """Return the outcome in a sentence."""
-        return f"{self.a.name} and {self.b.name}: {sentence(self)}"
-
-    @property
-    def cells(self) -> list[tuple[str, ...]]:
-        """Return the headings of a table, and a row for each signal, largest share first."""
-        cells = [(d.name, format_size(d, d.largest), f"{d.at:.6g} s", format_share(d)) for d in self.ranking]
-        return [("signal", "largest", "at", "of its range"), *cells]
-
     def verdict(self) -> dict[str, Any]:
         """Return the verdict and its reasons as plain data."""
         return {
             "within": self.same if self.judged else None,
             "reasons": self.reasons if self.judged else None,
             "shorter": self.shorter or None,
-        }
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the comparison as plain data; non-finite becomes None."""
-        return {
-            "a": str(self.a.path),
-            "b": str(self.b.path),
-            "tolerance": self.tolerance,
-            "absolute": self.absolute,
-            **self.verdict(),
-            "signals": [d.as_json() for d in self.differences],
-            "only_a": list(self.only_a),
-            "only_b": list(self.only_b),
-            "same_times": self.aligned,
-            "criteria": [{"what": what, "a": a, "b": b} for what, (a, b) in criteria_of((self.a, self.b)).items()],
         }
 
 
@@ -484,11 +404,14 @@ def criteria_of(runs: Sequence[RecordedRun]) -> dict[str, list[dict[str, Any] | 
     by_title: dict[str, list[dict[str, Any] | None]] = {}
     for k, run in enumerate(runs):
         for entry in run.criteria:
-            title = f"{str(entry.get('kind', '?')).replace('_', ' ')} of {entry.get('of', '?')}"
-            for word in ("to", "band", "after", "until"):
-                title += f" {word} {entry[word]}" if entry.get(word) else ""
-            by_title.setdefault(title, [None] * len(runs))[k] = entry
+            by_title.setdefault(criterion_title(entry), [None] * len(runs))[k] = entry
     return by_title
+
+
+def criterion_title(outcome: Mapping[str, Any]) -> str:
+    """Return a criterion without its limit as text: `settling time of plant.x band 0.02`."""
+    title = f"{str(outcome.get('kind', '?')).replace('_', ' ')} of {outcome.get('of', '?')}"
+    return title + "".join(f" {w} {outcome[w]}" for w in ("to", "band", "after", "until") if outcome.get(w))
 
 
 def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
@@ -496,33 +419,10 @@ def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
     return a.path.exists() and a.path.resolve() == b.path.resolve()
 
 
-def sentence(c: Compared) -> str:
-    """Return a summary of the comparison in a sentence."""
-    if is_one_run(c.a, c.b) and not any(d.largest for d in c.differences):
-        return f"This is one run, compared with itself: {counted(len(c.differences), 'signal')} equal."
-    count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
-    of_both = " that both have" if c.only_a else ""
-    every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
-    most = describe_largest(max(c.differences, key=lambda d: d.share))
-    if not different:
-        where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
-        text = f"{every or f'The signal{of_both} is'} equal {where}."
-    elif not c.judged:
-        text = f"{different} of {counted(count, 'signal')} {'differs' if different == 1 else 'differ'}; {most}."
-    elif c.beyond:
-        verb, largest = "is" if len(c.beyond) == 1 else "are", describe_largest(c.beyond[0])
-        text = f"{len(c.beyond)} of {counted(count, 'signal')} {verb} beyond the tolerance; {largest}."
-    else:
-        text = f"{every} within the tolerance; {most}." if every else f"Within the tolerance: {most}."
-    if c.only_a:
-        text += f" {counted(len(c.only_a), 'signal')} of a {'is' if len(c.only_a) == 1 else 'are'} not in b."
-    return text + (f" {c.shorter}." if c.shorter else "")
-
-
 def describe_largest(d: Difference) -> str:
     """Return a phrase on the largest difference of a signal."""
     if not d.alike:
         return f"{d.name} is {d.note}"
     if not math.isfinite(d.share):
-        return f"most {d.name}, which has no number in one run at {d.at:.6g} s"
-    return f"most {d.name}, by {format_size(d, d.largest)} at {d.at:.6g} s ({format_share(d)} of its range)"
+        return f"{d.name}, which has no number in one run at {d.at:.6g} s"
+    return f"{d.name} by {format_size(d, d.largest)} at {d.at:.6g} s ({format_share(d)} of its range)"

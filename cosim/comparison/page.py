@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.comparison.differences import (
-    MAX_LISTED,
-    Compared,
-    Difference,
-    criteria_of,
-    format_share,
-    format_size,
-    sentence,
-)
+from cosim.comparison.differences import MAX_LISTED, Difference, criteria_of, format_share, format_size
 from cosim.comparison.several import ComparedRuns
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.text import amount, counted, display, displayed, is_difference, some
@@ -29,19 +20,10 @@ from cosim.report.panels import Panel, Trace, axis_unit
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
-MAX_PLOTTED = 24  # signals on the page of two runs, those with the largest differences
 MOST_LABELS = 4  # runs whose legends have labels with inputs; legends of more runs have short names
 MAX_ROWS = 200  # signals and inputs in a table; comparison.json has all
 BASELINE, STYLES = "baseline", 15  # styles of lines: `run0` … `run14` for the others
 OTHER_TIMES = "read at the times of the baseline, straight between its rows"
-
-
-def of_pair(c: Compared) -> ComparedRuns:
-    """Return the comparison of run b with run a in the form of several runs."""
-    a, b = replace(c.a, name=f"a: {c.a.name}"), replace(c.b, name=f"b: {c.b.name}")
-    drawn = [d for d in c.ranking if d.name in c.values][:MAX_PLOTTED]
-    values = {d.name: [*c.values[d.name]] for d in drawn}
-    return ComparedRuns((a, b), ("a", "b"), 0, (c,), (), (0, 1), c.time, values, {d.name: d.unit for d in drawn})
 
 
 def styles_of(c: ComparedRuns) -> dict[int, str]:
@@ -50,31 +32,29 @@ def styles_of(c: ComparedRuns) -> dict[int, str]:
     return {c.baseline: BASELINE} | {k: f"run{place % STYLES}" for place, k in enumerate(others)}
 
 
-def panels_of(c: Compared | ComparedRuns, name: str, curves: Sequence[Array], *, on_page: bool = False) -> list[Panel]:
+def panels_of(c: ComparedRuns, name: str, curves: Sequence[Array], *, on_page: bool = False) -> list[Panel]:
     """Return the panel of a signal in all runs; of two runs, and on a page, with the differences from the baseline."""
-    runs = of_pair(c) if isinstance(c, Compared) else c
-    own = runs.units[name]
+    own = c.units[name]
     unit, (fine, factor) = axis_unit(own), display(own)
-    by_run, styles = dict(zip(runs.drawn, curves, strict=True)), styles_of(runs)
-    labels = runs.shorts if on_page and len(runs.drawn) > MOST_LABELS else runs.labels
-    base = by_run[runs.baseline]
-    if name in runs.equal:
+    by_run, styles = dict(zip(c.drawn, curves, strict=True)), styles_of(c)
+    labels = c.shorts if on_page and len(c.drawn) > MOST_LABELS else c.labels
+    base = by_run[c.baseline]
+    if name in c.equal:
         return [Panel(name, unit, [Trace("all runs", displayed(base, own), BASELINE)])]
     panels = [Panel(name, unit, [Trace(labels[k], displayed(v, own), styles[k]) for k, v in by_run.items()])]
-    if on_page or runs is not c:
+    if on_page or len(by_run) == 2:
         with np.errstate(invalid="ignore"):
-            differences = {k: (values - base) * factor for k, values in by_run.items() if k != runs.baseline}
-        title = f"minus {runs.shorts[runs.baseline]}" if runs is c else "b − a"
+            differences = {k: (values - base) * factor for k, values in by_run.items() if k != c.baseline}
         traces = [Trace(labels[k], values, styles[k]) for k, values in differences.items()]
-        panels.append(Panel(f"{name}, {title}", fine or unit, traces))
+        panels.append(Panel(f"{name} minus {c.shorts[c.baseline]}", fine or unit, traces))
     return panels
 
 
 @far_beyond
-def comparison_page(c: Compared | ComparedRuns) -> str:
+def comparison_page(runs: ComparedRuns) -> str:
     """Return the page of a comparison."""
-    runs = of_pair(c) if isinstance(c, Compared) else c
-    first, table, equal, count = runs.comparisons[0], runs.table, runs.equal, counted(len(runs.others), "run")
+    first, table, equal = runs.comparisons[0], runs.table, runs.equal
+    base, others = runs.shorts[runs.baseline], [runs.shorts[k] for k in runs.others]
     paths, options, tolerance = [runs.runs[k].path for k in (runs.baseline, *runs.others)], list[str](), ""
     if first.tolerance is not None:
         tolerance = f"{first.tolerance:g} of each signal's range in the baseline"
@@ -84,7 +64,7 @@ def comparison_page(c: Compared | ComparedRuns) -> str:
     charts = Charts()
     drawing, panels, equal_panels = charts.over(runs.time), list[Panel](), list[Panel]()
     for name, curves in runs.values.items():
-        (equal_panels if name in equal else panels).extend(panels_of(c, name, curves, on_page=True))
+        (equal_panels if name in equal else panels).extend(panels_of(runs, name, curves, on_page=True))
     differing = [(name, cells) for name, cells in table.items() if name not in equal]
     unseen, left = len(runs.runs) - len(runs.drawn), len(differing) - len(panels) // 2
     parts = [f"the baseline and the {len(runs.drawn) - 1} runs that differ most"] if unseen else []
@@ -102,13 +82,13 @@ def comparison_page(c: Compared | ComparedRuns) -> str:
         cells = [_criterion_cell(entry, limit=not is_one) for entry in outcomes]
         criteria.append((f"{title}, at most {limits.pop()}" if is_one else title, *cells))
     context = {
-        "tone": "plain" if not c.judged else "good" if c.same else "bad",
-        "judged": c.judged,
+        "tone": "plain" if not runs.judged else "good" if runs.same else "bad",
+        "judged": runs.judged,
         "tolerance": tolerance,
         "repeat": shlex.join(["cosim", "compare", *map(str, paths), *options]),
         "version": __version__,
-        "title": f"{count} against {runs.shorts[runs.baseline]}" if runs is c else f"{first.a.name} and {first.b.name}",
-        "outcome": sentence(c) if isinstance(c, Compared) else c.summary,
+        "title": f"{others[0] if len(others) == 1 else counted(len(others), 'run')} against {base}",
+        "outcomes": [*filter(None, (runs.summary_of_criteria, runs.summary_of_differences))],
         "runs": _run_rows(runs),
         "shorts": runs.shorts,
         "inputs": inputs,
@@ -116,7 +96,6 @@ def comparison_page(c: Compared | ComparedRuns) -> str:
         "criteria": criteria,
         "left_out": runs.left_out,
         "signals": [(name, *map(_difference_cell, cells)) for name, cells in differing[:MAX_ROWS]],
-        "details": [] if runs is c else [_details(d) for d in first.ranking if d.name not in equal][:MAX_ROWS],
         "more_signals": max(0, len(differing) - MAX_ROWS),
         "equal_names": equal,
         "equal_count": counted(len(equal), "signal"),
@@ -146,17 +125,14 @@ def _run_rows(c: ComparedRuns) -> list[dict[str, Any]]:
     return rows
 
 
-def _details(d: Difference) -> dict[str, Any]:
-    """Return the cells of a signal on the page of two runs."""
-    sizes = {"largest": format_size(d, d.largest), "rms": format_size(d, d.rms), "share": format_share(d)}
-    return {"name": d.name, "at": f"{d.at:.6g}\u00a0s", "beyond": d.beyond, "note": d.note, **sizes}
-
-
 def _difference_cell(d: Difference | None) -> tuple[str, str, bool]:
-    """Return size, share and verdict of a difference."""
+    """Return the largest difference, its share, time and note, and whether it is beyond the tolerance."""
     if d is None:
         return "–", "", False
-    return (format_size(d, d.largest), format_share(d), d.beyond) if d.largest else ("0", "", False)
+    if not d.largest:
+        return "0", d.note, False
+    about = (format_share(d), f"at {d.at:.6g}\u00a0s", d.note)
+    return format_size(d, d.largest), ", ".join(filter(None, about)), d.beyond
 
 
 def _criterion_limit(entry: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -12,32 +13,37 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.comparison.differences import (
+    MAX_LISTED,
     Compared,
-    Comparison,
     Difference,
     compare_runs,
     criteria_of,
+    criterion_title,
     describe_largest,
     format_share,
     format_size,
     is_one_run,
 )
 from cosim.core.arrays import Array, far_beyond
-from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.errors import Fault, FmuError, InputError, refuse
 from cosim.core.extras import pandas_for_frames
-from cosim.core.text import counted, showing
+from cosim.core.text import counted, join_names, showing
 from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier, replay_record
 from cosim.files.results import Results, is_rounded, rows_in
 from cosim.files.run_entries import Selected, select_groups
-from cosim.files.run_inputs import DifferingInput, differing_inputs, labels_of
+from cosim.files.run_inputs import PARAMETER, DifferingInput, differing_inputs, labels_of
+from cosim.fmi.description import read_description
+from cosim.scenario.scenario_file import sha256
 from cosim.simulation.run_signals import RecordedRun, Run, Signals, read_ran
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 
-MAX_RUNS, MAX_SIGNALS = 12, 12  # drawn
+MAX_RUNS, MAX_SIGNALS, MAX_CURVES = 12, 24, 144  # drawn
+MAX_DRAWN = 4  # signals in a figure by default
 MOST_IN_MEMORY = 4  # runs; beyond, drawn runs are read twice
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
 FILES = ("comparison.json", "report.html")
@@ -63,7 +69,7 @@ class RunSource:
 
 
 @dataclass(frozen=True, repr=False)
-class ComparedRuns(Comparison):
+class ComparedRuns:
     """Differences of several runs from a baseline.
 
     Attributes:
@@ -153,20 +159,101 @@ class ComparedRuns(Comparison):
         return sorted(self.values, key=lambda name: name in equal)
 
     @property
+    def differences(self) -> list[Difference]:
+        """Return the differences of all signals in all runs, largest share first."""
+        return sorted((d for c in self.comparisons for d in c.differences), key=lambda d: -d.share)
+
+    @property
+    def beyond(self) -> list[Difference]:
+        """Return the differences beyond the tolerance, largest share first."""
+        return [d for d in self.differences if d.beyond]
+
+    @property
     def summary(self) -> str:
-        """Return the outcome in a sentence."""
-        base, count = self.labels[self.baseline], len(self.comparisons)
-        largest = [(max(x.differences, key=lambda d: d.share), x) for x in self.comparisons]
+        """Return the outcome in two sentences: on the criteria and on the differences."""
+        return " ".join(filter(None, (self.summary_of_criteria, self.summary_of_differences)))
+
+    @property
+    def summary_of_criteria(self) -> str:
+        """Return a sentence on the runs that meet their criteria, and on the run with the largest margin."""
+        entries = [
+            [e for outcomes in criteria_of(self.runs).values() if (e := outcomes[k])] for k in range(len(self.runs))
+        ]
+        asked = [k for k, own in enumerate(entries) if own]
+        if not asked:
+            return ""
+        met = [self.shorts[k] for k in asked if all(e.get("met") for e in entries[k])]
+        missed = len(asked) - len(met)
+        text = f"{join_names(met) or 'No run'} meet{'' if len(met) > 1 else 's'} all criteria"
+        if met and not missed and len(met) > 1:
+            text = f"{'Both' if len(met) == 2 else f'All {len(met)}'} runs meet all criteria"
+        elif met and missed:
+            text += f", {missed} of {len(asked)} runs do{'es' if missed == 1 else ''} not"
+        shares = {k: max(map(_share_of_limit, entries[k])) for k in asked}
+        best, *others = sorted(asked, key=shares.__getitem__)
+        if len(met) != 1 and others and shares[best] < shares[others[0]]:
+            tightest = max(entries[best], key=_share_of_limit)
+            of_limit = f"{100 * shares[best]:.0f}\u00a0% of its limit"
+            text += f"; {self.shorts[best]} is best: {criterion_title(tightest)} is {of_limit}"
+        return f"{text}."
+
+    @property
+    def summary_of_differences(self) -> str:
+        """Return a sentence on the number of differences and the largest one."""
+        base, count = self.shorts[self.baseline], len(self.comparisons)
+        largest = [(max(c.differences, key=lambda d: d.share), c) for c in self.comparisons]
         worst, where = max(largest, key=lambda pair: pair[0].share)
-        most = f"{describe_largest(worst)}, in {where.b.name}"
+        first, noun = self.comparisons[0], "signal" if count == 1 else "run"
         if not worst.largest:
-            return f"{'All' if count > 1 else 'The'} {counted(count, 'other run')} equal {base} in every common signal."
-        if not self.judged:
-            differ = sum(d.largest > 0 for d, _ in largest)
-            return f"{differ} of {counted(count, 'run')} {'differs' if differ == 1 else 'differ'} from {base}; {most}."
-        within = sum(x.same for x in self.comparisons)
-        verb = "is" if within == 1 else "are"
-        return f"{within} of {counted(count, 'run')} {verb} within the tolerance of {base}; {most}."
+            if count == 1 and is_one_run(*self.runs):
+                return f"This is one run, compared with itself: {counted(len(first.differences), noun)} equal."
+            names = f"{self.shorts[self.others[0]]} equals" if count == 1 else f"All {count} other runs equal"
+            text = f"{names} {base} in every common signal."
+        else:
+            each = first.differences if count == 1 else [d for d, _ in largest]
+            within = [not d.beyond for d in first.differences] if count == 1 else [c.same for c in self.comparisons]
+            number = sum(within) if self.judged else sum(d.largest > 0 for d in each)
+            verb, others = ("match", "matches") if self.judged else ("differ from", "differs from")
+            text = f"{number} of {counted(len(each), noun)} {others if number == 1 else verb} {base}"
+            text += f"{' within the tolerance' if self.judged else ''}; largest: {describe_largest(worst)}"
+            text += "." if count == 1 else f", in {where.b.name}."
+        missing = counted(len(first.only_a), "signal") if count == 1 and first.only_a else ""
+        text += f" {self.shorts[self.others[0]]} lacks {missing} of {base}." if missing else ""
+        return text + (f" {first.shorter}." if count == 1 and first.shorter else "")
+
+    def __repr__(self) -> str:
+        rows = self.cells[1:]
+        more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
+        return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
+
+    def _repr_html_(self) -> str:
+        from cosim.comparison.page import panels_of
+        from cosim.core.notebook import heading, table
+        from cosim.report.cell.cell import cell_of, rows_to_show
+
+        heads, *cells = self.cells
+        drawn = {name: self.values[name] for name in self.drawable[:MAX_DRAWN]}
+        rows = rows_to_show([values for curves in drawn.values() for values in curves])
+        panels = [p for name, curves in drawn.items() for p in panels_of(self, name, [v[rows] for v in curves])]
+        omitted = len(cells) - len(drawn)
+        chart = cell_of(self.time[rows], panels, self.summary, rows=len(self.time), omitted=omitted)
+        return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
+
+    def plot(self, *names: str) -> Figure:
+        """Return a matplotlib figure of all runs, by default for the most different signals.
+
+        Raises:
+            KeyError: A signal has no curves.
+        """
+        from cosim.comparison.page import panels_of
+        from cosim.core.text import did_you_mean
+        from cosim.simulation.report.figures import sheet
+
+        for name in names:
+            if name not in self.drawable:
+                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.drawable)}')
+        shown = names or self.drawable[:MAX_DRAWN]
+        return sheet(self.time, [panel for name in shown for panel in panels_of(self, name, self.values[name])])
 
     @property
     def cells(self) -> list[tuple[str, ...]]:
@@ -177,7 +264,9 @@ class ComparedRuns(Comparison):
                 return "–"
             return f"{format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
 
-        return [("signal", *self.labels), *((name, *map(text, cells)) for name, cells in self.table.items())]
+        others = self.others
+        rows = ((name, *(text(cells[k]) for k in others)) for name, cells in self.table.items())
+        return [("signal", *(self.labels[k] for k in others)), *rows]
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the largest difference of each signal (rows) in each run (columns); raise ImportError without pandas.
@@ -257,7 +346,10 @@ def compare_several(
         f"{name} #{names[: k + 1].count(name)}" if name in names[:k] else name for k, name in enumerate(names)
     ]
     longer = [s if s != sources[k].short else sources[k].longer or s for k, s in zip(kept, shorts, strict=True)]
-    labels, inputs = label_runs(bare, shorts, longer, place)
+    records = [run.manifest or replay_record(run.path) for run in bare]
+    inputs = differing_inputs(records)
+    labels = labels_of(shorts, inputs, unique=[str(run.path) for run in bare], longer=longer, baseline=place)
+    inputs = [_with_declared_starts(row, records) for row in inputs]
     runs = {k: replace(run, name=label) for k, run, label in zip(kept, bare, labels, strict=True)}
     named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
     ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
@@ -265,8 +357,9 @@ def compare_several(
     about = tuple(runs.values()), tuple(shorts), place, named, tuple(inputs), tuple(map(kept.index, drawn))
     compared = ComparedRuns(*about, base.results.time, {}, {}, tuple(map(str, left_out)))
     numbers = base.results.with_integers()
+    most = min(MAX_SIGNALS, MAX_CURVES // len(drawn))
     is_number = {n: n in numbers and not (n in numbers.exact and is_rounded(numbers[n])) for n in compared.ranking}
-    curves: dict[str, list[Array]] = {n: [] for n in [n for n, is_so in is_number.items() if is_so][:MAX_SIGNALS]}
+    curves: dict[str, list[Array]] = {n: [] for n in [n for n, is_so in is_number.items() if is_so][:most]}
     for k in drawn:
         found = compare_runs(base, read(k))
         first = int(np.searchsorted(compared.time, found.time[0]))
@@ -278,12 +371,28 @@ def compare_several(
     return replace(compared, values=curves, units={name: numbers.units.get(name, "") for name in curves})
 
 
-def label_runs(
-    runs: Sequence[RecordedRun], shorts: Sequence[str], longer: Sequence[str], baseline: int | None = None
-) -> tuple[list[str], list[DifferingInput]]:
-    """Return a label for each run, with the inputs that differ between the runs: `run 3 (mass = 440)`."""
-    inputs = differing_inputs([run.manifest or replay_record(run.path) for run in runs])
-    return labels_of(shorts, inputs, unique=[str(run.path) for run in runs], longer=longer, baseline=baseline), inputs
+def _with_declared_starts(row: DifferingInput, records: Sequence[Mapping[str, Any]]) -> DifferingInput:
+    """Return the input with the start value of the FMU as text where a run did not set it, as `0.98 (FMU)`."""
+    component, _, variable = row.name.partition(".")
+    if row.kind != PARAMETER:
+        return row
+    values = list(row.values)
+    for k, (value, record) in enumerate(zip(values, records, strict=True)):
+        fmus = record.get("fmus")
+        entry = fmus.get(component) if isinstance(fmus, dict) else None
+        if value is None and isinstance(entry, dict):
+            start = _declared_start(str(entry.get("path")), str(entry.get("sha256")), variable)
+            values[k] = None if start is None else f"{start} (FMU)"
+    return replace(row, values=tuple(values))
+
+
+@lru_cache
+def _declared_start(path: str, digest: str, variable: str) -> str | None:
+    """Return the start value that an FMU declares; None if its file is no longer that of the run."""
+    with suppress(InputError, FmuError, OSError):
+        if sha256(Path(path)) == digest:
+            return next((v.start for v in read_description(Path(path)).modelVariables if v.name == variable), None)
+    return None
 
 
 def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple[list[RunSource], int]:
@@ -338,10 +447,17 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
     return sources, place
 
 
-def displays(comparison: Compared | ComparedRuns) -> list[Mapping[str, Any]]:
+def displays(comparison: ComparedRuns) -> list[Mapping[str, Any]]:
     """Return the records of the runs, which have their display units."""
-    runs = (comparison.a, comparison.b) if isinstance(comparison, Compared) else comparison.runs
-    return [run.manifest or replay_record(run.path) for run in runs]
+    return [run.manifest or replay_record(run.path) for run in comparison.runs]
+
+
+def _share_of_limit(outcome: Mapping[str, Any]) -> float:
+    """Return the value of a criterion as a share of its limit; infinite if it was never reached."""
+    value, limit = outcome.get("value"), outcome.get("max") or 0.0
+    if value is None:
+        return math.inf
+    return float(value) / limit if limit > 0 else 0.0 if value <= limit else math.inf
 
 
 @far_beyond
@@ -351,20 +467,18 @@ def compare(
     *,
     baseline: Any = None,
     results: Path | None = None,
-    as_pair: bool | None = None,
     tolerance: float | None = None,
     absolute: float = 0.0,
     report: bool = True,
     write: bool = True,
     force: bool = False,
-) -> tuple[Compared | ComparedRuns, Path]:
+) -> tuple[ComparedRuns, Path]:
     """Compare runs with a baseline; write comparison.json and report.html.
 
     Args:
         sides: Paths, numbers, names and patterns of runs, and results of functions.
         baseline: One of them, or another run; by default the first run.
         results: Folder of results, by default `results`.
-        as_pair: Whether to return a comparison of two runs as `Compared`; by default if there are two.
         tolerance: Share of each signal's range in the baseline.
         absolute: Size in the signal's unit, added to the share.
         report: Whether to write report.html.
@@ -378,21 +492,9 @@ def compare(
         InputError: Runs cannot be read, or have no common signal or time.
     """
     sources, place = _sources(sides, baseline, results)
-    if as_pair and len(sources) > 2:
-        raise InputError.at(Path(str(sides[0])), f"{len(sources)} runs match; give a list to compare them all")
     ordered = [sources[place], *(source for k, source in enumerate(sources) if k != place)]
     shorts, paths = [source.short for source in ordered], [source.path for source in ordered]
-    comparison: Compared | ComparedRuns
-    if len(sources) == 2 and as_pair is not False:
-        runs = [source.read() for source in ordered]
-        if is_one_run(*runs):
-            runs = [replace(runs[0], name=shorts[0]), replace(runs[1], name="the same run")]
-        elif shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
-            labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in ordered])
-            runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
-        comparison = compare_runs(runs[0], runs[1], tolerance, absolute)
-    else:
-        comparison = compare_several(sources, place, tolerance, absolute)
+    comparison = compare_several(sources, place, tolerance, absolute)
     if not write:
         return comparison, Path()
     numbers = [short.removeprefix(NUMBERED) for short in shorts]

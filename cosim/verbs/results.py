@@ -23,7 +23,6 @@ from cosim.verbs.cli import progress_bar, say, say_json, show, show_page, table,
 
 if TYPE_CHECKING:
     from cosim.calibration.fitted import Fitted
-    from cosim.comparison.differences import Compared
     from cosim.comparison.several import ComparedRuns
     from cosim.files.run_entries import Removal
     from cosim.refinement.refinement import Refined
@@ -56,10 +55,10 @@ def compare(
     tolerance: NotNegative | None = None,
     absolute: NotNegative = 0.0,
     force: bool = False,
-) -> Compared | ComparedRuns:
+) -> ComparedRuns:
     """Compare runs signal by signal with a baseline.
 
-    A difference beyond the tolerance is not an error: see `Compared.same`.
+    A difference beyond the tolerance is not an error: see `same` of the result.
 
     Args:
         a: Baseline: folder of a run, CSV file whose first column is time, number, name or pattern in `cosim list`, or
@@ -72,8 +71,7 @@ def compare(
         force: Write even if the folder is not empty; results in it are replaced.
 
     Returns:
-        The difference of each signal, and the verdict if there is a tolerance: `Compared` of two runs `a` and `b`,
-        `ComparedRuns` of a list.
+        The differences of each signal, and the verdict if there is a tolerance.
 
     Raises:
         InputError: No such run, or runs without a common signal or a common time.
@@ -85,7 +83,6 @@ def compare(
         sides,
         out,
         baseline=baseline,
-        as_pair=not isinstance(a, (list, tuple)),
         tolerance=tolerance,
         absolute=absolute,
         write=out is not None,
@@ -120,7 +117,6 @@ def compare_command(
 
     Example: cosim compare results/one results/two --tol 1e-3
     """
-    from cosim.comparison.differences import Compared
     from cosim.comparison.several import compare as compare_runs
     from cosim.comparison.several import displays
     from cosim.core.text import showing
@@ -137,14 +133,9 @@ def compare_command(
         report=report,
         force=force,
     )
-    if isinstance(comparison, Compared):
-        warn(*comparison.a.warnings, *comparison.b.warnings)
-        with showing(*displays(comparison)):
-            lines = _lines(comparison)
-    else:
-        warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
-        with showing(*displays(comparison)):
-            lines = _lines_of_several(comparison)
+    warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
+    with showing(*displays(comparison)):
+        lines = _comparison_lines(comparison)
     if json:
         say_json(comparison.as_json())
     say(lines[0], met=comparison.same if comparison.judged else None)
@@ -157,44 +148,30 @@ def compare_command(
         raise CriterionMissed("; ".join(comparison.reasons))
 
 
-def _lines_of_several(c: ComparedRuns) -> list[str]:
+def _comparison_lines(c: ComparedRuns) -> list[str]:
     """Return the lines to print: verdict, runs, inputs that differ, signals with the largest differences."""
     from cosim.comparison.differences import format_share, format_size
     from cosim.files.run_inputs import input_text
 
     lines = [c.summary]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
-    shown = c.drawn
-    heads = [c.shorts[k] for k in shown]
-    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in shown)) for i in c.inputs[:MAX_SIGNALS]]
-    lines += table(("  input", *heads), inputs) if inputs else []
+    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in c.drawn)) for i in c.inputs[:MAX_SIGNALS]]
+    lines += table(("  input", *(c.shorts[k] for k in c.drawn)), inputs) if inputs else []
+    others = [k for k in c.drawn if k != c.baseline]
     rows = []
     differing = c.differing
     for name, cells in list(differing.items())[:MAX_SIGNALS]:
-        shares = ("" if (d := cells[k]) is None else f"{format_size(d, d.largest)}, {format_share(d)}" for k in shown)
-        rows.append((f"  {name}", *shares))
-    lines += table(("  largest difference", *heads), rows) if rows else []
+        found = [cells[k] for k in others]
+        texts = ["" if d is None else f"{format_size(d, d.largest)}, {format_share(d)}, {d.at:.6g} s" for d in found]
+        notes = dict.fromkeys(d.note for d in found if d is not None and d.note)
+        rows.append((f"  {name}", *texts, ", ".join(notes)))
+    lines += table(("  largest difference", *(c.shorts[k] for k in others), ""), rows) if rows else []
     if len(differing) > MAX_SIGNALS:
         lines.append(f"  … and {len(differing) - MAX_SIGNALS} more that differ")
+    for k, pair in c.by_run.items():
+        for where, only in ((c.shorts[c.baseline], pair.only_a), (c.shorts[k], pair.only_b)):
+            lines += [f"  only in {where}: {some(only, MAX_SIGNALS)}"] if only else []
     return lines
-
-
-def _lines(comparison: Compared) -> list[str]:
-    """Return the lines to print: verdict, signals with the largest differences, signals in a single run."""
-    from cosim.comparison.differences import format_share, format_size, sentence
-
-    ranked = [d for d in comparison.ranking if d.largest]
-    rows = []
-    for d in ranked[:MAX_SIGNALS]:
-        verdict = ("beyond" if d.beyond else "within") if comparison.judged else ""
-        sizes = format_size(d, d.largest), f"{d.at:.6g} s", format_size(d, d.rms), format_share(d)
-        rows.append((f"  {d.name}", *sizes, verdict, d.note))
-    lines = table(("  signal", "largest", "at", "rms", "of its range", "", ""), rows) if rows else []
-    if len(ranked) > MAX_SIGNALS:
-        lines.append(f"  … and {len(ranked) - MAX_SIGNALS} more that differ")
-    for name, only in (("a", comparison.only_a), ("b", comparison.only_b)):
-        lines += [f"  only in {name}: {some(only, MAX_SIGNALS)}"] if only else []
-    return [sentence(comparison), *lines]
 
 
 def report_command(folder: Path, *, figures: bool = False, open: bool = False, json: bool = False) -> None:
