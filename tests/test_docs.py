@@ -77,7 +77,7 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
         "print([o.get('data', {}).get('text/plain', '') for c in nb.cells for o in c.get('outputs', [])][-1])"
     )
     done = run_python(code, tmp_path, PYTHONPATH=str(ROOT), PYDEVD_DISABLE_FILE_VALIDATION="1")
-    assert "4 of 5 signals are beyond the tolerance" in done
+    assert "1 of 5 signals" in done
     assert len(done) < 1500  # a result shows itself in a few lines
 
 
