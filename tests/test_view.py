@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -266,6 +267,29 @@ def test_points_values_planes_and_tables_come_from_the_server(page: tuple[Served
     while [*process_folder().glob("view-*.csv")]:  # removed after its last byte was sent
         assert time.monotonic() < until
         time.sleep(0.01)
+
+
+def test_statistics_and_spectra_are_those_of_the_rows_between_two_times(tmp_path: Path) -> None:
+    time = np.arange(20_000) * 1e-3
+    values = 3.0 + 2.0 * np.sin(2.0 * np.pi * 12.5 * time)
+    values[100], values[15_000] = np.nan, 1e6  # a gap, and a peak after the range
+    run = ViewedRun(
+        RunPlace("r", "r", tmp_path / "r.csv"), rows=Recording({TIME: time, "x": values}, {"x": "m"}, 20_000)
+    )
+    (tmp_path / "r.csv").write_text("time,x\n")
+    few = {"from": 0.0, "to": 0.01, "curves": [[0, "x"]]}
+    with view_page("r", [run], Layouts(tmp_path / "view.json")) as page:
+        ask, wanted = asking(page), {"from": 0.0, "to": 8.0, "curves": [[0, "x"]]}
+        low, high, mean, rms, deviation = np.frombuffer(ask("statistics", wanted))
+        count, _, *points = np.frombuffer(ask("spectrum", wanted))
+        assert np.frombuffer(ask("spectrum", few)).tolist() == [0.0, 1.0]
+        assert np.isnan(np.frombuffer(ask("statistics", {**wanted, "from": 30.0, "to": 31.0}))).all()
+    assert (low, high) == pytest.approx((1.0, 5.0), abs=0.01)
+    assert (mean, rms, deviation) == pytest.approx((3.0, math.sqrt(11.0), math.sqrt(2.0)), rel=1e-3)
+    frequency, level = 10.0 ** np.array(points[: int(count)]), np.array(points[int(count) :])
+    assert frequency[level.argmax()] == pytest.approx(12.5, abs=0.5)
+    power = np.sum(10.0 ** (level / 10.0)) * (frequency[1] - frequency[0])
+    assert power == pytest.approx(2.0, rel=0.01)  # half the square of the amplitude, by Parseval
 
 
 def test_a_derived_signal_is_a_signal_of_its_run_and_never_derived_from_itself(page: tuple[ServedPage, Ask]) -> None:

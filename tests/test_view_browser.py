@@ -139,6 +139,14 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ServedPag
     time.sleep(0.2)
     first, second = (float(text.replace("−", "-")) for text in page.locator("output").all_inner_texts())
     assert math.hypot(first, second) == pytest.approx(1.0, abs=1e-3)  # sine and cosine at one time
+    for share in (0.2, 0.6):  # marks of an interval
+        page.mouse.click(left + share * width, middle)
+    page.wait_for_selector(".statistics:not([hidden]) td")
+    heads = page.locator(".statistics thead").first.inner_text().split()
+    assert heads == ["signal", "min", "max", "mean", "RMS", "σ"]
+    assert float(page.locator(".statistics caption").first.inner_text().split()[-2]) == pytest.approx(8.0, abs=0.3)
+    page.mouse.click(left + 0.5 * width, middle)
+    assert page.locator(".statistics:not([hidden])").count() == 0
     box.focus()
     page.keyboard.press("0")
     until(page, DRAWN)
@@ -160,12 +168,20 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ServedPag
             page.locator(".tools").first.get_by_text(kind).click()
         assert Path(waiting.value.path()).read_bytes().startswith(begins)
 
+    page.click("#add-spectrum")
+    page.fill("#find", "1 mass.v")  # of the second run
+    page.locator("#tree").focus()
+    _press(page, "Home", "Enter")
+    page.fill("#find", "")
+    page.select_option("#columns", "2")
+    until(page, "document.querySelector('.plots').lastElementChild.textContent.includes('peak')")
     page.click("#layouts summary")
     page.fill("#layout-name", "mine")
     page.click("#layout-form button:has-text('Save')")
     page.wait_for_selector("#layout-list li")
     kept = json.loads((tmp_path / "view.json").read_text())["layouts"]["mine"]
-    assert [plot["kind"] for plot in kept["plots"]] == ["time", "time", "xy"]
+    assert [plot["kind"] for plot in kept["plots"]] == ["time", "time", "xy", "spectrum"]
+    assert kept["columns"] == 2
     before = _names(page)
     page.reload()
     page.wait_for_selector("html[data-ready=view]", state="attached")

@@ -43,7 +43,8 @@ class Axis(BaseModel):
 class Plot(BaseModel):
     """A plot over time, or over another signal."""
 
-    kind: Literal["time", "xy"] = "time"
+    kind: Literal["time", "xy", "spectrum"] = "time"
+    height: int | None = None  # [px]
     across: SignalPlace | None = None
     axes: list[Axis] = Field(max_length=MOST_AXES)
 
@@ -69,6 +70,7 @@ class Layout(BaseModel):
 
     plots: list[Plot]
     view: View | None = None
+    columns: int = Field(1, ge=1, le=3)
     derived: list[DerivedSignal] = []
 
 

@@ -33,6 +33,7 @@ from cosim.report.template import render
 TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
 MAX_WIDTH = 8192  # pixel columns of a picture, points of a plane
 MAX_CELLS = 50_000_000  # values of an exported table
+MIN_SPECTRUM, MAX_SPECTRUM, MAX_SEGMENT = 16, 20_000_000, 16_384  # rows of a spectrum, and of its longest segment
 LOST = (np.array([-1.0, 0.0]),)  # in the place of points of a run that is lost
 Signal = tuple[int, str]  # number of the run, name
 Curve = tuple[ViewedRun, str]
@@ -80,6 +81,8 @@ class Viewer:
             "GET /about": self._about,
             "POST /points": self._points,
             "POST /plane": self._plane,
+            "POST /spectrum": self._spectrum,
+            "POST /statistics": self._statistics,
             "POST /values": self._values,
             "POST /texts": self._texts,
             "POST /derive": self._derive,
@@ -153,6 +156,51 @@ class Viewer:
         if [run for run, _ in curves] != [run for run, _ in across]:
             raise _refused("signals of one run for both axes")
         return self._arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
+
+    def _spectrum(self, request: Request, content: Any) -> Response:
+        """Return for each curve the number of points, 1, log10 of the frequencies [Hz], and the power density [dB].
+
+        The power spectral density is that of Welch's method, over the rows between two times, read at equal steps of
+        the median distance of the rows. A curve with few rows has no points.
+        """
+        from scipy.signal import welch
+
+        wanted = _read(Wanted, content)
+
+        def spectrum(run: ViewedRun, name: str) -> list[Array]:
+            time, values = self._between(run, name, wanted)
+            steps = np.diff(time)
+            step = float(np.median(steps[steps > 0.0])) if time.size >= MIN_SPECTRUM else 0.0
+            if not step or (time[-1] - time[0]) / step > MAX_SPECTRUM:
+                return [np.array([0.0, 1.0])]
+            equal = np.interp(np.arange(time[0], time[-1], step), time, values)
+            segment = min(equal.size, max(256, equal.size // 8), MAX_SEGMENT)
+            frequencies, power = welch(equal, 1.0 / step, nperseg=segment)
+            with np.errstate(divide="ignore"):
+                levels = np.where(power > 0.0, 10.0 * np.log10(power), np.nan)
+            return [np.array([frequencies.size - 1.0, 1.0]), np.log10(frequencies[1:]), levels[1:]]
+
+        return self._arrays(spectrum, self._curves(wanted.curves))
+
+    def _statistics(self, request: Request, content: Any) -> Response:
+        """Return the least, largest and mean value, the RMS and the standard deviation of each curve over its rows."""
+        wanted = _read(Wanted, content)
+
+        def statistics(run: ViewedRun, name: str) -> list[Array]:
+            _, values = self._between(run, name, wanted)
+            if not values.size:
+                return [np.full(5, np.nan)]
+            rms = np.sqrt(np.mean(values**2))
+            return [np.array([values.min(), values.max(), values.mean(), rms, values.std()])]
+
+        return self._arrays(statistics, self._curves(wanted.curves), [np.full(5, np.nan)])
+
+    def _between(self, run: ViewedRun, name: str, wanted: Wanted) -> tuple[Array, Array]:
+        """Return times and displayed values of a signal between two times, without gaps."""
+        first, stop = run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")
+        time, values = run.rows.read(TIME, first, stop), self._shown(run, name, run.rows.read(name, first, stop))
+        has_value = np.isfinite(values)
+        return time[has_value], values[has_value]
 
     def _values(self, request: Request, content: Any) -> Response:
         """Return time and value of each curve at its last row up to a time; NaN before the first."""

@@ -72,7 +72,7 @@ class SignalTree {
     this.draw();
   }
 
-  // The test of a name: all words of the search, of which * stands for any text.
+  // The test of a name: all words of the search, of which * stands for any text; words may be of the run, too.
   matches() {
     const words = this.words.toLowerCase().split(/\s+/).filter(Boolean);
     const tests = words.map((word) => {
@@ -85,7 +85,7 @@ class SignalTree {
       );
       return (name) => pattern.test(name);
     });
-    return (name) => tests.every((test) => test(name.toLowerCase()));
+    return (name, run = "") => tests.every((test) => test(name.toLowerCase()) || test(run.toLowerCase()));
   }
 
   row(id, level, label, curves, { group = false, unit = "", count = 0, isText = false } = {}) {
@@ -95,8 +95,9 @@ class SignalTree {
   }
 
   fillRun(run, place, found) {
-    const own = found ? run.names.filter(found) : run.names,
-      derived = run.derived.filter((name) => !found || found(name)),
+    const test = found && ((name) => found(name, run.label)),
+      own = test ? run.names.filter(test) : run.names,
+      derived = run.derived.filter((name) => !test || test(name)),
       count = own.length + derived.length;
     if (found && !count) return;
     const every = () => [...own, ...derived].map((name) => [place, name]);
@@ -141,13 +142,15 @@ class SignalTree {
     const names = [...new Set(this.runs.flatMap((run) => [...run.derived, ...run.names]))];
     const [units, kinds] = ["units", "kinds"].map((part) => Object.assign({}, ...this.runs.map((run) => run[part])));
     const aboutOf = (name) => this.about({ units, kinds }, name);
-    const curvesOf = (name) => this.runs.flatMap((run, place) => (name in run.units ? [[place, name]] : []));
+    const isHere = (run, name) => name in run.units && (!found || found(name, run.label));
+    const curvesOf = (name) => this.runs.flatMap((run, place) => (isHere(run, name) ? [[place, name]] : []));
     if (!found) {
       if (this.union?.length !== names.length) [this.union, this.unionTrie] = [names, trieOf(names)];
       this.fillNode(this.unionTrie, "s", 1, curvesOf, aboutOf);
       return;
     }
-    for (const name of names.filter(found)) this.row(`s.${name}`, 1, name, () => curvesOf(name), aboutOf(name));
+    for (const name of names.filter((each) => curvesOf(each).length))
+      this.row(`s.${name}`, 1, name, () => curvesOf(name), aboutOf(name));
   }
 
   draw() {

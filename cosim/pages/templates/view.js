@@ -7,14 +7,16 @@
 // One plot: curves over time on one to four axes, or over another signal.
 class SignalPlot extends Chart {
   constructor(host, kind) {
+    const statistics = make("div", { class: "scroll statistics", hidden: "" });
     const title = make("button", {
         type: "button",
         class: "plot-title",
         title: "mark this plot: Enter in the tree adds here",
       }),
       figure = make("figure", { class: `plot ${kind}` });
-    super(host, figure, { kind, across: null, isFresh: false, title });
-    figure.append(make("figcaption", {}, title, this.legend), this.grid);
+    super(host, figure, { kind, across: null, isFresh: false, title, statistics, isLog: kind === "spectrum" });
+    figure.append(make("figcaption", {}, title, this.legend), this.grid, statistics);
+    if (kind === "spectrum") this.over = "frequency [Hz]";
     title.addEventListener("click", () => host.choose(this));
     for (const kindOfFile of ["PNG", "SVG", "CSV"])
       this.tools.append(button(kindOfFile, () => host.export(this, kindOfFile)));
@@ -28,7 +30,8 @@ class SignalPlot extends Chart {
   }
   headOf({ curves }, k) {
     const unit = [...new Set(curves.map((c) => c.unit).filter(Boolean))].join(", ");
-    return `${this.axes.length > 1 ? `${k + 1}: ` : ""}${unit && `[${unit}]`}`;
+    const shown = this.kind === "spectrum" ? `dB, ${unit ? `(${unit})²` : "1"}/Hz` : unit;
+    return `${this.axes.length > 1 ? `${k + 1}: ` : ""}${shown && `[${shown}]`}`;
   }
   style = ({ colour }) => `s${colour % COLOURS}${colour >= COLOURS ? " again" : ""}`;
 
@@ -51,6 +54,7 @@ class SignalPlot extends Chart {
     for (const [run, name] of pairs) {
       const { kinds, units } = this.host.runs[run],
         isText = kinds[name] === "text";
+      if (this.kind === "spectrum" && isText) continue;
       if (this.kind === "xy" && !this.across) {
         if (!isText) this.across = { run, name };
         continue;
@@ -107,6 +111,7 @@ class SignalPlot extends Chart {
     this.box.setAttribute("aria-label", `${this.name}: ${keys}`);
     for (const each of all("button", this.tools)) each.disabled = !this.curves.length && each.textContent !== "remove";
     this.isFresh = false;
+    this.summarize();
     this.host.changed();
   }
   entry(curve, place) {
@@ -144,15 +149,15 @@ class SignalPlot extends Chart {
   }
   blankText() {
     if (this.curves.length) return "";
-    return this.across || this.kind === "time" ? "Drop signals here." : "Drop the signal of the x axis, then others.";
+    return this.across || this.kind !== "xy" ? "Drop signals here." : "Drop the signal of the x axis, then others.";
   }
   // The ends of the x axis: those of the time in view, or of the signal across.
   ends() {
     if (this.kind === "time") return super.ends();
     let [low, high] = [Infinity, -Infinity];
     for (const { points } of this.curves)
-      for (const value of points?.over ?? []) [low, high] = [Math.min(low, value), Math.max(high, value)];
-    const margin = 0.03 * (high - low) || 1;
+      for (const value of points?.over ?? points?.x ?? []) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    const margin = this.isLog ? 0 : 0.03 * (high - low) || 1;
     return low > high ? [0, 1] : [low - margin, high + margin];
   }
 
@@ -162,7 +167,8 @@ class SignalPlot extends Chart {
     const { cursor, view } = this.host,
       share = cursor === null ? -1 : (cursor - view.from) / (view.to - view.from);
     this.box.classList.toggle("cursor-away", share < 0 || share > 1);
-    put(this.when, cursor === null ? "" : `${readable(cursor)} s`);
+    const from = this.host.marks.length === 1 ? ` (Δ ${readable(cursor - this.host.marks[0])} s)` : "";
+    put(this.when, cursor === null ? "" : `${readable(cursor)} s${from}`);
     for (const curve of this.curves) put(curve.cell, this.words(curve, cursor));
     this.ring.hidden = true;
     if (this.kind !== "xy" || cursor === null || !this.curves[0]?.points || this.isOver(this.curves[0].run, cursor))
@@ -175,16 +181,57 @@ class SignalPlot extends Chart {
     const { points, kind, text } = curve,
       isText = kind === "text";
     if (curve.lost) return "removed";
+    if (this.kind === "spectrum") return this.peak(points);
     if (cursor === null && isText) return "text, at the cursor";
     if (cursor === null) return this.host.isLive && points?.low.length ? readable(points.low.at(-1)) : "";
     if (this.isOver(curve.run, cursor)) return "ended";
     if (isText) return text?.at === cursor ? `“${text.text ?? ""}”` : "";
-    if (kind && text?.at === cursor && this.host.pin === null) return text.text ?? "";
+    if (kind && text?.at === cursor && this.host.marks.length !== 1) return text.text ?? "";
     return this.number(curve, cursor);
+  }
+  // The highest point of a spectrum.
+  peak(points) {
+    if (!points) return "";
+    if (!points.x.length) return "too few rows";
+    const k = points.low.reduce((best, value, place) => (value > points.low[best] ? place : best), 0);
+    return `peak ${readable(points.low[k])} dB at ${readable(10 ** points.x[k])} Hz`;
+  }
+  // The statistics of each curve between the marks.
+  async summarize() {
+    const { marks } = this.host,
+      curves = this.curves.filter((c) => c.kind !== "text");
+    this.statistics.hidden = marks.length < 2 || this.kind !== "time" || !curves.length;
+    if (this.statistics.hidden) return;
+    const [from, to] = [...marks].sort((a, b) => a - b),
+      answer = await request("statistics", { from, to, curves: curves.map((c) => [c.run, c.name]) }),
+      numbers = new Float64Array(await answer.arrayBuffer()),
+      heads = ["min", "max", "mean", "RMS", "σ"],
+      cells = (k) => heads.map((_, n) => make("td", { class: "num" }, readable(numbers[heads.length * k + n])));
+    this.statistics.replaceChildren(
+      make(
+        "table",
+        {},
+        make("caption", {}, `${readable(from)} … ${readable(to)} s, Δt = ${readable(to - from)} s`),
+        make(
+          "thead",
+          {},
+          make(
+            "tr",
+            {},
+            ...["signal", ...heads].map((head, k) => make("th", { scope: "col", class: k ? "num" : null }, head)),
+          ),
+        ),
+        make(
+          "tbody",
+          {},
+          ...curves.map((c, k) => make("tr", {}, make("th", { scope: "row" }, this.labelOf(c)), ...cells(k))),
+        ),
+      ),
+    );
   }
   number({ points, value, pinned }, cursor) {
     if (value?.at === cursor) {
-      const isPinned = this.host.pin !== null && pinned !== undefined;
+      const isPinned = this.host.marks.length === 1 && pinned !== undefined;
       return readable(value.value) + (isPinned ? ` (Δ ${readable(value.value - pinned)})` : "");
     }
     const k = points ? lastUpTo(points.x, cursor) : -1;
@@ -213,7 +260,7 @@ class Desk extends Linked {
     Object.assign(this, {
       isLive,
       takesWheel: true,
-      pin: null,
+      marks: [], // one or two times [s]
       dragged: null,
       active: null,
       changes: [],
@@ -257,6 +304,7 @@ class Desk extends Linked {
       },
       { rootMargin: "300px" },
     );
+    this.resized = new ResizeObserver(() => this.schedule()); // a plot is pulled to another height
     this.warn("");
   }
   tell(words) {
@@ -283,6 +331,7 @@ class Desk extends Linked {
     this.charts.splice(after ? this.charts.indexOf(after) + 1 : this.charts.length, 0, plot);
     one("#plots").insertBefore(plot.figure, after ? after.figure.nextSibling : null);
     this.watcher.observe(plot.figure);
+    this.resized.observe(plot.grid);
     this.accept(plot.figure, (curves, event) =>
       this.drop(plot, curves, event.target.closest?.("[data-axis]")?.dataset.axis),
     );
@@ -340,6 +389,11 @@ class Desk extends Linked {
         this.tell("This is no signal.");
       }
     });
+  }
+  arrange(columns) {
+    one("#columns").value = columns;
+    one("#plots").style.gridTemplateColumns = columns > 1 ? `repeat(${columns}, minmax(0, 1fr))` : "";
+    this.looked();
   }
   // All boxes have one width, so that one time is at one place.
   changed() {
@@ -427,10 +481,12 @@ class Desk extends Linked {
   rest() {
     this.seek(null);
   }
+  // The first click marks a time, the second one an interval, the third one removes the marks.
   click(time) {
-    this.pin = this.pin === null ? time : null;
+    this.marks = this.marks.length < 2 ? [...this.marks, time] : [];
     for (const curve of this.charts.flatMap((p) => p.curves))
-      curve.pinned = this.pin !== null && curve.value ? curve.value.value : undefined;
+      curve.pinned = this.marks.length === 1 && curve.value ? curve.value.value : undefined;
+    for (const plot of this.charts) plot.summarize();
     this.schedule();
   }
   keys(plot, event) {
@@ -497,6 +553,11 @@ class Desk extends Linked {
         { ...range, width: 8000, across },
         planes.map(([, c]) => c),
       );
+      await this.fill(
+        "spectrum",
+        range,
+        shown("spectrum").map(([, c]) => c),
+      );
     } catch (error) {
       const isGone = error.message === "Failed to fetch";
       this.warn(isGone ? "The command does not answer. What it has sent stays on this page." : error.message);
@@ -519,7 +580,7 @@ class Desk extends Linked {
       const [count, more] = part(2);
       curve.lost = count < 0;
       if (curve.lost) continue; // what is drawn of it stays
-      if (path === "plane" || part(1)[0]) times.set(curve.run, part(count));
+      if (path !== "points" || part(1)[0]) times.set(curve.run, part(count));
       const x = times.get(curve.run);
       if (path === "plane") {
         const over = part(count),
@@ -527,7 +588,7 @@ class Desk extends Linked {
         curve.points = { x, over, low, high: low, isRow: more === 1 };
       } else {
         const low = part(count);
-        curve.points = { x, low, high: more ? low : part(count), isRow: more === 1 };
+        curve.points = { x, low, high: more || path === "spectrum" ? low : part(count), isRow: more === 1 };
       }
     }
   }
@@ -610,12 +671,13 @@ class Desk extends Linked {
     const derived = this.runs.flatMap((run) =>
       run.formulas.map(({ name, formula, of, stated_unit: unit }) => ({ name, formula, unit, of: parts(of) })),
     );
-    const plots = this.charts.map(({ kind, across, axes }) => ({
+    const plots = this.charts.map(({ kind, across, axes, grid }) => ({
       kind,
+      height: parseInt(grid.style.height) || null,
       across: across && named(across),
       axes: axes.map(({ range, curves }) => ({ range, curves: curves.map(curveOf) })),
     }));
-    return { view: { ...this.view }, plots, derived };
+    return { view: { ...this.view }, columns: Number(one("#columns").value), plots, derived };
   }
   // A run of a layout that is not here is the only one, if there is only one in both.
   async open(content) {
@@ -632,10 +694,11 @@ class Desk extends Linked {
     };
     for (const plot of this.charts) plot.figure.remove();
     this.charts = [];
-    for (const { kind, across, axes } of content.plots) {
-      const plot = this.addPlot(kind === "xy" ? "xy" : "time");
+    this.arrange(content.columns ?? 1);
+    for (const { kind, across, axes, height } of content.plots) {
+      const plot = this.addPlot(["xy", "spectrum"].includes(kind) ? kind : "time");
       plot.across = across ? (known(across)[0] ?? null) : null;
-      const isReady = plot.kind === "time" || plot.across;
+      const isReady = plot.kind !== "xy" || plot.across;
       plot.axes = axes.map(({ range, curves }) => ({
         range: Array.isArray(range) ? range.map(Number) : null,
         curves: (isReady ? curves.flatMap(known) : []).map((c) =>
@@ -643,6 +706,7 @@ class Desk extends Linked {
         ),
       }));
       if (!plot.axes.length) plot.axes = [{ curves: [], range: null }];
+      if (height) plot.grid.style.height = `${height}px`;
       plot.build();
     }
     if (!this.charts.length) this.addPlot("time");
@@ -750,6 +814,8 @@ async function startView(inputs = null) {
   one("#whole").onclick = () => desk.home();
   one("#add").onclick = () => desk.addPlot("time").title.focus();
   one("#add-plane").onclick = () => desk.addPlot("xy").title.focus();
+  one("#add-spectrum").onclick = () => desk.addPlot("spectrum").title.focus();
+  one("#columns").onchange = (event) => desk.arrange(Number(event.target.value));
   for (const field of [one("#from"), one("#to")])
     field.onchange = () => {
       const [from, to] = [one("#from"), one("#to")].map((f) => Number(f.value.replace("\u2212", "-")));

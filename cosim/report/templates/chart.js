@@ -384,6 +384,7 @@ class Chart {
     this.grid.replaceChildren(...parts, this.box, this.xTicks, this.xLabel, this.tools);
     this.marks = {
       grid: make("g", { class: "grid" }),
+      span: make("path", { class: "span" }),
       zero: make("path", { class: "zero" }),
       band: make("path", { class: "band" }),
       limit: make("path", { class: "limit" }),
@@ -419,7 +420,7 @@ class Chart {
   // -- drawing -------------------------------------------------------------------------------------
   range(each) {
     if (each.range) return each.range;
-    const { from, to } = this.kind === "xy" ? { from: -Infinity, to: Infinity } : this.host.view;
+    const { from, to } = this.kind !== "time" ? { from: -Infinity, to: Infinity } : this.host.view;
     let [low, high] = [Infinity, -Infinity];
     const see = (values) => {
       for (const value of values) {
@@ -456,7 +457,7 @@ class Chart {
         const range = this.range(each);
         return range ? axis(...range, 5, this.unit === "°") : { low: 0, high: 1, ticks: [], factor: "" };
       });
-    if (this.host.log) return { x: logAxis(from, to), ys };
+    if (this.host.log || this.isLog) return { x: logAxis(from, to), ys };
     const full = axis(from, to, width < 420 ? 4 : width > 700 ? 8 : 6),
       long = 9 * Math.max(0, ...full.ticks.map((t) => t.label.length)); // fewer ticks where their labels are long
     const x = long * full.ticks.length < width ? full : axis(from, to, Math.max(1, Math.floor(width / (long + 20))));
@@ -470,7 +471,8 @@ class Chart {
       v = along(ys[0]),
       upright = (value) => (value >= x.low && value <= x.high ? `M${u(value)} ${top}v${height}` : ""),
       level = (value) => `M${left} ${v(value)}h${width}`;
-    const { pin, changes = [] } = this.host;
+    const { changes = [] } = this.host,
+      marks = this.kind === "time" ? (this.host.marks ?? []) : [];
     const curves = this.axes.flatMap((each, k) =>
       each.curves.map((curve) => {
         if (!curve.points || curve.hidden || isPainted) return "";
@@ -483,8 +485,9 @@ class Chart {
       zero: ys[0].low < 0 && ys[0].high > 0 ? level(0) : "",
       band: this.band?.points ? bandPath(...this.band.points, u, v) : "",
       limit: this.levels.map(level).join("") + this.uprights.map(upright).join(""),
-      event: this.kind === "xy" ? "" : changes.map(({ at }) => upright(at)).join(""),
-      pin: pin === null || pin === undefined || this.kind === "xy" ? "" : upright(pin),
+      event: this.kind !== "time" ? "" : changes.map(({ at }) => upright(at)).join(""),
+      span: marks.length === 2 ? `M${u(marks[0])} ${top}H${u(marks[1])}v${height}H${u(marks[0])}z` : "",
+      pin: marks.map(upright).join(""),
       curves,
     };
   }
@@ -576,7 +579,9 @@ class Chart {
       parts.push(words(at, top - 6, `${this.shown[k].head.textContent} ${y.factor}`.trim(), anchor));
     });
     const marks = ["zero", "limit", "event", "pin"].map((name) => stroke(paths[name], penOf(this.marks[name])));
-    const shade = tag("path", { d: paths.band, ...style(this.marks.band, "fill", "fill-opacity") });
+    const shades = ["span", "band"].map((name) =>
+      tag("path", { d: paths[name], ...style(this.marks[name], "fill", "fill-opacity") }),
+    );
     const lines = this.lines.map((line, k) => stroke(paths.curves[k], penOf(line)));
     curves.forEach((curve, k) => {
       const [column, line] = [left + (k % 3) * (inner.width / 3), 40 + 18 * Math.floor(k / 3)];
@@ -584,7 +589,7 @@ class Chart {
       parts.push(words(column + 28, line + 4, this.labelOf(curve)));
     });
     const clip = { x: left, y: top, ...inner, viewBox: `${left} ${top} ${inner.width} ${inner.height}` };
-    parts.push(tag("svg", clip, [shade, ...marks, ...lines].join("")));
+    parts.push(tag("svg", clip, [...shades, ...marks, ...lines].join("")));
     parts.push(words(width - 20, height - 8, `${this.over} ${x.factor}`, { "text-anchor": "end" }));
     const font = { "font-family": "system-ui, sans-serif", "font-size": 12, fill: colour("--ink") },
       frame = { xmlns: this.svg.namespaceURI, width, height, viewBox: `0 0 ${width} ${height}` };
@@ -614,7 +619,7 @@ class Chart {
       start = pan = mark = null;
     };
     box.addEventListener("pointerdown", (event) => {
-      if (this.kind === "xy" || event.button > 1) return;
+      if (this.kind !== "time" || event.button > 1) return;
       box.setPointerCapture(event.pointerId);
       fingers.set(event.pointerId, event.clientX);
       const now = share(event.clientX);
@@ -627,7 +632,7 @@ class Chart {
       box.focus({ preventScroll: true });
     });
     box.addEventListener("pointermove", (event) => {
-      if (this.kind === "xy") return;
+      if (this.kind !== "time") return;
       if (fingers.has(event.pointerId)) fingers.set(event.pointerId, event.clientX);
       const now = share(event.clientX);
       if (fingers.size === 2) {
@@ -665,7 +670,7 @@ class Chart {
       "wheel",
       (event) => {
         const isMeant = host.takesWheel || event.ctrlKey || event.metaKey; // in a report a wheel alone scrolls the page
-        if (this.kind !== "xy" && isMeant) wheel(event, (factor) => host.zoom(factor, at(share(event.clientX))));
+        if (this.kind === "time" && isMeant) wheel(event, (factor) => host.zoom(factor, at(share(event.clientX))));
       },
       { passive: false },
     );

@@ -250,6 +250,12 @@
         const picture = () => this.saveAs(kind, name, `${title} [${unit}]`);
         this.tools.append(button(kind, kind === "CSV" ? csv : picture, about));
       }
+      const enlarge = button("enlarge", () => {
+        const isWide = figure.classList.toggle("wide");
+        enlarge.setAttribute("aria-pressed", String(isWide));
+        host.draw([this]);
+      });
+      this.tools.append(enlarge);
       const all = host.symbol === "t" ? "whole run" : "all";
       this.tools.append(button(all, () => host.home(), { class: "back", title: "show all of the axis again" }));
       one(".summary", figure).remove();
