@@ -44,6 +44,8 @@ def test_a_long_result_shows_its_peaks_in_a_frame_of_a_bounded_size_that_reaches
     assert "default-src 'none'" in frame
     assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", frame)
     assert len(shown) < 700_000
+    assert long._ipython_key_completions_() == [*long.names]
+    assert long.plot("tank.s1")._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
     rows = rows_to_show([long[name] for name in long.names[:MAX_CURVES]])
     assert {0, PEAK, 149_999} <= {*rows.tolist()}
     assert "tank.s0 from -1 to 9" in frame

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
+import re
 import shlex
 import signal
 import sqlite3
@@ -19,6 +21,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import cosim
 from cosim.core.errors import InputError, SweepFailed, SweepStopped
 from cosim.files.results import read_results
 from cosim.fmi.building.file import load_model
@@ -121,6 +124,19 @@ def test_a_run_of_a_sweep_is_the_run_of_its_scenario_with_its_values(tanks: Call
     results = read_results(alone / "results.csv")
     assert about["times"] == results.time.tolist()
     assert signal_of(table, "next.level")[7].tolist() == results["next.level"].tolist()
+
+
+def test_a_sweep_shows_itself_in_a_notebook(tanks: Callable[..., Path]) -> None:
+    pytest.importorskip("pandas")
+    study = swept(tanks(VARY.replace("max: 1.0001", "max: 1")), "out", report=True)
+    (frame,) = re.findall(r'<iframe [^>]*srcdoc="([^"]*)"', study._repr_html_())
+    assert html.unescape(frame).count("<figure") == 2  # a histogram of each criterion
+    assert study.plot()._repr_png_().startswith(b"\x89PNG")
+    assert len(study.to_pandas()) == len(cosim.read(study.folder).criteria["peak of next.level"]) == 60
+    page = (study.folder / "report.html").read_text()
+    assert page.count("<polyline") == 60  # runs in parallel coordinates
+    met = len(re.findall('<polyline class="met"', page))
+    assert 0 < met == study.record["met_all"] < 60
 
 
 @pytest.mark.parametrize("workers", [1, 2])

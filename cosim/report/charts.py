@@ -83,14 +83,17 @@ class Charts:
         self._groups.append({"x": len(self._columns) - 1, **group})
         return Drawing(self, len(self._groups) - 1, x)
 
-    def alone(self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], *, log: bool = False) -> Plot:
+    def alone(
+        self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], *, log: bool = False, **more: Any
+    ) -> Plot:
         """Draw a chart whose traces have their own x, in `Trace.x` and `Band.x`.
 
         Args:
             ends: Limits of the x axis.
+            more: For the script, such as `uprights`, values of x with a line.
         """
         places = [np.asarray(t.x) for t in panel.traces] + ([np.asarray(panel.band.x)] if panel.band else [])
-        return self.over(np.unique(np.concatenate(places)), Abscissa(over, ends, log=log)).plots([panel])[0]
+        return self.over(np.unique(np.concatenate(places)), Abscissa(over, ends, log=log)).plots([panel], **more)[0]
 
     def points(
         self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], also: Mapping[str, Array], **more: Any

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from pathlib import Path
@@ -28,4 +29,12 @@ def new_figure(width: float = 0.0, height: float = 0.0) -> Figure:
                 os.environ[VARIABLE] = str(process_folder() / "matplotlib")
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height) if width else None, layout="constrained")
+    class ShownFigure(Figure):
+        """A figure that a notebook shows also without `%matplotlib`."""
+
+        def _repr_png_(self) -> bytes:
+            picture = io.BytesIO()
+            self.savefig(picture, format="png", dpi=110)
+            return picture.getvalue()
+
+    return ShownFigure(figsize=(width, height) if width else None, layout="constrained")

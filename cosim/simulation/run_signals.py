@@ -81,6 +81,9 @@ class Signals:
             raise KeyError(f'no signal "{name}"{hint}')
         return self.results[name]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return [*self.names]
+
     def to_pandas(self) -> pandas.DataFrame:
         """Return a data frame of all signals with the time [s] as index; raise ImportError without pandas."""
         library = pandas_for_frames()

@@ -14,7 +14,7 @@ from typing import Any
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import InputError, refuse
 from cosim.core.messages import with_severity
-from cosim.core.text import counted, join_names, plain
+from cosim.core.text import counted, plain
 from cosim.core.version import __version__
 from cosim.files.artefact import SWEEP, Checking
 from cosim.files.kinds import check_given
@@ -30,6 +30,7 @@ from cosim.simulation.undeclared import with_feedthrough
 from cosim.sweeps.factors import FILES, Factors, resolve_file_name
 from cosim.sweeps.runs import Job, RunRequest
 from cosim.sweeps.sampling import Factor, columns_of
+from cosim.sweeps.store import Runs
 from cosim.sweeps.sweep_file import SweepFile
 from cosim.system.system import System, build_system
 
@@ -164,17 +165,14 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
 
 
 @dataclass(frozen=True, repr=False)
-class Swept:
-    """Result of a sweep.
+class Swept(Runs):
+    """Result of a sweep; the record of a part has its own runs, with its name as `part`.
 
     Attributes:
-        record: Content of sweep.json; of a part its own runs, with its name as `part`.
         made: Number of runs of this call.
     """
 
     sweep: Sweep
-    folder: Path
-    record: Mapping[str, Any]
     made: int
 
     @property
@@ -182,7 +180,7 @@ class Swept:
         """Results in words, one line each."""
         r = self.record
         rate = f", {r['runs_a_second']:.3g} runs a second" if r["runs_a_second"] else ""
-        lines = [headline(r), f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} completed{rate}"]
+        lines = [self.headline, f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} completed{rate}"]
         for c in r["criteria"]:
             low, high = (plain(100.0 * end, 3) for end in c["ci95"])
             share = f"{plain(100.0 * c['met'] / c['of'], 3)} %, 95 % interval {low} … {high} %" if c["of"] else "no run"
@@ -191,27 +189,6 @@ class Swept:
 
     def __repr__(self) -> str:
         return "\n  ".join(self.sentences)
-
-
-def headline(record: Mapping[str, Any]) -> str:
-    """Return how many runs meet all criteria, and the criterion that most runs fail."""
-    criteria, runs, completed = record["criteria"], record["runs"], record["runs"] - record["failed"]
-    if not criteria:
-        return f"{completed} of {counted(runs, 'run')} completed; the scenario sets no criteria."
-    met, fewest = record["met_all"], hardest(record)["met"]
-    all_of = "the criterion" if len(criteria) == 1 else "all criteria"
-    if met == runs:
-        return f"All {counted(runs, 'run')} meet {all_of}."
-    worst = [c["name"] for c in criteria if c["met"] == fewest < c["of"]]
-    failed = f"; {counted(completed - fewest, 'run')} failed {join_names(worst)}"
-    most = failed if 0 < len(worst) < len(criteria) else ""
-    return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
-
-
-def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the criterion that the fewest runs meet."""
-    criteria: list[Mapping[str, Any]] = record["criteria"]
-    return min(criteria, key=lambda c: c["met"])
 
 
 def repeat_command(study: Sweep, run: int) -> str:

@@ -14,11 +14,11 @@ from cosim.core.version import __version__
 from cosim.files.kinds import shell_path
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
-from cosim.report.panels import Band, Panel, Trace
+from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.report.template import render
-from cosim.sweeps.reading import Swept, hardest, headline, repeat_command
+from cosim.sweeps.reading import Swept, repeat_command
 from cosim.sweeps.sampling import MIN_RUNS, QUANTILES, Factor, Sensitivity, are_numbers, sensitivity
-from cosim.sweeps.store import TABLE, read_table, signal_of
+from cosim.sweeps.store import TABLE, hardest, read_table, signal_of
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
@@ -27,6 +27,8 @@ MOST_RUNS = 20_000  # at most, for a band
 MOST_POINTS = 2000  # runs in a scatter plot
 MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
 NEVER = "never"
+MOST_OTHERS = 24  # further scatter plots
+MOST_BINS, MOST_LINES = 60, 300  # of a histogram; of parallel coordinates
 MOST_LISTED = 10  # runs farthest from meeting a criterion
 MARK = 0.012  # width of the mark at what chance reaches
 
@@ -38,7 +40,7 @@ def page(swept: Swept) -> str:
     names, criteria = study.job.signals[:MOST_BANDS], record["criteria"]
     drawing = charts.over(np.array(record["times"], float))
     failed, completed = record["failed"], record["runs"] - record["failed"]
-    values = {c["name"]: np.array(table.column(c["name"]).to_pylist(), float) for c in criteria}
+    values = swept.criteria
     outcomes = dict(values)
     for name in names:
         last = [np.nan if row is None else row[-1] for row in table.column(name).to_pylist()]
@@ -59,10 +61,11 @@ def page(swept: Swept) -> str:
     if drawn:
         note = f"Distributions are sampled together ({study.file.sampling})"
         note += "; each sample is combined with every listed value." if listed else "."
+    scatters = _scatters(swept, table, values, {s.outcome: s.ranked for s in indices}, charts)
     context = {
         "name": record["name"],
         "description": study.file.description,
-        "outcome": headline(record),
+        "outcome": swept.headline,
         "badges": [
             Badge(counted(record["runs"], "run")),
             Badge(f"{failed} aborted", "bad") if failed else Badge("all completed"),
@@ -71,7 +74,10 @@ def page(swept: Swept) -> str:
         "tone": "plain",
         "criteria": [],
         "worst": [],
-        "scatters": _scatters(swept, table, values, {s.outcome: s.ranked or s.factors for s in indices}, charts),
+        "histograms": histograms(criteria, values, charts),
+        "parallel": _parallel_coordinates(swept, table),
+        "scatters": scatters[0],
+        "more_scatters": scatters[1],
         "factors": [_factor(swept, factor) for factor in study.factors],
         "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
         "data": charts.data(),  # after all drawings
@@ -138,18 +144,19 @@ def _worst(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Mappin
 
 def _scatters(
     swept: Swept, table: Any, values: Mapping[str, Array], ranked: Mapping[str, Sequence[str]], charts: Charts
-) -> list[Plot]:
-    """Draw criteria over their most important factors, criteria that every run meets only if there are no others."""
+) -> tuple[list[Plot], list[Plot]]:
+    """Draw criteria over their two most important factors, and over the others; those that every run meets last."""
     units = {factor.name: factor.unit for factor in swept.sweep.factors}
     columns = {name: column for name, column in swept.sweep.columns.items() if name != "seed" and are_numbers(column)}
     criteria = swept.record["criteria"]
-    drawable = [c for c in criteria if c["met"] != c["of"]] or criteria
-    runs, plots = np.array(table.column("run").to_pylist(), int), []
-    for c in sorted(drawable, key=lambda c: c["met"])[:MOST_SCATTERED]:
+    missed = [c for c in criteria if c["met"] != c["of"]] or criteria
+    runs, plots, others = np.array(table.column("run").to_pylist(), int), list[Plot](), list[Plot]()
+    for c in sorted(criteria, key=lambda c: c["met"])[:MOST_SCATTERED]:
         good = np.flatnonzero(np.isfinite(values[c["name"]]))
         good = good[:: max(1, -(-good.size // MOST_POINTS))]
         unit, factor = display(c["unit"])
-        for name in ranked.get(c["name"], tuple(columns))[:2]:
+        by_rank = dict.fromkeys((*ranked.get(c["name"], ()), *columns))
+        for place, name in enumerate(by_rank):
             x_unit, scale = display(units[name])
             x = np.array([columns[name][run] for run in runs[good]], float) * scale
             if x.size < 2 or np.ptp(x) == 0.0:
@@ -161,8 +168,58 @@ def _scatters(
             trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
             panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
             also = {"run": runs[good][order].astype(float)}
-            plots.append(charts.points(panel, ends, (name, x_unit or "1"), also, reach=(low - room, high + room)))
+            is_first = place < 2 and c in missed
+            chart = charts.points(panel, ends, (name, x_unit or "1"), also, reach=(low - room, high + room))
+            (plots if is_first else others).append(chart)
+    return plots, others[:MOST_OTHERS]
+
+
+def histograms(criteria: Sequence[Mapping[str, Any]], values: Mapping[str, Array], charts: Charts) -> list[Plot]:
+    """Draw the number of runs by the value of each criterion, with its limit."""
+    plots = []
+    for c in criteria:
+        unit, factor = display(c["unit"])
+        found = values[c["name"]][np.isfinite(values[c["name"]])] * factor
+        if found.size < 2 or np.ptp(found) == 0.0:
+            continue
+        limit = c["max"] * factor
+        counts, edges = np.histogram(found, min(MOST_BINS, np.histogram_bin_edges(found, "auto").size - 1))
+        trace = Trace("runs", np.array([0.0, *counts, 0.0]), "s0", held=True, x=np.array([edges[0], *edges]))
+        low, high = min(edges[0], limit), max(edges[-1], limit)
+        room = 0.04 * (high - low)
+        panel = Panel(c["name"], "runs", [trace], None, (), "limit")
+        plots.append(charts.alone(panel, (low - room, high + room), (c["name"], unit or "1"), uprights=[limit]))
     return plots
+
+
+def _parallel_coordinates(swept: Swept, table: Any) -> Mapping[str, Any] | None:
+    """Return axes and lines of runs in parallel coordinates: numeric factors, then criteria that a run misses.
+
+    The rarer kind of runs comes last and lies above the other one. None if no run misses a criterion.
+    """
+    criteria = [c for c in swept.record["criteria"] if c["met"] != c["of"]]
+    runs = np.array(table.column("run").to_pylist(), int)
+    units = {factor.name: factor.unit for factor in swept.sweep.factors}
+    columns = {name: c for name, c in swept.sweep.columns.items() if name != "seed" and are_numbers(c)}
+    axes = {name: (np.array(column, float)[runs], units[name]) for name, column in columns.items()}
+    axes |= {c["name"]: (swept.criteria[c["name"]], c["unit"]) for c in criteria}
+    axes = {name: entry for name, entry in axes.items() if (span := extent([entry[0]])) and span[1] > span[0]}
+    if len(axes) < 2 or not criteria:
+        return None
+    is_met = np.all([np.array(table.column(f"{c['name']} met").to_pylist(), bool) for c in criteria], axis=0)
+    chosen = np.unique(np.linspace(0, runs.size - 1, min(runs.size, MOST_LINES)).astype(int))
+    heads, heights = [], []
+    for k, (name, (values, own)) in enumerate(axes.items()):
+        unit, factor = display(own)
+        low, high = np.nanmin(values), np.nanmax(values)
+        ends = [append_unit(plain(float(end) * factor, 3), unit) for end in (high, low)]
+        heads.append({"name": name, "high": ends[0], "low": ends[1], "left": 100.0 * k / (len(axes) - 1)})
+        heights.append(100.0 * (high - values) / (high - low))
+    lines = []
+    for row in sorted(chosen, key=lambda row: is_met[row] == (np.mean(is_met) < 0.5)):
+        points = [f"{h['left']:.1f},{y[row]:.1f}" for h, y in zip(heads, heights, strict=True) if np.isfinite(y[row])]
+        lines.append({"points": " ".join(points), "met": bool(is_met[row]), "run": int(runs[row])})
+    return {"axes": heads, "lines": lines}
 
 
 def _factor(swept: Swept, factor: Factor) -> Mapping[str, str]:

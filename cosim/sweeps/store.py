@@ -19,7 +19,7 @@ from cosim.core.arrays import Array
 from cosim.core.drafts import draft_of
 from cosim.core.errors import InputError
 from cosim.core.extras import pandas_for_frames
-from cosim.core.text import counted
+from cosim.core.text import counted, display, join_names, showing
 from cosim.files.files import open_bytes
 from cosim.files.folders import content_of
 from cosim.sweeps.runs import RunResult
@@ -27,6 +27,7 @@ from cosim.sweeps.runs import RunResult
 if TYPE_CHECKING:
     import pandas
     import pyarrow
+    from matplotlib.figure import Figure
 
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 GROUP = 4096  # runs per write
@@ -170,6 +171,59 @@ class Runs:
     record: Mapping[str, Any]
     folder: Path
 
+    @property
+    def headline(self) -> str:
+        """How many runs meet all criteria, and the criterion that most runs miss."""
+        record = self.record
+        criteria, runs, completed = record["criteria"], record["runs"], record["runs"] - record["failed"]
+        if not criteria:
+            return f"{completed} of {counted(runs, 'run')} completed; the scenario sets no criteria."
+        met, fewest = record["met_all"], hardest(record)["met"]
+        all_of = "the criterion" if len(criteria) == 1 else "all criteria"
+        if met == runs:
+            return f"All {counted(runs, 'run')} meet {all_of}."
+        worst = [c["name"] for c in criteria if c["met"] == fewest < c["of"]]
+        failed = f"; {counted(completed - fewest, 'run')} missed {join_names(worst)}"
+        most = failed if 0 < len(worst) < len(criteria) else ""
+        return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
+
+    @property
+    def criteria(self) -> dict[str, Array]:
+        """Values of each criterion in the runs, NaN without one."""
+        table, _ = read_table(self.folder / TABLE)
+        names = [c["name"] for c in self.record["criteria"]]
+        return {name: np.array(table.column(name).to_pylist(), float) for name in names}
+
+    def plot(self) -> Figure:
+        """Return a matplotlib figure with a histogram of each criterion, and its limit."""
+        from cosim.report.figure import new_figure
+
+        criteria = self.record["criteria"]
+        figure = new_figure(5.6, 2.4 * max(1, len(criteria)))
+        axes = figure.subplots(max(1, len(criteria)), squeeze=False).ravel()
+        with showing(self.record):
+            for ax, c in zip(axes, criteria, strict=False):
+                unit, factor = display(c["unit"])
+                values = self.criteria[c["name"]] * factor
+                ax.hist(values[np.isfinite(values)], bins="auto", color="#7fb8d8")
+                ax.axvline(c["max"] * factor, color="#767676", linestyle="--")
+                ax.set(xlabel=f"{c['name']} [{unit or '1'}]", ylabel="runs")
+        return figure
+
+    def _repr_html_(self) -> str:
+        from cosim.core.notebook import heading, table
+        from cosim.report.cell.cell import frame_of
+        from cosim.report.charts import Charts
+        from cosim.sweeps.report import histograms
+
+        charts = Charts()
+        with showing(self.record):
+            plots = histograms(self.record["criteria"], self.criteria, charts)
+        rows = [(c["name"], f"{c['met']} of {c['of']}") for c in self.record["criteria"]]
+        name = str(self.record.get("name", "sweep"))
+        text = heading(name, self.headline) + (table(("criterion", "met by"), rows) if rows else "")
+        return text + (frame_of(charts, plots, name) if plots else "")
+
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per run: varied values, criteria, signals; raise ImportError without pandas."""
         pandas_for_frames()
@@ -179,6 +233,12 @@ class Runs:
     def __repr__(self) -> str:
         runs = counted(int(self.record.get("runs") or 0), "run")
         return f"{self.record.get('name', 'sweep')}: {runs} in {self.folder}"
+
+
+def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the criterion that the fewest runs meet."""
+    criteria: list[Mapping[str, Any]] = record["criteria"]
+    return min(criteria, key=lambda c: c["met"])
 
 
 def read_runs(folder: Path) -> Runs | None:

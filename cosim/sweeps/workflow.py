@@ -186,14 +186,14 @@ def sweep(
             record["runs_a_second"] = float(f"{made / seconds:.3g}") if made else None
             if part:
                 record["part"] = part
-                return Swept(study, home, record, made)
+                return Swept(record, home, study, made)
             names, signals = [limit.name for limit in limits], study.job.signals
             about = {"key": study.key, "times": record["times"], "units": record["units"], "signals": signals}
             write_table(folder / TABLE, _all_runs(databases), study.columns, names, signals, about)
             write_json(folder / RECORD, record, indent=1, allow_nan=False)
             for database in databases:
                 database.remove()
-        swept = Swept(study, folder, record, made)
+        swept = Swept(record, folder, study, made)
         if report:
             from cosim.sweeps.report import page
 

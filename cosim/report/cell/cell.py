@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.text import counted
-from cosim.report.charts import Charts
+from cosim.report.charts import Charts, Plot
 from cosim.report.panels import Panel
 from cosim.report.template import render
 
@@ -55,13 +55,17 @@ def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omit
     if not (time.size and panels):
         return ""
     charts = Charts()
-    drawing = charts.over(time)
-    page = render(PAGE, {"plots": drawing.plots(panels), "data": charts.data(), "title": title})
-    height = min(MAX_HEIGHT, ROW_HEIGHT * -(-len(panels) // 2))
-    style = f"width:100%;height:{height}px;border:0;resize:vertical"
+    frame = frame_of(charts, charts.over(time).plots(panels), title)
     parts = [f"{time.size:,} of {rows:,} rows, which keep each peak"] if time.size < rows else []
     parts += [f"{counted(omitted, 'more signal')} not drawn"] if omitted else []
     note = f"<p><small>{'; '.join(parts)}.</small></p>" if parts else ""
-    # without allow-same-origin the frame can neither read nor change the notebook
+    return frame + note
+
+
+def frame_of(charts: Charts, plots: Sequence[Plot], title: str) -> str:
+    """Return HTML with a frame of charts, which can neither read nor change the notebook: without allow-same-origin."""
+    page = render(PAGE, {"plots": plots, "data": charts.data(), "title": title})
+    height = min(MAX_HEIGHT, ROW_HEIGHT * -(-len(plots) // 2))
+    style = f"width:100%;height:{height}px;border:0;resize:vertical"
     frame = f'<iframe title="{escape(title)}" sandbox="allow-scripts allow-downloads" style="{style}"'
-    return f'{frame} srcdoc="{escape(page)}"></iframe>{note}'
+    return f'{frame} srcdoc="{escape(page)}"></iframe>'
