@@ -126,6 +126,29 @@ def test_a_sheet_of_excel_is_a_log_and_several_tables_are_refused(tmp_path: Path
             read_log(refused, INPUTS, OUTPUTS)
 
 
+def test_a_measurement_file_is_a_log_whose_channels_have_times_of_their_own(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    wanted, path = read(tmp_path / "plain.csv", PLAIN), tmp_path / "a.mf4"
+    table = np.genfromtxt((tmp_path / "plain.csv"), delimiter=",", names=True)
+    names = HEADER.split(",")[1:]
+    slow = asammdf.Signal(table["psi"][::2], table["time"][::2], name="psi", unit="rad")
+    command = asammdf.Signal(table[names[0]][:1], table["time"][:1], name=names[0])  # the first row's, and held
+    others = [asammdf.Signal(table[name], table["time"], name=name) for name in names[1:] if name != "psi"]
+    with asammdf.MDF(version="4.10") as file:
+        for signals in ([command], others, [slow]):
+            file.append(signals)
+        file.save(path)
+    log = read_log(path, INPUTS, OUTPUTS)
+    assert log.time.tolist() == wanted.time.tolist()
+    assert set(log.inputs[names[0]]) == {wanted.inputs[names[0]][0]}
+    assert np.isnan(log.outputs["psi"]).tolist() == [k % 2 == 1 for k in range(log.time.size)]
+    assert log.outputs["psi"][::2].tolist() == wanted.outputs["psi"][::2].tolist()
+    assert len(log.assumed) == 1
+    path.write_bytes(path.read_bytes()[:700])
+    with pytest.raises(InputError):
+        read_log(path, INPUTS, OUTPUTS)
+
+
 LAST = "0.04,6.4,6.4,0.2,0.1,0.1,0.0"
 
 

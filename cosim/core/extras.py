@@ -12,6 +12,7 @@ from cosim.core.errors import Fault, InputError
 DISTRIBUTION = "fmu-cosim"
 EXTRAS = {  # library → extra that installs it
     "SALib": "sweep",
+    "asammdf": "mdf",
     "distributed": "dask",
     "h5py": "hdf5",
     "openpyxl": "excel",

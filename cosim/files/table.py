@@ -33,6 +33,7 @@ OWN = (
     "cosim.files.matrix_sources:MAT",
     "cosim.files.matrix_sources:HDF5",
     "cosim.files.excel_source:EXCEL",
+    "cosim.files.mdf_source:MDF",
 )
 HEAD = 64  # bytes examined to detect a format
 SHOWN_FAULTS = 20  # faults that are shown for a file; the rest are counted
@@ -92,6 +93,7 @@ class Table:
         header: Line of the header; 0 in formats without lines.
         faults: Faults after which rows are missing.
         assumed: What was assumed to read the file, in words.
+        own_times: Whether columns have values at times of their own, so that an input holds its last value at others.
         spoiled: Names of columns with a cell without a finite number that were left out; set by `read_table`.
     """
 
@@ -100,6 +102,7 @@ class Table:
     header: int = 0
     faults: Sequence[Fault] = ()
     assumed: tuple[str, ...] = ()
+    own_times: bool = False
     spoiled: Sequence[str] = ()
 
     @property
@@ -395,6 +398,9 @@ def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps:
         for row, text in enumerate(column.values):
             number = number_of(text)
             wrong[row], values[row] = number is None, np.nan if number is None else number
+    if table.own_times and use.role:
+        last = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(values.size)))
+        values = np.where(last >= 0, values[last], np.nan)
     if use.spare:
         return use.factor * values if np.isfinite(values).all() else None
     cure = "write a number or leave the row out" if use.role else "leave the cell empty where there is no value"
