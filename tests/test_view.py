@@ -269,6 +269,22 @@ def test_points_values_planes_and_tables_come_from_the_server(page: tuple[Served
         time.sleep(0.01)
 
 
+@pytest.mark.parametrize("small", [True, False])
+def test_columns_of_a_table_are_named_by_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small: bool) -> None:
+    if not small:
+        monkeypatch.setattr(tables, "SMALL", 0)
+    (tmp_path / "a.csv").write_text("count,stamp,v [m]\n7,0,1\n7,1,2\n7,2,3\n")
+    run = RunPlace("a", "a", tmp_path / "a.csv", columns={"stamp": "time", "v": "speed"})
+    rows = ViewedRun(run).rows
+    assert (rows.read(TIME).tolist(), rows.read("speed").tolist()) == ([0, 1, 2], [1, 2, 3])
+    assert rows.unit("speed") == "m"
+    words = "view", "a.csv", "--prepare", "--column"
+    monkeypatch.chdir(tmp_path)
+    assert "1 run" in told(*words, "stamp=time")
+    assert "stamp" in told(*words, "stam=time", code=2)
+    assert "--column" in told("view", "--column", "stamp=time", code=2)
+
+
 def test_statistics_and_spectra_are_those_of_the_rows_between_two_times(tmp_path: Path) -> None:
     time = np.arange(20_000) * 1e-3
     values = 3.0 + 2.0 * np.sin(2.0 * np.pi * 12.5 * time)

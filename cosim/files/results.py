@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.drafts import is_full
+from cosim.core.text import did_you_mean
 from cosim.files.table import (
     Column,
     Faults,
@@ -125,7 +126,12 @@ def is_rounded(values: Any) -> bool:
 
 
 def read_results(
-    path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = (), *, words: Collection[str] = ()
+    path: Path,
+    units: Mapping[str, str] | None = None,
+    text: Collection[str] = (),
+    *,
+    words: Collection[str] = (),
+    names: Mapping[str, str] | None = None,
 ) -> Results:
     """Return written results, or any table with a time.
 
@@ -135,13 +141,21 @@ def read_results(
         units: Units of columns without unit in the header.
         text: Columns of text; other columns are classified by their cells.
         words: Columns of `text` that are no integers, also if they look like it.
+        names: Column → name in the results, or `time`, of columns with another name.
 
     Raises:
-        InputError: The file has faults.
+        InputError: The file has faults, or lacks a column of `names`.
     """
-    faults, units = Faults(path), units or {}
+    faults, units, names = Faults(path), units or {}, names or {}
     table = read_source(faults, units, text)
+    here = [column.name for column in table.columns]
+    for missing in (name for name in names if table.columns and name not in here):
+        faults.note(table.header, 0, f'has no column "{missing}"{did_you_mean(missing, here)}')
     faults.raise_any()
+    renamed = [replace(column, name=names.get(column.name, column.name)) for column in table.columns]
+    if any(is_time(name) for name in names.values()):
+        renamed.sort(key=lambda column: not is_time(column.name))
+    table = replace(table, columns=renamed)
     if table.columns and not is_time(table.columns[0].name):  # a table of another tool
         cells = [replace(column, cell=k) for k, column in enumerate(table.columns, 1)]
         table = time_first(replace(table, columns=cells), faults, (), ())

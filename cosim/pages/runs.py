@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import mkdtemp
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ MAX_RUNS = 20  # shown without names
 MAX_NAMES = 5  # signals in a note
 LOOK = 1.0  # [s] between looks at a file
 SHARE = 5.0  # times the time of reading a growing file, until it is read again
+NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 WANTED = "the folder of a run or a table of its rows"
 Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
 
@@ -47,6 +49,7 @@ class RunPlace:
         label: Name on the page, different for each run.
         is_named: Whether the user named this one; a fault of it is then an error.
         entry: Results in a folder of results; None for other paths.
+        columns: Column of the table → name of its signal, or `time`, of columns with another name.
     """
 
     name: str
@@ -54,6 +57,7 @@ class RunPlace:
     file: Path
     is_named: bool = True
     entry: Entry | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
 
 
 class ViewedRun:
@@ -85,7 +89,10 @@ class ViewedRun:
         manifest = manifest_in(folder)
         self.record = manifest or replay_record(folder)
         columns = ColumnTypes(
-            self.record.get("units") or {}, manifest.get("beside", ()), frozenset(manifest.get("texts", ()))
+            self.record.get("units") or {},
+            self.place.columns,
+            manifest.get("beside", ()),
+            frozenset(manifest.get("texts", ())),
         )
         rows = open_rows(self.place.file, columns, progress)
         if self.place.entry is not None and not self._due:
@@ -166,13 +173,20 @@ def file_state(file: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list[str]]:
+def find_runs(
+    texts: Sequence[str], results: Path, columns: Mapping[str, str] = NO_COLUMNS
+) -> tuple[list[RunPlace], list[str]]:
     """Return the tables of numbers, names, patterns, folders and files, by default of the newest results.
 
+    Args:
+        columns: Column → name of its signal, or `time`, for columns of files with another name.
+
     Raises:
-        InputError: A text means no results, or no results have rows.
+        InputError: A text means no results, no results have rows, or columns are named and no file is.
     """
     notes: list[str] = []
+    if columns and not any(Path(text).is_file() for text in texts):
+        raise InputError.at(Path("--column"), "names columns of a table, and none is given; give its file")
     if not texts:
         found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
         if not found:
@@ -188,7 +202,7 @@ def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list
                 path, entry = selected.path, selected.entry
                 if not path.is_dir():
                     check_given(path, LOG)
-                    found.append(RunPlace(path.stem, path.stem, path))
+                    found.append(RunPlace(path.stem, path.stem, path, columns=columns))
                 elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
                     found.append(place)
                 elif entry is None and (rows := _rows_of(path)) is not None:

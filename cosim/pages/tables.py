@@ -50,17 +50,19 @@ class ColumnTypes:
 
     Attributes:
         units: Units of columns without unit in the header.
+        names: Column → name of its signal, or `time`, of columns with another name.
         text: Columns of text or of large integers, even with numeric content.
         words: Columns of `text` that are no integers, also if they look like it.
     """
 
     units: Mapping[str, str] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
     text: Sequence[str] = ()
     words: frozenset[str] = frozenset()
 
     def read(self, path: Path) -> Results:
         """Return the rows of a table in memory; raise InputError without rows."""
-        results = read_results(path, self.units, self.text, words=self.words)
+        results = read_results(path, self.units, self.text, words=self.words, names=self.names)
         if not results.time.size:
             raise InputError.at(path, "has no row yet; wait for the end of the run, or run it again")
         return results
@@ -126,7 +128,7 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
 
 def _key(path: Path, status: os.stat_result, columns: ColumnTypes) -> str:
     """Return a key of the content of a file and of its types; a renamed file keeps its key."""
-    types = [sorted(columns.units.items()), sorted(columns.text), sorted(columns.words)]
+    types = [sorted(columns.units.items()), sorted(columns.names.items()), sorted(columns.text), sorted(columns.words)]
     content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
     return sha256(json.dumps([VERSION, path.suffix, content, types]).encode()).hexdigest()
 
@@ -208,7 +210,7 @@ def _opened(path: Path, columns: ColumnTypes) -> tuple[Heads, list[Any], Read]:
     """Return the columns of a table, their types of pyarrow, and a function that reads them."""
     source, size, heads, line = source_of(path), path.stat().st_size, list[tuple[str, str]](), 0
     with suppress(ValueError):  # of another tool, such as one with semicolons
-        heads, line = read_heading(path, columns.units) if source is CSV else (heads, line)
+        heads, line = read_heading(path, columns.units) if source is CSV and not columns.names else (heads, line)
     if heads and is_time(heads[0][0]):
         reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])
         with csv.open_csv(path, read_options=reading) as first:
@@ -222,7 +224,7 @@ def _opened(path: Path, columns: ColumnTypes) -> tuple[Heads, list[Any], Read]:
                 yield from ((batch, number * BLOCK) for number, batch in enumerate(reader, 1))
 
         return heads, kinds, read_csv
-    if source is PARQUET:
+    if source is PARQUET and not columns.names:
         schema = parquet.read_schema(path)
         heads = [heading_of(column, columns.units) for column in schema]
         kinds = [kind.value_type if pa.types.is_dictionary(kind) else kind for kind in schema.types]

@@ -321,6 +321,7 @@ def view_command(
     *,
     results: Path | None = None,
     layout: Path | None = None,
+    columns: list[str] | None = None,
     port: Port = 0,
     browser: bool = True,
     prepare: bool = False,
@@ -330,6 +331,7 @@ def view_command(
 
     Args:
         runs ([RUN]): Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).
+        columns (--column COLUMN=SIGNAL): Signal that a column of a table holds, for example stamp=time.
         layout: File of saved layouts (default: view.json in the folder of results).
         port: Port of the page (0: any).
         browser: Open the page, or print its address only.
@@ -337,13 +339,15 @@ def view_command(
 
     Example: cosim view 'tank*'
     """
+    from cosim.logs.log import read_column_names
     from cosim.pages.layouts import Layouts
     from cosim.pages.runs import find_runs, open_runs
     from cosim.pages.view_page import view_page
 
     root = results or RESULTS
     layouts = Layouts(layout or root / LAYOUTS)
-    places, notes = find_runs(runs or (), root)
+    named = read_column_names(columns or (), Path((runs or ["--column"])[0]))
+    places, notes = find_runs(runs or (), root, named)
     opened, warnings = open_runs(places, progress_bar)
     warn(*notes, *warnings)
     labels = [run.place.label for run in opened]
