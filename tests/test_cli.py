@@ -131,3 +131,29 @@ def test_threads_of_linear_algebra_are_limited_before_numpy_is_imported() -> Non
     """To one, because fits run side by side."""
     done = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True, env=ENVIRONMENT)
     assert "threads: 1 True" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("cosim op", ["open"]),
+        ("cosim open ta", ["tank/0001"]),
+        ("cosim compare tank ", ["tank/0001", "1"]),
+        ("cosim view --col", ["--column"]),
+        ("cosim schema sw", ["sweep"]),
+    ],
+)
+def test_a_shell_completes_verbs_options_runs_and_kinds(tmp_path: Path, line: str, found: list[str]) -> None:
+    (run := tmp_path / "results" / "tank" / "0001").mkdir(parents=True)
+    (run / "manifest.json").write_text('{"status": "ok", "scenario": {}}')
+    (run / "results.csv").write_text("time,x\n0,1\n")
+    asked = {"_COSIM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    done = subprocess.run(
+        [Path(sys.executable).with_name("cosim")],
+        cwd=tmp_path,
+        env={**os.environ, **asked, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == found

@@ -492,20 +492,24 @@ def schema_command(kind: str) -> None:
     """Print the JSON schema of a kind of file, for editors.
 
     Args:
-        kind: Kind of file: scenario, study, model, refine_result, …, or one of a package.
+        kind (KIND): Kind of file: scenario, study, model, refine_result, …, or one of a package.
 
     Example: cosim schema scenario
     """
     say_json(schema_of(kind))
 
 
+def kinds_with_schema() -> list[str]:
+    """Return the kinds of files with a schema."""
+    return sorted({*(a.schema_name for a in artefacts() if a.schema), *RESULT_SCHEMAS})
+
+
 def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
-    kinds = {a.schema_name: a for a in artefacts() if a.schema}
-    places = {**{kind: a.schema for kind, a in kinds.items()}, **RESULT_SCHEMAS}
+    places = {**{a.schema_name: a.schema for a in artefacts() if a.schema}, **RESULT_SCHEMAS}
     if name not in places:
         raise InputError.at(
-            Path(name), f"is no kind of file that has a schema; give one of {', '.join(sorted(places))}"
+            Path(name), f"is no kind of file that has a schema; give one of {', '.join(kinds_with_schema())}"
         )
     model: type[BaseModel] = resolve(places[name])
     schema = model.model_json_schema(mode="serialization" if name in RESULT_SCHEMAS else "validation")
@@ -527,10 +531,11 @@ def schema_of(name: str) -> dict[str, Any]:
             content.pop("title", None)  # repeats the key
     if name in RESULT_SCHEMAS:
         return {"$schema": DIALECT, **schema}
+    title = next(a.title for a in artefacts() if a.schema_name == name)
     limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
     for key, content in limits.items():  # 10 s, 2 GB
         limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}
-    return {"$schema": DIALECT, **_allow_on_and_off(schema), "title": kinds[name].title}
+    return {"$schema": DIALECT, **_allow_on_and_off(schema), "title": title}
 
 
 def _allow_on_and_off(node: Any) -> Any:

@@ -221,7 +221,8 @@ def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[P
     kind: Any = bool if written == "bool" else list[str] if is_list else str
     flags, metavar = [n for n in names if n[0] == "-"], " ".join(n for n in names if n[0] != "-")
     if not flags and (default is Parameter.empty or metavar.startswith("[")):
-        label, info = parameter.name, typer.Argument(metavar=metavar or None, help=meaning)
+        complete = COMPLETIONS.get(metavar.strip("[.]"))
+        label, info = parameter.name, typer.Argument(metavar=metavar or None, help=meaning, autocompletion=complete)
     else:
         label = flags[0] if flags else f"--{parameter.name.replace('_', '-')}"
         flags = flags or [f"{label}/--no-{label[2:]}" if default is True else label]
@@ -230,6 +231,31 @@ def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[P
         default = None if default is Parameter.empty else default
     annotation: Any = Annotated[kind | None if default is None else kind, info]
     return Parameter(parameter.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation), label
+
+
+def _complete_runs(incomplete: str) -> list[tuple[str, str]]:
+    """Return names and numbers of results in `results` that begin so, each with its command and outcome."""
+    from cosim.files.run_entries import entries
+
+    found = [(text, f"{e.verb} {e.outcome}") for e in reversed(entries()) for text in (e.name, str(e.number))]
+    return [(text, about) for text, about in found if text.startswith(incomplete)]
+
+
+def _complete_kinds(incomplete: str) -> list[str]:
+    """Return the kinds of files with a schema that begin so."""
+    from cosim.verbs.checks import kinds_with_schema
+
+    return [kind for kind in kinds_with_schema() if kind.startswith(incomplete)]
+
+
+COMPLETIONS: dict[str, Callable[[str], Any]] = {"RUN": _complete_runs, "KIND": _complete_kinds}  # by metavar
+
+
+def _verb_to_complete() -> str:
+    """Return the verb on the line that a shell wants to complete, "-h" before it is whole."""
+    line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
+    words = line.split()
+    return words[1] if len(words) > 2 or (len(words) == 2 and line[-1:].isspace()) else "-h"
 
 
 def _show_version(value: bool) -> None:
@@ -272,7 +298,8 @@ def entry() -> None:
         with suppress(FileNotFoundError):  # the current folder may be removed
             check_text([os.getcwd()])
         check_text([*sys.argv[1:], os.environ.get("TMPDIR", "")])
-        code = command_line(sys.argv[1] if len(sys.argv) > 1 else "-h")(standalone_mode=False) or 0
+        chosen = _verb_to_complete() if "_COSIM_COMPLETE" in os.environ else (*sys.argv[1:], "-h")[0]
+        code = command_line(chosen)(standalone_mode=False) or 0
     except CosimError as error:
         code = say_error(error)
     except (MemoryError, Terminated) as error:
