@@ -1,6 +1,6 @@
 """The cache of derived files, addressed by the content of their source.
 
-The cache holds compiled libraries, which this user's commands execute. It is therefore a folder of this user without
+The cache holds compiled libraries and templates, which this user's commands execute. It is therefore a folder of this user without
 write access for others, or else a private temporary folder.
 """
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.core.messages import printable
+from cosim.files.cache import cache_folder
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -22,11 +23,14 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
         is_report: Whether the page draws the charts of `Charts.data` by itself.
     """
     # Only pages need jinja2: `import cosim.report` must not load it.
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
     from markupsafe import Markup, escape
 
+    compiled = cache_folder() / "templates"
+    compiled.mkdir(mode=0o700, exist_ok=True)
     environment = Environment(
         loader=FileSystemLoader([page.parent, *folders, TEMPLATES]),
+        bytecode_cache=FileSystemBytecodeCache(str(compiled)),
         autoescape=True,
         finalize=lambda value: type(value)(printable(value)) if isinstance(value, str) else value,  # HTML stays HTML
         undefined=StrictUndefined,
