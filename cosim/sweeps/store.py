@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -31,18 +32,19 @@ if TYPE_CHECKING:
 
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 GROUP = 4096  # runs per write
+STORED_EVERY = 0.2  # [s]
 
 
 class Database:
-    """Database of finished runs, consistent even after a kill."""
+    """Database of finished runs, consistent even after a kill, which loses those of the last moment."""
 
     def __init__(self, path: Path, key: str) -> None:
         self.path = path
         try:
             self._base = sqlite3.connect(path)
-            self.close = self._base.close
+            self._stored = time.monotonic()
             self._base.execute("PRAGMA synchronous = NORMAL")
-            with self._transaction():
+            with self._full_disk_as_oserror(), self._base:
                 self._base.execute("CREATE TABLE IF NOT EXISTS made (run INTEGER PRIMARY KEY, result TEXT)")
                 self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT)")
                 stored = self._base.execute("SELECT key FROM sweep").fetchone()
@@ -51,25 +53,37 @@ class Database:
         except sqlite3.Error as error:
             raise InputError.at(path, f"is no database of a sweep: {error}; --force begins anew") from None
         if stored not in {None, (key,)}:
-            self.close()
+            self._base.close()
             cure = "give another folder as --out, or use --force to start again"
             raise InputError.at(path, f"holds the runs of another sweep, or of one with other FMUs; {cure}")
 
     @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        """Store all changes of a block or none; raise OSError for a disk without space."""
+    def _full_disk_as_oserror(self) -> Iterator[None]:
         try:
-            with self._base:
-                yield
+            yield
         except sqlite3.Error as error:
-            if error.sqlite_errorcode & 0xFF not in {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR}:  # also beyond a quota
+            if getattr(error, "sqlite_errorcode", 0) & 0xFF not in {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR}:  # also beyond a quota
                 raise
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)) from None
 
     def add(self, run: RunResult) -> None:
-        """Store a run in place of an earlier one with its number."""
-        with self._transaction():
+        """Add a run in place of an earlier one with its number; runs are stored together, after a moment."""
+        with self._full_disk_as_oserror():
             self._base.execute("INSERT OR REPLACE INTO made VALUES (?, ?)", (run.run, json.dumps(vars(run))))
+        if time.monotonic() - self._stored > STORED_EVERY:
+            self.store()
+
+    def store(self) -> None:
+        """Store the runs that were added, all or none; raise OSError for a disk without space."""
+        self._stored = time.monotonic()
+        with self._full_disk_as_oserror(), self._base:
+            pass
+
+    def close(self) -> None:
+        """Store what fits on the disk, and close."""
+        with suppress(OSError, sqlite3.ProgrammingError):  # closed already
+            self.store()
+        self._base.close()
 
     def numbers(self) -> set[int]:
         """Return the numbers of the stored runs."""
@@ -82,7 +96,7 @@ class Database:
 
     def remove(self) -> None:
         """Close and delete the database, and the folder of a part."""
-        self.close()
+        self._base.close()
         self.path.unlink(missing_ok=True)
         with suppress(OSError):  # the folder of the sweep
             self.path.parent.rmdir()

@@ -7,7 +7,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -168,6 +168,8 @@ def sweep(
                         observer.add([result])
                     if progress is not None:
                         progress(len(runs) - len(missing) + made, len(runs))
+                for database in databases:
+                    database.store()
                 hold_stops()  # The table must still be written.
             except (KeyboardInterrupt, Terminated) as stop:
                 why, cure, exit_code = "stopped", "", getattr(stop, "exit_code", 130)
@@ -176,6 +178,8 @@ def sweep(
                     raise
                 why, cure, exit_code = "the disk is full", "make room, and ", DiskFull.exit_code
             if why:
+                with suppress(OSError):  # of a full disk
+                    databases[0].store()
                 kept = f"{sum(len(d.numbers()) for d in databases)} of {counted(study.count, 'run')} are kept"
                 cure += "the same command" if part else "--resume"
                 stopped = SweepStopped(f"{why}: {kept} in {databases[0].path}; {cure} goes on with them")
