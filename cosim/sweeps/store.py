@@ -62,7 +62,8 @@ class Database:
         try:
             yield
         except sqlite3.Error as error:
-            if getattr(error, "sqlite_errorcode", 0) & 0xFF not in {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR}:  # also beyond a quota
+            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+            if code not in {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR}:  # also beyond a quota
                 raise
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)) from None
 
