@@ -303,7 +303,8 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     """Compare b with a at the times of a, and at the other times of b.
 
     A continuous signal of b is interpolated at the times of a. A row of b between two rows of a counts as equal if its
-    value is within the range of both rows. For a discrete signal this holds for rows of a between two rows of b too.
+    value is within the range of both rows. The same rule applies to rows of a between two rows of b for a discrete
+    signal.
 
     Args:
         tolerance: Share of each signal's range in a.
@@ -392,7 +393,7 @@ def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion |
 
 
 def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:
-    """Return whether a signal holds between rows: by the record of a run, else if it has whole numbers in both."""
+    """Return whether a signal is constant between rows: by the record of a run, else by whole numbers in both."""
     recorded = [run for run in (a, b) if "discrete" in run.manifest]
     if not recorded:
         return all(name in run.results.whole for run in (a, b))

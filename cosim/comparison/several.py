@@ -56,7 +56,7 @@ class RunSource:
 
     Attributes:
         short: Short name.
-        longer: Name that says more, for a run without an input that differs.
+        longer: Longer name, for a run without an input that differs.
         read: Function that reads the run.
         is_optional: Whether the run is left out if it cannot be read or compared, because a pattern matched it.
     """

@@ -174,7 +174,7 @@ def _check_directory(stream: BinaryIO, size: int) -> None:
         stream.seek(offset)
         count, directory = struct.unpack_from("<QQ", stream.read(56), 32)
     if count > MOST_FILES or directory > 2 * DIRECTORY * MOST_FILES:
-        raise BadArchive(f"it holds more than {MOST_FILES} files")
+        raise BadArchive(f"it has more than {MOST_FILES} files")
     stream.seek(0)
 
 

@@ -35,10 +35,10 @@ ARTEFACTS = (
         heads=(b"\xd0\xcf\x11\xe0",),
         member="xl/",
     ),
-    Artefact("an archive that holds no FMU", "unpack it; `cosim info` lists an FMU that is in it", member="*"),
+    Artefact("an archive without an FMU", "unpack it; `cosim info` lists an FMU that is in it", member="*"),
     Artefact(
         "a compiled library",
-        "an FMU holds libraries; `cosim info` lists what an FMU has",
+        "libraries are parts of FMUs; `cosim info` lists the content of an FMU",
         heads=(b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe"),
     ),
     Artefact(

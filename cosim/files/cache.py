@@ -1,7 +1,7 @@
 """The cache of derived files, addressed by the content of their source.
 
-The cache holds compiled libraries and templates, which this user's commands execute. It is therefore a folder of this user without
-write access for others, or else a private temporary folder.
+The cache contains compiled libraries and templates, which this user's commands execute. It is therefore a folder of
+this user without write access for others, or else a private temporary folder.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def cache_environment() -> Mapping[str, str]:
 def load_or_make(source: str, make: Callable[[], Any]) -> Any:
     """Return a JSON value made from a source, cached.
 
-    The cache file begins with a hash of its content, so that a damaged or partial file is made anew.
+    The cache file begins with a hash of its content, so that a damaged or partial file is made again.
     """
     path = cache_path(source, ".json")
     try:

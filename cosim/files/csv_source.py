@@ -111,7 +111,7 @@ def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
 
 
 def _with_commas(path: Path, content: bytes, mark: str, header: int) -> tuple[bytes, str]:
-    """Return a file with cells separated by commas and decimals by points, and what that says of its decimals.
+    """Return a file with cells separated by commas and decimals by points, and a phrase on its decimals.
 
     Raises:
         InputError: A number has separators of thousands.

@@ -1,4 +1,4 @@
-"""Excel: the table of the only sheet that holds one, read by openpyxl."""
+"""Excel: the table of the only sheet with a table, read by openpyxl."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Excel(Source):
         places = [k for k, row in enumerate(rows) if _is_filled(row)]
         first, last = places[0], places[-1]
         if blank := next((k for k in range(first, last) if k not in {*places}), None):
-            message = f"sheet {sheet} is empty in row {blank + 1}, and goes on below: it holds several tables; keep one"
+            message = f"sheet {sheet} is empty in row {blank + 1}, and has rows below: it has several tables; keep one"
             raise InputError([Fault(path, blank + 1, 1, message)])
         width = max(k for k, cell in enumerate(rows[first]) if cell is not None) + 1
         headings = [split_heading(_text(cell), names) for cell in rows[first][:width]]

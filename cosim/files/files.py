@@ -50,11 +50,11 @@ def open_bytes(path: Path) -> io.BufferedReader:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the content of JSON; raise ValueError for other text, and for numbers that no double holds."""
+    """Return the content of JSON; raise ValueError for other text, and for numbers beyond the range of doubles."""
 
     def number(digits: str, kind: Callable[[str], float]) -> float:
         if math.isinf(float(digits)):
-            raise ValueError(f"no double holds {digits[:20]}")
+            raise ValueError(f"{digits[:20]} is beyond the range of doubles")
         return kind(digits)
 
     return json.loads(text, parse_int=partial(number, kind=int), parse_float=partial(number, kind=float))
@@ -200,7 +200,7 @@ def path_from_here(path: FilePath) -> Path:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError if a file stands in place of a folder."""
+    """Raise InputError if a file has the name of the folder."""
     with suppress(OSError):  # The maker of the folder reports a name that is too long.
         if file := next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None):
             raise InputError.at(folder, f"cannot be the folder for results: {file} is a file; give a folder as --out")

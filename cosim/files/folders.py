@@ -255,7 +255,7 @@ def version_of(record: Mapping[str, Any]) -> str:
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """Return a file's JSON mapping, empty if unreadable or with a number that no double holds."""
+    """Return a file's JSON mapping, empty if unreadable or with a number beyond the range of doubles."""
     try:
         stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
         try:

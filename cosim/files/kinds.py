@@ -33,7 +33,7 @@ def kind_by_form(path: Path) -> str | None:
     text = head.decode("utf-8", errors="replace").lstrip("\ufeff")
     begin = "" if ending in WRITTEN else text.lstrip("\ufeff \t\r\n")
     members: list[str] = []
-    if head.startswith(b"PK") and ending not in {".fmu", ".ssp"}:
+    if head.startswith(b"PK") and ending not in {".fmu", ".ssp", *suffixes()}:  # Excel's tables are archives, too.
         with suppress(OSError, ValueError, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
             members = archive.namelist()
 

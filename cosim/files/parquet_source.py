@@ -131,6 +131,6 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
     if is_whole and not column.null_count:
         return Column(name, unit, plain_numbers(column.to_numpy()))
     if not (is_whole or types.is_floating(kind) or types.is_null(kind)):
-        return Column(name, unit, fault=f"holds {str(kind)[:60]}; write numbers, times in seconds, one column a number")
+        return Column(name, unit, fault=f"has {str(kind)[:60]}; write numbers, times in seconds, one column a number")
     values = column.cast("float64", safe=False).to_numpy()  # with NaN for missing ones
     return Column(name, unit, np.asarray(values, dtype=np.float64))

@@ -38,7 +38,7 @@ FEWER = 0.7  # share of the rows to try next on a full disk
 class Results:
     """Recorded signals.
 
-    Row k holds the measurements at `time[k]` and the command acting until `time[k + 1]`.
+    Row k contains the measurements at `time[k]` and the command acting until `time[k + 1]`.
 
     Attributes:
         time: Communication points [s], shape (rows,).

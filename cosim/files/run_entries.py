@@ -303,7 +303,7 @@ class Selected:
 
     @property
     def longer(self) -> str:
-        """Return a name that says more: `run 3 (tank/0001)`, or the name of the path."""
+        """Return a longer name: `run 3 (tank/0001)`, or the name of the path."""
         return self.short if self.entry is None else f"{self.short} ({self.entry.name})"
 
 
@@ -422,7 +422,7 @@ class Removal:
 def plan_removal(
     entries: Sequence[Entry], *, keep: int = 0, older: float = 0.0, chosen: Iterable[Entry] | None = None
 ) -> Removal:
-    """Return the earlier runs to remove; the newest results of a name stay, and runs that go on.
+    """Return the earlier runs to remove; the newest results of a name stay, and unfinished runs.
 
     Args:
         entries: All results, the oldest first.

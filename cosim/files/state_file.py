@@ -3,9 +3,9 @@
     cosim state 1
     SHA-256 of the rest
     {"text": characters of the JSON, "blobs": [sizes of the bytes values]}
-    JSON, in which {"blob": k} stands for the k-th bytes value, then the bytes values
+    JSON, in which {"blob": k} refers to the k-th bytes value, then the bytes values
 
-A state file holds data only; reading one executes nothing.
+A state file contains data only; reading one executes nothing.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def pack(content: Any) -> bytes:
 
     def reference(value: Any) -> Any:
         if not isinstance(value, (bytes, bytearray)):
-            raise TypeError(f"a state file holds no {type(value).__name__}")
+            raise TypeError(f"a state file cannot store a {type(value).__name__}")
         blobs.append(bytes(value))
         return {BLOB: len(blobs) - 1}
 

@@ -37,7 +37,7 @@ OWN = (
 )
 HEAD = 64  # bytes examined to detect a format
 SHOWN_FAULTS = 20  # faults that are shown for a file; the rest are counted
-MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square a double holds
+MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square is a double
 FLOAT_RESOLUTION_S = 1e-6  # spacing of doubles from which equal times are due to their size
 TIMES = {  # other usual names of the time
     *("t", "timestamp", "time stamp", "time_stamp", "datetime", "date time", "date", "elapsed", "seconds"),
@@ -56,8 +56,8 @@ class Column:
     Attributes:
         unit: Unit, "" if absent.
         values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
-        fault: Reason for missing numbers, e.g. "holds timestamps; write seconds", or "".
-        is_text: Whether the file says that values are text or binary data, also if they look like numbers.
+        fault: Reason for missing numbers, e.g. "has time stamps; write seconds", or "".
+        is_text: Whether the file declares the values as text or binary data, also if they look like numbers.
         cell: Number of the column in the file, from 1; set by `read_table`.
     """
 
@@ -70,12 +70,12 @@ class Column:
 
     @property
     def numeric(self) -> bool:
-        """Return whether the column holds numbers."""
+        """Return whether the column has numbers."""
         return isinstance(self.values, np.ndarray) and not self.fault
 
     @property
     def holds_words(self) -> bool:
-        """Return whether the column holds text or another type: no number, and not only decimal commas."""
+        """Return whether the column has text or another type: no number, and not only decimal commas."""
         if self.numeric or self.fault:
             return bool(self.fault)
         cells = [str(value) for value in self.values]
@@ -283,7 +283,7 @@ def read_table(
         column, cell = replace(column, name=column.name if place else "time"), column.cell
         if column.name in uses:
             before = uses[column.name][1].cell
-            faults.note(table.header, cell, f'column "{column.name}" stands twice, first as column {before}; keep one')
+            faults.note(table.header, cell, f'column "{column.name}" appears twice, first as column {before}; keep one')
         elif (use := choose(column)) is not None and use.name in uses:
             before = uses[use.name][1].cell
             faults.note(table.header, cell, f'column "{column.name}" is {use.name}, as column {before} is; keep one')
@@ -300,7 +300,7 @@ def read_table(
 
 
 def time_first(table: Table, faults: Faults, named: Collection[str], signals: Container[str]) -> Table:
-    """Return a table with the time as first column, in seconds if it holds dates.
+    """Return a table with the time as first column, in seconds if it has dates.
 
     The time is the column that the user names, else `time`, else one with another usual name, else the first with
     increasing numbers; the last two are no signals of the model. A column without a name that numbers the rows is left
@@ -339,7 +339,7 @@ def _counts_rows(column: Column) -> bool:
 
 
 def _increases(column: Column) -> bool:
-    """Return whether a column holds increasing numbers or dates."""
+    """Return whether a column has increasing numbers or dates."""
     values = column.values
     if column.fault or len(values) < 2:
         return False
@@ -392,7 +392,7 @@ def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps:
         if use.spare:
             return None
         faults.faulty.add(cell)
-        faults.note(table.header, cell, f"column {use.name} {column.fault or 'holds text; write numbers'}")
+        faults.note(table.header, cell, f"column {use.name} {column.fault or 'has text; write numbers'}")
         return values
     else:
         for row, text in enumerate(column.values):
@@ -449,7 +449,7 @@ def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *
         cure, spacing = "sort the rows, keep one of each", math.ulp(time[row])
         if time[row] == before[row] and spacing > FLOAT_RESOLUTION_S:
             cure = f"doubles of this size are {spacing:.2g} s apart: subtract the first time from all before writing"
-        return f"time {time[row]:g} s does not increase, {before[row]:g} s stands before it; {cure}"
+        return f"time {time[row]:g} s does not increase, the row before has {before[row]:g} s; {cure}"
 
     faults.note_cells(rows[late], lines, cell, message)
 
@@ -493,7 +493,7 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
 
     table = read_table(faults, choose, "signals", names=names, times=(), jumps=True)
     if table is not None and not table.rows and not table.faults:
-        faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
+        faults.note(table.header + 1, 1, "has no row; write at least one below the header")
     faults.raise_any()
     assert table is not None
     return table

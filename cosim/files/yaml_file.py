@@ -285,7 +285,7 @@ REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use inst
     "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
     "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
     "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
-    "delivery": "A refined FMU holds the original and the terms: leave the key out.",
+    "delivery": "A refined FMU contains the original and the terms: omit the key.",
     "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
 }
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}

@@ -116,7 +116,7 @@ def points_along(
 ) -> tuple[Source, list[Point], list[str]]:
     """Return the source with a scenario's parameters, a point for each time of its run, and notes.
 
-    The model stands for a component of the scenario: equations are driven by its recorded inputs, an FMU replaces it.
+    The model replaces a component of the scenario: equations are driven by its recorded inputs, an FMU is simulated.
 
     Args:
         component: Name in the scenario if several components have the model's inputs and outputs.

@@ -97,7 +97,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
                 return values if rows is own else np.interp(time, rows.read(TIME), values, np.nan, np.nan)
             case ast.Name(id=letter):
                 names = ", ".join([*signals, "t"])
-                raise InputError.at(Path("formula"), f"{letter} stands for no signal; use {names}")
+                raise InputError.at(Path("formula"), f"{letter} is not assigned to a signal; use {names}")
             case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](value(operand))
             case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:

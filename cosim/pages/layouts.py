@@ -106,7 +106,7 @@ class Layouts:
     """Layouts in a file, which is read at the start and written as a whole.
 
     Raises:
-        InputError: The file is there and holds no layouts.
+        InputError: The file exists and has no layouts.
     """
 
     def __init__(self, file: Path) -> None:

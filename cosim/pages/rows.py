@@ -1,7 +1,7 @@
 """Rows of a run with the extremes of their blocks, and the points that a picture of a signal needs.
 
-Level 0 holds the rows. A block of level k + 1 holds the least and the largest value of `FACTOR` blocks of level k. Time
-is a column like the others: its extremes are the first and the last time of a block.
+Level 0 contains the rows. A block of level k + 1 contains the least and the largest value of `FACTOR` blocks of
+level k. Time is a column like the others: its extremes are the first and the last time of a block.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Recording:
         rows: Number of rows.
         added: Units of signals that were computed here.
         texts: Signals that doubles do not hold, each with all its texts; those of integers are numbers too.
-        rounded: Signals with integers that are drawn as doubles, and of which all digits are there as texts.
+        rounded: Signals with integers that are drawn as doubles, whose digits are kept as texts.
         inexact: Signals with integers that are read as doubles, without their last digits.
         assumed: What was assumed to read the table, in words.
     """

@@ -190,7 +190,7 @@ def find_runs(
     if not texts:
         found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
         if not found:
-            raise InputError.at(results, "holds no results with rows; run a scenario first, or name folders and tables")
+            raise InputError.at(results, "has no results with rows; run a scenario first, or name folders and tables")
         if len(found) > MAX_RUNS:
             notes.append(Note(f"the newest {MAX_RUNS} of {len(found)} results are shown; name the others"))
         return _differing(found[-MAX_RUNS:]), notes

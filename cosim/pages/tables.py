@@ -1,6 +1,6 @@
 """Rows of tables: small ones in memory, others in files of the cache, written once.
 
-`view/HASH` in the user's cache, by file, size and time of the table, holds rows, texts.arrow and about.json.
+`view/HASH` in the user's cache, by file, size and time of the table, contains rows, texts.arrow and about.json.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class ColumnTypes:
 
 
 def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Recording:
-    """Return the rows of a table; convert a large one first, unless its conversion is there.
+    """Return the rows of a table; convert a large one first, unless it is converted already.
 
     Args:
         columns: What is known of the columns from elsewhere.

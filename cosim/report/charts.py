@@ -226,8 +226,8 @@ def decimals_of_time(time: Array) -> int:
 def pack(columns: Sequence[tuple[Array, int]]) -> str:
     """Return columns and their decimals as base64 text, deflated.
 
-    A column holds differences of whole multiples of 10^-decimals, as zigzag numbers, first the lowest byte of each; a
-    column with gaps is followed by a byte for each row.
+    A column contains differences of whole multiples of 10^-decimals, as zigzag numbers, first the lowest byte of each;
+    a column with gaps is followed by a byte for each row.
     """
     parts = []
     for values, decimals in columns:

@@ -34,7 +34,7 @@ ARTEFACTS = (
     ),
     Artefact(
         "a database",
-        "`cosim sweep SWEEP.yaml --resume` goes on with one that it left, named with its --out",
+        "`cosim sweep SWEEP.yaml --resume` continues one that it left, named with its --out",
         heads=(b"SQLite format 3\0",),
     ),
 )

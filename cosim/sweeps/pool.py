@@ -122,8 +122,7 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
             except Exception as error:
                 reason = _one_line(error)
                 raise SweepFailed(
-                    f"the dask cluster failed: {reason}; see its logs; the runs that are there are kept, "
-                    "--resume goes on with them"
+                    f"the dask cluster failed: {reason}; see its logs; completed runs are kept, --resume continues them"
                 ) from None
             yield result
             room = 1

@@ -51,11 +51,11 @@ class Database:
                 if stored is None:
                     self._base.execute("INSERT INTO sweep VALUES (?)", (key,))
         except sqlite3.Error as error:
-            raise InputError.at(path, f"is no database of a sweep: {error}; --force begins anew") from None
+            raise InputError.at(path, f"is no database of a sweep: {error}; --force starts again") from None
         if stored not in {None, (key,)}:
             self._base.close()
             cure = "give another folder as --out, or use --force to start again"
-            raise InputError.at(path, f"holds the runs of another sweep, or of one with other FMUs; {cure}")
+            raise InputError.at(path, f"has the runs of another sweep, or of other FMUs; {cure}")
 
     @contextmanager
     def _full_disk_as_oserror(self) -> Iterator[None]:

@@ -18,7 +18,7 @@ WAYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
 def _check_listed(value: Any) -> Any:
     """Return a valid listed value, for paths also a list, e.g. poles."""
     if isinstance(value, list) and (not value or any(isinstance(v, list) for v in value)):
-        raise ValueError("a value that is a list holds numbers, true or false, or text")
+        raise ValueError("a list has numbers, true or false, or text")
     return scalar(value)
 
 
@@ -73,7 +73,7 @@ class Varied(Part):
     def _one_way(self) -> Varied:
         ways = [way for way in WAYS if getattr(self, way) is not None]
         if len(ways) != 1:
-            raise ValueError(f"it says {' and '.join(ways) or 'nothing'}; give one of {', '.join(WAYS)}")
+            raise ValueError(f"it has {' and '.join(ways) or 'no variation'}; give one of {', '.join(WAYS)}")
         if self.within is not None and self.normal is None:
             raise ValueError("within cuts a normal distribution; give normal, or leave it out")
         return self

@@ -101,7 +101,7 @@ def sweep(
     Raises:
         InputError: Every fault, before the first run.
         FmuError: An FMU cannot be read or loaded.
-        SweepStopped: The sweep was stopped from the keyboard; `resume` goes on with it.
+        SweepStopped: The sweep was stopped from the keyboard; `resume` continues it.
         SweepFailed: No run was completed.
     """
     study = read_sweep(Path(path), loads=True)
@@ -182,7 +182,7 @@ def sweep(
                     databases[0].store()
                 kept = f"{sum(len(d.numbers()) for d in databases)} of {counted(study.count, 'run')} are kept"
                 cure += "the same command" if part else "--resume"
-                stopped = SweepStopped(f"{why}: {kept} in {databases[0].path}; {cure} goes on with them")
+                stopped = SweepStopped(f"{why}: {kept} in {databases[0].path}; {cure} continues the sweep")
                 stopped.exit_code = exit_code
                 raise stopped
             seconds = time.perf_counter() - begin
@@ -219,7 +219,7 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
         return None
     if about.get("key") != key:
         cure = "give another folder as --out, or use --force to start again"
-        raise InputError.at(folder / TABLE, f"holds another sweep, or one of other FMUs; {cure}")
+        raise InputError.at(folder / TABLE, f"is of another sweep, or of other FMUs; {cure}")
     return record
 
 

@@ -14,7 +14,7 @@ from cosim.model.quantities import Quantity, parameter
 from cosim.model.sensors import Bias, Drift, Lag, Latency, Magnitude, Scale
 from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingTerm, bind, scaled
 
-BEGUN = Quantity("begun", "1", "whether the memory holds values")
+BEGUN = Quantity("begun", "1", "whether the memory is initialized")
 SHORTEST = 1e-3  # least time constant of a lag, as a share of a substep; below, the input passes unchanged
 
 # -- at an input -----------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ class FmuModel(Model):
         rates: Position → velocity that equals its derivative, by index.
         variables: Name in the model → name of the FMU's variable.
         shown: Output → state that equals it, by index.
-        stepped: True for an FMU for co-simulation; its outputs stand in place of states.
+        stepped: True for an FMU for co-simulation; its outputs replace states.
         starts: Its start states.
     """
 

@@ -21,7 +21,7 @@ FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 class RatioFactor:
     """The factor ((p + shift)/(value + shift))^power of a parameter p in a ratio, 1 at the given value.
 
-    A shift of 0 stands for a power law; any other shift is the sum of what is added to the parameter.
+    A shift of 0 is a power law; any other shift is the sum of what is added to the parameter.
     """
 
     parameter: str
@@ -164,7 +164,7 @@ class RememberingTerm(InputTerm):
         return command
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        """Return the command with this input changed, and the new memory; the last value says that it has begun."""
+        """Return the command with this input changed, and the new memory; its last value is 1 once it is initialized."""
         place = self.place.input
         value, (*kept, begun) = command[place], memory
         past = tuple(m.where(begun > 0.5, past, value) for past in kept)
@@ -210,7 +210,7 @@ def scaled(
     """Declare a parameter of a term in units of its place.
 
     Args:
-        unit: Product of symbols, such as `u/v^2`; `1` and `s` stand for themselves.
+        unit: Product of symbols, such as `u/v^2`; `1` and `s` are units.
         default, neutral, typical, low, high: Multiples of the same product of usual sizes.
         absolute: Count from the mean of the place's state, not from zero.
     """

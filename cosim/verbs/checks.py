@@ -367,7 +367,7 @@ def graph_command(
             is_earlier = titles[0] != [] and titles[0] == titles[1]
         if not is_earlier:
             reason = (
-                f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
+                f"exists and is not a picture of {graph.name}; name another file as --out, or overwrite it with --force"
             )
             raise InputError.at(path, reason)
     write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())

@@ -1,15 +1,15 @@
 """The command line that all verbs share: output on a terminal, options, exit codes.
 
 The parameters of a command are its options, or arguments if they have no default or a metavar in brackets. `Args` has
-their meanings, metavars and other names: `columns (--column COLUMN=VARIABLE): Variable that a column holds.` In place
-of `**given` stand the parameters of the verb's Python function but those `(in Python)`.
+their meanings, metavars and other names: `columns (--column COLUMN=VARIABLE): Variable of a column.` `**given` are
+the parameters of the verb's Python function but those `(in Python)`.
 
 Args:
     results: Folder of results (default: results).
     report: Write report.html, or do not.
     force: Write even if the folder is not empty; results in it are replaced.
     open: Open the report in a browser.
-    live: Open a page that shows the work while it goes on.
+    live: Open a page that shows the progress of the work.
     port: Port of the live page (default: any free port); implies --live.
     json: Print JSON instead of text.
     quiet (--quiet -q): Print only warnings, errors and JSON.

@@ -31,7 +31,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
         fmu (--fmu --plant FMU): FMU to simulate (default: the plant of the base model).
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the log).
         start (NAME=VALUE): Start value or parameter of the FMU, for example angle=12deg.
-        columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
+        columns (--column COLUMN=VARIABLE): Variable of a column, for example stamp=time.
 
     Example: cosim replay log.csv --fmu motor.fmu --column speed=w
     """
@@ -82,7 +82,7 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
         sealed (LOG): Log for the proof, not used by the estimate.
         per_log (--per-log NAME): Parameter with a value for each log, such as a load that changes between logs.
         profile (NAME): Parameter whose likelihood is profiled, for an interval that need not be symmetric.
-        columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
+        columns (--column COLUMN=VARIABLE): Variable of a column, for example stamp=time.
 
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
     """
@@ -155,7 +155,7 @@ def refine(
 
     if isinstance(study, (str, PathLike)):
         if logs or validation or settings:
-            text = "logs, validation and settings stand in the file; write them into the study, or give an object"
+            text = "logs, validation and settings are in the file; write them into the study, or give an object"
             raise InputError.at(Path(study), f"{text} in its place")
         source: Any = study
     else:
@@ -215,7 +215,7 @@ def refine_command(
         if file != "report.html" or given["report"]:
             say(*([f"{name + ':':9}{place / file}"] if (place / file).is_file() else []))
     if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
-        say(f"The FMU holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
+        say(f"The FMU contains {original.fmu.name}: check that its licence permits you to distribute it.")
     if json:
         answer = {key: record[key] for key in ("verdict", "sentence", "effects", "rivals", "error") if key in record}
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})

@@ -1,4 +1,4 @@
-"""Results that are there: compare, report, list, open, view, gc, and `cosim.read`."""
+"""Existing results: compare, report, list, open, view, gc, and `cosim.read`."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
     if not (path / "manifest.json").is_file():
         verb = next((v for name, v in OTHER_RECORDS.items() if (path / name).is_file()), None)
         own = "has no manifest.json; give the folder with the results of `cosim run`"
-        other = f"holds no manifest.json; it is of `cosim {verb}`, which writes its page itself"
+        other = f"has no manifest.json; it is of `cosim {verb}`, which writes its page itself"
         raise InputError.at(path, other if verb else own)
     run = read_ran(path)
     if not isinstance(run.manifest.get("scenario"), dict):
@@ -301,7 +301,7 @@ def open_command(
     page = folder / "report.html"
     if not page.is_file():
         if not has_results(folder):
-            reason = "holds no results of a command; give a number, a name or a folder in `cosim list`"
+            reason = "has no results of a command; give a number, a name or a folder in `cosim list`"
             raise InputError.at(folder, reason)
         if state := state_of(folder):
             raise InputError.at(folder, f"has no report.html: its command is {state}; `cosim list` shows the state")
@@ -331,7 +331,7 @@ def view_command(
 
     Args:
         runs ([RUN]): Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).
-        columns (--column COLUMN=SIGNAL): Signal that a column of a table holds, for example stamp=time.
+        columns (--column COLUMN=SIGNAL): Signal of a column of a table, for example stamp=time.
         layout: File of saved layouts (default: view.json in the folder of results).
         port: Port of the page (0: any).
         browser: Open the page, or print its address only.

@@ -120,7 +120,7 @@ def simulate_command(*, open: bool = False, json: bool = False, **given: Any) ->
         fmu: FMU to simulate.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the FMU).
         set (NAME=VALUE): Value of a parameter or input, for example angle=12deg.
-        input (FILE): CSV file with time and columns named as inputs; each row holds until the next.
+        input (FILE): CSV file with time and columns named as inputs; each value is held until the next row.
         columns (--column COLUMN=INPUT): Input that a column of --input drives, for example volts=voltage.
         interpolation (held|linear): Values of --input between two rows.
         stop (TIME): End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
