@@ -164,7 +164,7 @@ class RememberingTerm(InputTerm):
         return command
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        """Return the command with this input changed, and the new memory; its last value is 1 once it is initialized."""
+        """Return the command with this input changed, and the new memory; its last value is 1 once initialized."""
         place = self.place.input
         value, (*kept, begun) = command[place], memory
         past = tuple(m.where(begun > 0.5, past, value) for past in kept)
