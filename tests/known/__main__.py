@@ -1,4 +1,4 @@
-"""`python -m tests.known` prints the tables of docs/known.md; `--fmpy` the numbers of FMPy's `simulate_fmu` beside them."""
+"""`python -m tests.known` prints the tables of docs/known.md; `--fmpy` the numbers of FMPy beside the right ones."""
 
 from __future__ import annotations
 
