@@ -51,7 +51,7 @@ def fill(app: Any, page: str, source: list[str]) -> None:
 
 def list_changed_pages(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
     """Return the pages that `fill` changes: Sphinx reads them again in every build."""
-    return ["api", "cli", "gallery", "view"]
+    return ["api", "cli", "gallery", "known", "view"]
 
 
 def setup(app: Any) -> None:

@@ -106,4 +106,15 @@ def format_table(header: tuple[str, str], rows: Any) -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-PAGES = {"<!-- generated: command line -->": format_command_line, "<!-- generated: Python -->": format_python}
+def format_known_answers() -> str:
+    """Return the systems whose answers are known, which `tests/test_known.py` runs."""
+    from tests.known.__main__ import format_cases  # with pytest
+
+    return format_cases()
+
+
+PAGES = {
+    "<!-- generated: command line -->": format_command_line,
+    "<!-- generated: Python -->": format_python,
+    "<!-- generated: known answers -->": format_known_answers,
+}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.known.__main__ import format_cases
 from tests.known.cases import CASES
 from tests.known.table import Case, check
 
@@ -30,6 +31,6 @@ def test_the_answer_is_known(case: Case, variant: str, tmp_path: Path) -> None:
 
 
 def test_the_page_has_the_rows_of_the_table() -> None:
-    page = (Path(__file__).parent.parent / "docs" / "known.md").read_text(encoding="utf-8")
+    page = format_cases()
     names = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
     assert sorted(names) == sorted(case.name for case in EVERY)

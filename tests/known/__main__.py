@@ -1,4 +1,4 @@
-"""`python -m tests.known` prints docs/known.md; `--fmpy` what FMPy's `simulate_fmu` makes of the cases of one FMU."""
+"""`python -m tests.known` prints the tables of docs/known.md; `--fmpy` the numbers of FMPy beside the right ones."""
 
 from __future__ import annotations
 
@@ -11,28 +11,21 @@ import numpy as np
 from tests.known.cases import CASES
 from tests.known.table import Case, Run
 
-HEAD = """# Known answers
 
-The numbers of these systems are known without a simulator: from a formula, a sentence of a standard, or another
-integrator at a tolerance of 1e-12. `tests/test_known.py` runs each of them. `tests/known/` has the equations, scenarios
-and tolerances. `python -m tests.known > docs/known.md` writes this page.
-
-FMPy is not the answer. `python -m tests.known --fmpy` runs the cases of a single FMU by its `simulate_fmu`. Where its
-number differs, the last column says which one it is, and who is right. An empty cell: several FMUs, or a key of cosim.
-"""
-TABLE = "\n## {title}\n\n| case | system | right value and its source | FMPy 0.3.32 |\n|---|---|---|---|\n"
-
-
-def written() -> str:
-    """Return docs/known.md."""
-    page = HEAD
+def format_cases() -> str:
+    """Return the tables of docs/known.md, which the site inserts, and the answers of FMPy."""
+    parts = []
     for kind, cases in CASES.items():
-        page += TABLE.format(title=kind[0].upper() + kind[1:])
-        for case in cases:
-            cells = [text.replace("|", "\\|") for text in (case.system, case.source, case.fmpy)]
-            page += f"| {' | '.join([f'`{case.name}`', *cells])} |\n"
+        rows = [(f"`{case.name}`", case.system, case.source) for case in cases]
+        lines = [("case", "system", "right value and its source"), ("---", "---", "---"), *rows]
+        table = ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
+        parts += [f"## {kind[0].upper()}{kind[1:]}", "\n".join(table)]
     every = [case for cases in CASES.values() for case in cases]
-    return page + f"\n{len(every)} systems, {sum(len(case.variants) for case in every)} runs.\n"
+    parts.append(f"{len(every)} systems, {sum(len(case.variants) for case in every)} runs.")
+    equal = ", ".join(f"`{case.name}`" for case in every if case.fmpy == "same")
+    others = [f"- `{case.name}`: {case.fmpy}" for case in every if case.fmpy not in ("", "same")]
+    parts += ["## FMPy", f"FMPy 0.3.32 gives the right value of {equal}. It differs here:", "\n".join(others)]
+    return "\n\n".join(parts)
 
 
 def measure(case: Case) -> None:
@@ -64,4 +57,4 @@ if __name__ == "__main__":
         for one in [case for cases in CASES.values() for case in cases if case.fmpy]:
             measure(one)
     else:
-        print(written(), end="")
+        print(format_cases())
