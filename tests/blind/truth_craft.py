@@ -119,7 +119,7 @@ def equations(
     com, yaw_viscous = get("com_offset.right", 0.0), get("yaw_damping.coefficient", 0.0)
     yaw_dry, turning = get("yaw_coulomb_friction.moment", 0.0), get("coriolis.gain", 0.0)
     down_x, down_y = (mass * p["gravity"] * f.sin(get(f"table_tilt.{axis}", 0.0)) for axis in ("x", "y"))
-    slew, omega = get("servo_rate_limit.rate") or math.inf, get("actuator_second_order.natural_frequency", 0.0)
+    slew, omega = get("servo_rate_limit.rate", math.inf), get("actuator_second_order.natural_frequency", 0.0)
     zeta = get("actuator_second_order.damping_ratio", 0.7)
 
     def lift(height: Any) -> Any:
