@@ -1,8 +1,8 @@
 """Truth of the FMUs' blind suite: the general catalogue of effects at places, and integration in small steps.
 
-Nothing of the project is used, nor the C sources of the FMUs. A plant (`fmu_truths.py`) declares its places: inputs,
-position-velocity pairs, storages, outputs. From these follow its effects, named `{kind}_at_{place}`. Runs are
-integrated by Runge-Kutta with a few steps a row; a test compares with DOP853.
+Nothing of the project is used, and of the C sources of the FMUs only the tables of variables. A plant (`fmu_truths.py`)
+declares its places: inputs, position-velocity pairs, storages, outputs. From these follow its effects, named
+`{kind}_at_{place}`. Runs are integrated by Runge-Kutta with a few steps a row; a test compares with DOP853.
 
 | effect | parameters | acts |
 |---|---|---|
@@ -45,12 +45,13 @@ from tests.blind.field_rig import (
     Rate,
     Rig,
     Run,
-    Sensor,
     grouped,
     hidden_in,
     manoeuvre,
     rounded,
+    sensor,
 )
+from tests.blind.fmu_build import PLANTS
 
 ModelExchange, CoSimulation = "model_exchange", "co_simulation"
 PARTS = 4  # Runge-Kutta steps of a row
@@ -131,7 +132,9 @@ class FmuRig(Rig):
     preroll_rows: int = 60
 
     def __init__(self, way: str) -> None:
-        self.way = way
+        self.way, plant = way, PLANTS[self.name]
+        self.sheet = {place(v.name): (v.start, v.tolerance) for v in plant.parameters}
+        self.rest = [v.start for v in plant.states]
         self.inputs = {name: u.rest for name, u in self.plants_inputs.items()}
         self.outputs = {name: y.noise for name, y in self.plants_outputs.items()}
         self.preroll = self.preroll_rows * self.step
@@ -142,11 +145,6 @@ class FmuRig(Rig):
         self.entries = at_inputs | ported | at_outputs
         self.entries |= internal if way == ModelExchange else {}
         self.outside |= internal if way == CoSimulation else {}
-        self.sensors = {
-            f"{kind}_at_{place(name)}": Sensor(name, {"latency": "late"}.get(kind, kind))
-            for name, y in self.plants_outputs.items()
-            for kind in y.kinds.split()
-        }
         self.own_states = {
             f"lag_at_{place(name)}": {f"lag_at_{place(name)}.state": self.rest[y.state]}
             for name, y in self.plants_outputs.items()
@@ -158,11 +156,6 @@ class FmuRig(Rig):
         alike = [{name for name in self.entries if name.endswith(f"_at_{p}")} for p in places]
         slow = {n for n in at_inputs if n == "delay" or n.startswith(("lag_", "second_order", "rate_limit", "play"))}
         self.families = tuple(map(frozenset, (*alike, slow)))
-
-    @property
-    def rest(self) -> list[float]:
-        """Return the states at rest."""
-        raise NotImplementedError
 
     # -- what may be hidden --------------------------------------------------------------------------
 
@@ -220,32 +213,32 @@ class FmuRig(Rig):
         for name, y in self.plants_outputs.items():
             slow = y.spread / (self.rows * h)
             every = {
-                "bias": Entry("value", y.noise, 0.02 * y.noise, 0.3 * y.spread, signed=True),
-                "scale": Entry("value", 0.02, 5e-4, 0.3, signed=True, neutral=1.0),
-                "lag": Entry("time", h, SHORTEST_LAG * h, 15.0 * h),
-                "drift": Entry("rate", 0.02 * slow, 5e-4 * slow, 0.5 * slow, signed=True),
-                "latency": Entry("value", 2.0 * h, 1.5 * h, 4.0 * h, fixed=True),
+                "bias": sensor(name, "bias", y.noise, 0.02 * y.noise, 0.3 * y.spread),
+                "scale": sensor(name, "scale", 0.02, 5e-4, 0.3),
+                "lag": Entry("time", h, SHORTEST_LAG * h, 15.0 * h, output=name, error="lag"),
+                "drift": Entry("rate", 0.02 * slow, 5e-4 * slow, 0.5 * slow, signed=True, output=name, error="drift"),
+                "latency": sensor(name, "late", 2.0 * h, 1.5 * h, 4.0 * h),
             }
             found |= _placed(name, y.kinds, every)
         return found
 
     # -- equations ------------------------------------------------------------------------------------
 
-    def equations(self, f: Any, p: Flat, drag: Callable[..., Any], loss: Callable[..., Any]) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Callable[..., Any], hidden: Callable[..., Any]) -> Rate:
         """Return the derivatives of the plant's own states.
 
         Args:
             f: math functions, `Floats` or `Arrays`.
             p: parameters.
-            drag: (place, position, velocity) → force against the motion.
-            loss: (place, value) → loss of a storage per second.
+            acts: (pair, position, velocity) → force against the motion, (storage, value) → its loss per second.
+            hidden: (stranger, term) → the term for its parameters, 0 without it.
         """
         raise NotImplementedError
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return derivatives and outputs, with the hidden effects of `p`."""
         hidden, first = hidden_in(p), place(next(iter(self.plants_inputs)))
-        own = self.equations(f, p, self._drag(f, p), self._loss(f, p))
+        own = self.equations(f, p, self._acts(f, p), hidden)
         names = {key.partition(".")[0] for key in p}
         lagged = [place(name) for name in self.plants_outputs if f"lag_at_{place(name)}" in names]
         number = {at: len(self.states) + k for k, at in enumerate(lagged)}
@@ -267,24 +260,19 @@ class FmuRig(Rig):
 
         return rate, look
 
-    def _drag(self, f: Any, p: Flat) -> Callable[..., Any]:
-        """Return (place, position, velocity) → force against the motion of the effects at a velocity."""
-        effects = grouped(p)
+    def _acts(self, f: Any, p: Flat) -> Callable[..., Any]:
+        """Return (place, values) → sum of the effects at a velocity or a storage."""
+        effects, creep = grouped(p), {name: v.speed / 50.0 for name, v in self.pairs.items()}
         terms = {
-            name: [
-                (term, effects[f"{kind}_at_{name}"]) for kind, term in DRAGS.items() if f"{kind}_at_{name}" in effects
-            ]
-            for name in self.pairs
+            name: [(law, effects[f"{kind}_at_{name}"]) for kind, law in LAWS.items() if f"{kind}_at_{name}" in effects]
+            for name in (*self.pairs, *self.storages)
         }
-        creep = {name: v.speed / 50.0 for name, v in self.pairs.items()}
-        return lambda name, q, v: sum(term(f, q, v, f.tanh(v / creep[name]), **values) for term, values in terms[name])
 
-    def _loss(self, f: Any, p: Flat) -> Callable[..., Any]:
-        """Return (place, value) → loss of a storage per second."""
-        leaks = {name: p.get(f"leak_at_{name}.coefficient", 0.0) for name in self.storages}
-        spills = {name: p.get(f"overflow_at_{name}.coefficient", 0.0) for name in self.storages}
-        levels = {name: p.get(f"overflow_at_{name}.level", 0.0) for name in self.storages}
-        return lambda name, x: leaks[name] * x + spills[name] * f.maximum(x - levels[name], 0.0)
+        def acts(name: str, *at: Any) -> Any:
+            way = (f.tanh(at[1] / creep[name]),) if name in creep else ()
+            return sum(law(f, *at, *way, **values) for law, values in terms[name])
+
+        return acts
 
     def resolves(self, truth: Mapping[str, Mapping[str, float]]) -> bool:
         """Return whether the integration resolves the lag of every sensor."""
@@ -356,8 +344,8 @@ def _placed(at: str, kinds: str, every: Mapping[str, Entry]) -> dict[str, Entry]
     return {f"{kind}_at_{place(at)}": every[kind] for kind in kinds.split()}
 
 
-# (functions, position, velocity, direction, parameters) → force against the motion
-DRAGS: dict[str, Callable[..., Any]] = {
+# (functions, position, velocity, direction, parameters) → force against the motion; (…, value, …) → loss of a storage
+LAWS: dict[str, Callable[..., Any]] = {
     "coulomb": lambda f, q, v, way, level: level * way,
     "stribeck": lambda f, q, v, way, level, breakaway, speed: (
         (level + (breakaway - level) * f.exp(-((v / speed) ** 2))) * way
@@ -368,6 +356,8 @@ DRAGS: dict[str, Callable[..., Any]] = {
         sine * f.sin(2.0 * math.pi / period * q) + cosine * f.cos(2.0 * math.pi / period * q)
     ),
     "cubic_spring": lambda f, q, v, way, stiffness: stiffness * q**3,
+    "leak": lambda f, x, coefficient: coefficient * x,
+    "overflow": lambda f, x, coefficient, level: coefficient * f.maximum(x - level, 0.0),
 }
 
 

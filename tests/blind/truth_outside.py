@@ -123,8 +123,3 @@ OUTSIDE: dict[str, Entry] = {
         lambda amplitude: Outside(compass=lambda psi: psi + amplitude * math.sin(2.0 * psi)), {"amplitude": (0.06, 0.1)}
     ),
 }
-
-
-def outside(name: str, parameters: dict[str, float]) -> Outside:
-    """Return the effect `name` for parameter values."""
-    return OUTSIDE[name].make(**parameters)
