@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tests.blind.field_rig import Array, Course, Entry, Flat, Look, Random, Rate, Rig, Run, Truth, sensor
-from tests.blind.truth_craft import OUTPUTS, REST, SHEET, STATES, VARIANCE, Craft, Flight, Outside, Servos, equations
+from tests.blind.truth_craft import CALM, OUTPUTS, REST, SHEET, STATES, VARIANCE, Craft, Flight, Servos, equations
 from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_pilot import Pilot
 
@@ -48,7 +48,7 @@ class CraftRig(Rig):
         "accelerometer_bias": sensor("ax", "bias", 0.03, 2e-3, 0.5),
         "gyro_bias": sensor("psi_dot", "bias", 3e-3, 2e-4, 0.1),
     }
-    outside = {name: Entry(next(iter(entry.ranges)), 1.0, 1.0, 1.0, fixed=True) for name, entry in OUTSIDE.items()}
+    outside = {name: Entry(next(iter(ranges)), 1.0, 1.0, 1.0, fixed=True) for name, ranges in OUTSIDE.items()}
     families = (  # never in one study: the data cannot tell them apart, or one hides the other
         frozenset({"coulomb_friction", "stribeck_friction", "quadratic_drag"}),
         frozenset({"yaw_damping", "yaw_coulomb_friction"}),
@@ -70,7 +70,7 @@ class CraftRig(Rig):
 
     def acting(self, p: Flat, run: Run, parts: int) -> Array:
         """Return the mean command over each row after delay, play, offset and dead band of the servos."""
-        servos = Servos({key: float(p[key]) for key in self.shaping if key in p}, Outside())
+        servos = Servos({key: float(p[key]) for key in self.shaping if key in p})
         ends = np.append(run.times[1:], run.times[-1] + self.step)
         rows = []
         for begin, end, command in zip(run.times.tolist(), ends.tolist(), run.commands.tolist(), strict=True):
@@ -81,7 +81,7 @@ class CraftRig(Rig):
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return the equations of the craft without odometers and rates of the tilts."""
         rate, look = equations(
-            f, p, Outside(), lambda vf, vs: f.sqrt(vf * vf + vs * vs + 1e-12),
+            f, p, lambda vf, vs: f.sqrt(vf * vf + vs * vs + 1e-12),
             lambda force, slip: force * f.tanh(slip / 0.01) / slip,
         )  # fmt: skip
         shown = [OUTPUTS.index(name) for name in self.outputs]
@@ -97,9 +97,8 @@ class CraftRig(Rig):
 
 
 def craft(base: dict[str, float], truth: Truth) -> Craft:
-    """Return the craft with wrong base parameters, effects, or an effect outside the catalogue."""
-    strange = [OUTSIDE[name].make(**values) for name, values in truth.items() if name in OUTSIDE]
-    return Craft(base, {n: values for n, values in truth.items() if n not in {*OUTSIDE, *CraftRig().sensors}}, *strange)
+    """Return the craft with wrong base parameters and effects, without errors of sensors."""
+    return Craft(base, {name: values for name, values in truth.items() if name not in CraftRig().sensors})
 
 
 def moving_start(rng: Random) -> dict[str, float]:
@@ -127,7 +126,7 @@ def fly_craft(
     p = rig.numbers({}, truth)
     readings, states, commands = [], [], []
     for k, push in enumerate(map(tuple, pushes.tolist())):
-        readings.append([rig.sensed(p, output, value) for output, value in _shown(flight, craft, push).items()])
+        readings.append([rig.sensed(p, output, value) for output, value in shown(flight, push).items()])
         states.append(flight.state.copy())
         cells = zip(rig.outputs, readings[k] + noise[k], strict=True)
         seen = {output: float(f"{cell:.6g}") for output, cell in list(cells)[:channels]}
@@ -137,11 +136,9 @@ def fly_craft(
     return Run(times, np.array(commands), pushes, states[0][2:14]), Course(np.array(readings), np.array(states))
 
 
-def _shown(flight: Flight, craft: Craft, push: Any) -> dict[str, float]:
-    """Return the readings of right sensors; a compass may deviate."""
+def shown(flight: Flight, push: Any) -> dict[str, float]:
+    """Return the readings of right sensors."""
     now = flight.outputs(push)
-    if craft.outside.compass:
-        now["psi"] = craft.outside.compass(now["psi"])
     return {output: now[output] for output in CraftRig.outputs}
 
 
@@ -157,5 +154,5 @@ def replay_craft(made: Craft, truth: Truth, run: Run, course: Course) -> Array:
             flight.servos.pieces(times[j], times[j + 1], commands[j])
         for j in range(k, min(k + horizon, last)):
             flight.advance(commands[j], end=times[j + 1])
-            right[j + 1] = list(_shown(flight, made, (0.0, 0.0, 0.0)).values())
+            right[j + 1] = list(shown(flight, CALM).values())
     return rig.all_sensed(rig.numbers({}, truth), right)

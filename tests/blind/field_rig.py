@@ -57,20 +57,21 @@ def grouped(p: Flat) -> dict[str, dict[str, Any]]:
     return effects
 
 
-def hidden_in(p: Flat) -> Callable[..., Any]:
-    """Return (name, term, otherwise) → the term of an effect for its parameters in `p`, else `otherwise` or 0."""
+def laws_in(p: Flat, laws: Mapping[str, Callable[..., Any]]) -> list[Callable[..., Any]]:
+    """Return the laws of the effects in `p`, for their parameters."""
     effects = grouped(p)
+    return [partial(law, **effects[name]) for name, law in laws.items() if name in effects]
 
-    def term_of(name: str, term: Callable[..., Any], otherwise: Any = 0.0) -> Any:
-        return term(**effects[name]) if name in effects else otherwise
 
-    return term_of
+def hidden_in(p: Flat) -> Callable[..., Any]:
+    """Return (name, term) → the term of an effect for its parameters in `p`, else 0."""
+    effects = grouped(p)
+    return lambda name, term: term(**effects[name]) if name in effects else 0.0
 
 
 def terms_in(p: Flat, every: Mapping[str, Any]) -> Callable[..., Any]:
     """Return (total, arguments) → total + the terms of the effects in `p` for the arguments and its parameters."""
-    effects = grouped(p)
-    present = [partial(term, **effects[name]) for name, term in every.items() if name in effects]
+    present = laws_in(p, every)
     if not present:  # fast, as it is usual
         return lambda total, *at: total
     return lambda total, *at: sum((term(*at) for term in present), total)
@@ -310,21 +311,15 @@ def advanced(integrator: Any, state: Array, begin: float, end: float) -> Array:
 # -- what is drawn ---------------------------------------------------------------------------------------
 
 
-def stream(suite: int, seed: int, *purpose: int) -> Random:
+def random_stream(suite: int, seed: int, *purpose: int) -> Random:
     """Return an independent random stream of a suite for a purpose of a seed."""
     return np.random.default_rng([suite, seed, *purpose])
 
 
-def dealt(deck: Sequence[Any], number: int, stream_of: Callable[[int], Random]) -> tuple[Any, int]:
-    """Return card `number` of an endless pile of equal decks, and how many equal cards are above it.
-
-    Args:
-        deck: the cards.
-        number: which.
-        stream_of: pile → random stream that shuffles it.
-    """
+def dealt(suite: int, deck: Sequence[Any], number: int, *purpose: int) -> tuple[Any, int]:
+    """Return card `number` of an endless pile of equal decks, each shuffled, and how many equal cards are above it."""
     pile, place = divmod(number, len(deck))
-    order = [deck[k] for k in stream_of(pile).permutation(len(deck))]
+    order = [deck[k] for k in random_stream(suite, pile, *purpose).permutation(len(deck))]
     card = order[place]
     return card, pile * deck.count(card) + order[:place].count(card)
 

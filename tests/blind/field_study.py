@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -33,8 +32,8 @@ from tests.blind.field_rig import (
     coloured,
     dealt,
     log_uniform,
+    random_stream,
 )
-from tests.blind.field_rig import stream as any_stream
 from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_pilot import Pilot
 
@@ -91,12 +90,8 @@ class Study:
         return [DISTURBANCES[self.disturbance] * reach for reach in self.rig.pushes]
 
 
-stream = partial(any_stream, 60493)  # of this half and of the FMUs
-
-
-def card(deck: Sequence[Any], number: int, *purpose: int) -> tuple[Any, int]:
-    """Return card `number` of an endless pile of equal decks, and how many equal cards are above it."""
-    return dealt(deck, number, lambda pile: stream(pile, *purpose))
+SUITE = 60493  # of this half and of the FMUs
+stream, card = partial(random_stream, SUITE), partial(dealt, SUITE)
 
 
 def deal(seed: int) -> Deal:
@@ -116,7 +111,7 @@ def draw(seed: int) -> Study:
         return study
     if given.plant == "craft":  # with the sizes of the laboratory half
         name = str(rng.choice(sorted(OUTSIDE)))
-        return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].ranges.items()}})
+        return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].items()}})
     return hidden(lambda: sized(study, [str(rng.choice(sorted(study.rig.outside)))], rng, costing(OUTSIDE_COST)))
 
 

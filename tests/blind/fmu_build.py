@@ -15,12 +15,10 @@ values (`initial` exact). A step of co-simulation has any length and is divided 
 from __future__ import annotations
 
 import os
-import platform
 import re
 import shlex
 import shutil
 import subprocess
-import sys
 import tempfile
 import zipfile
 from collections.abc import Sequence
@@ -137,23 +135,15 @@ def build(
         ways: from `WAYS`.
         fault: a key of `FAULTS`.
     """
+    folder = fmpy.platform if version == 2 else fmpy.platform_tuple
     entries = {
         "modelDescription.xml": _description(plant, version, fault, ways).encode(),
-        f"binaries/{_binary(plant, version)}": library(plant, version, fault),
+        f"binaries/{folder}/{plant}{fmpy.sharedLibraryExtension}": library(plant, version, fault),
     }
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in entries.items():
             archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content)
     return path
-
-
-def _binary(plant: str, version: int) -> str:
-    """Return the path of the library of this machine below `binaries`."""
-    system = {"win32": "windows"}.get(sys.platform, sys.platform)
-    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
-    suffix = {"windows": ".dll", "darwin": ".dylib"}.get(system, ".so")
-    of_two = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}[system]
-    return f"{of_two if version == 2 and machine == 'x86_64' else f'{machine}-{system}'}/{plant}{suffix}"
 
 
 def build_slave(path: Path, plant: str) -> Path:

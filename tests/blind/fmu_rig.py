@@ -45,8 +45,8 @@ from tests.blind.field_rig import (
     Rate,
     Rig,
     Run,
-    grouped,
     hidden_in,
+    laws_in,
     manoeuvre,
     rounded,
     sensor,
@@ -262,15 +262,13 @@ class FmuRig(Rig):
 
     def _acts(self, f: Any, p: Flat) -> Callable[..., Any]:
         """Return (place, values) → sum of the effects at a velocity or a storage."""
-        effects, creep = grouped(p), {name: v.speed / 50.0 for name, v in self.pairs.items()}
-        terms = {
-            name: [(law, effects[f"{kind}_at_{name}"]) for kind, law in LAWS.items() if f"{kind}_at_{name}" in effects]
-            for name in (*self.pairs, *self.storages)
-        }
+        creep = {name: v.speed / 50.0 for name, v in self.pairs.items()}
+        places = (*self.pairs, *self.storages)
+        terms = {at: laws_in(p, {f"{kind}_at_{at}": law for kind, law in LAWS.items()}) for at in places}
 
         def acts(name: str, *at: Any) -> Any:
             way = (f.tanh(at[1] / creep[name]),) if name in creep else ()
-            return sum(law(f, *at, *way, **values) for law, values in terms[name])
+            return sum(law(f, *at, *way) for law in terms[name])
 
         return acts
 

@@ -88,11 +88,6 @@ def replaceable(line: Line) -> list[tuple[str, str]]:
     return special + [(name, other) for name, other in alike if name in named(line)]
 
 
-def left_open(line: Line) -> list[set[str]]:
-    """Return sets of the claimed names, with one replaced by an effect that the verdict leaves open in its place."""
-    return [(named(line) - {claimed}) | {other} for claimed, other in replaceable(line)]
-
-
 def is_right(line: Line) -> bool:
     """Return whether a known study has the expected verdict and claims exactly the names of the truth.
 
@@ -112,7 +107,8 @@ def is_in_set(line: Line) -> bool:
     (`not_excluded`, `alike`) is in the set, too.
     """
     truth, sets = set(line["truth"]), alternatives(line)
-    if is_right(line) or (grade(line) == "claimed" and truth in left_open(line)):
+    left_open = [(named(line) - {claimed}) | {other} for claimed, other in replaceable(line)]
+    if is_right(line) or (grade(line) == "claimed" and truth in left_open):
         return True
     if line["verdict"] != "ambiguous" or not put_forward(line) <= truth:
         return False
@@ -121,14 +117,8 @@ def is_in_set(line: Line) -> bool:
 
 
 def is_wrong(line: Line) -> bool:
-    """Return whether a study gets a name, claimed wholly or in part, that is not in the truth.
-
-    Of a known study, a name in whose place the verdict leaves the true effect open is not wrong.
-    """
-    if line.get("suite") in IN_PARTS:
-        return bool(wrong_parts(line))
-    excused = line["kind"] == "known" and any(names <= set(line["truth"]) for names in left_open(line))
-    return is_misnamed(line) and not excused
+    """Return whether a study gets a name, claimed wholly or in part, that is not in the truth (`wrong_parts`)."""
+    return bool(wrong_parts(line))
 
 
 def is_misnamed(line: Line) -> bool:

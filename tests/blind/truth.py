@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -19,8 +18,19 @@ from pathlib import Path
 import numpy as np
 
 from tests.blind.field_craft import CraftRig, craft, fly_craft, moving_start
-from tests.blind.field_rig import LOGS, Array, Course, Random, Run, Truth, coloured, csv, dealt, write_study
-from tests.blind.field_rig import stream as any_stream
+from tests.blind.field_rig import (
+    LOGS,
+    Array,
+    Course,
+    Random,
+    Run,
+    Truth,
+    coloured,
+    csv,
+    dealt,
+    random_stream,
+    write_study,
+)
 from tests.blind.truth_craft import SHEET, STEP, Craft
 from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_pilot import Pilot
@@ -83,7 +93,9 @@ EFFECTS = tuple(name for name in sizes(np.random.default_rng()) if name not in S
 NEED_POSITION = {
     *("coulomb_friction", "stribeck_friction", "quadratic_drag", "thrust_asymmetry", "com_offset", "table_tilt"),
     *("coriolis", "mass", "friction", "accelerometer_bias", "accelerometer_scale"),
+    *("gust", "tether", "ratchet_friction", "growing_friction", "table_bumps", "gyroscopic"),
 }
+NEED_DUTY = {"thrust_slope", "torque_reaction"}
 BLOCK = ("known",) * 11 + ("nothing",) * 5 + ("outside",) * 4  # of twenty consecutive seeds, in shuffled order
 PAIR, BASE_PAIR = "two effects", "two base parameters"
 KNOWN_DECK = (*EFFECTS, *BASE, *SENSORS, *(PAIR,) * 6, *(BASE_PAIR,) * 2)
@@ -94,7 +106,8 @@ DURATION = 40.0  # [s]
 DISTURBANCE = (0.004, 0.004, 0.0002)  # forward, starboard [N], yaw [N m]: standard deviations
 CORRELATION_TIME = 1.0  # [s]
 
-stream = partial(any_stream, 9137)  # of this half
+SUITE = 9137
+stream, card = partial(random_stream, SUITE), partial(dealt, SUITE)
 
 
 @dataclass(frozen=True)
@@ -122,26 +135,19 @@ def _names_of_card(card: str, rng: Random) -> list[str]:
 
 def draw(seed: int) -> Study:
     """Return the study of a seed, reproducible byte for byte."""
-
-    def card(deck: Sequence[str], number: int, purpose: int) -> tuple[str, int]:
-        return dealt(deck, number, lambda pile: stream(pile, purpose))
-
     kind, number = card(BLOCK, seed, 1)
     rng = stream(seed, 2)
     disturbed, imu_alone, duty = rng.random(3) < (0.5, 0.4, 0.5)
     truth: Truth = {}
     if kind == "known":
         truth = {name: size(name, rng) for name in _names_of_card(card(KNOWN_DECK, number, 3)[0], rng)}
-        imu_alone &= not truth.keys() & NEED_POSITION
-        duty |= "thrust_slope" in truth
     elif kind == "outside":
         name, _ = card(tuple(OUTSIDE), number, 4)
-        entry = OUTSIDE[name]
-        truth = {name: {p: float(rng.uniform(*r)) for p, r in entry.ranges.items()}}
-        imu_alone &= not entry.needs_position
-        duty |= entry.needs_duty
+        truth = {name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].items()}}
     else:
         disturbed = card(NOTHING_DECK, number, 5)[0] == "disturbed"
+    imu_alone &= not truth.keys() & NEED_POSITION
+    duty |= bool(truth.keys() & NEED_DUTY)
     return Study(seed, kind, truth, bool(disturbed), not imu_alone, bool(duty))
 
 
