@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.blind.truth_craft import DUTY, OUTPUTS, SHEET, STEP, Craft, Flight, Outside
+from tests.blind.truth_craft import DUTY, OUTPUTS, SHEET, STEP, Craft, Flight
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -37,14 +37,14 @@ def simulate(
     t0: float = 0.0,
 ) -> dict[str, Array]:
     """Return outputs by name at t0, t0 + 0.02 s, …; `commands` (N, 4) is (δ_R, δ_L, α_R, α_L), with a row per hold."""
-    start, outside, given = start or {}, Outside(), dict(numbers or {})
+    start, effects, given = start or {}, dict(effects or {}), dict(numbers or {})
     own_height = given.pop("own_height", 1.0)
     base = {SYMBOLS[symbol]: value for symbol, value in given.items()}
     if not own_height:  # eq 5.14: both propellers at the height of the craft, however it rolls
         sheet = SHEET | base
         near = (sheet["propeller_radius"] / 4.0 / sheet["height"]) ** sheet["ground_effect_exponent"]
-        outside, base["height"] = Outside(gain=lambda _: 1.0 / (1.0 - near)), 1e9
-    craft = Craft(base, effects or {}, outside)
+        effects["thrust_factor"], base["height"] = {"value": 1.0 / (1.0 - near)}, 1e9
+    craft = Craft(base, effects)
     states = {name.removeprefix("actuator_second_order."): value for name, value in start.items()}
     flight = Flight(craft, craft.rest(**states), t0, tolerance=1e-11)
     flight.servos.play = [start.get(f"servo_backlash.play_{side}", 0.0) for side in ("right", "left")]

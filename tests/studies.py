@@ -20,8 +20,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Hypothesis, SearchResult
 from cosim.refinement.workflow import refine
 from cosim.verbs.checks import schema_of
-from tests.blind.truth import write
-from tests.blind.truth_study import Study
+from tests.blind.truth import Study, write
 from tests.verdicts import contradictions
 
 FEW = "[coulomb_friction, quadratic_drag, table_tilt, servo_dead_band, gyro_bias, mass]"

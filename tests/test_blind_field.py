@@ -11,7 +11,7 @@ import pytest
 from cosim.fmi.building.file import load_model
 from cosim.model import Model, Stepper
 from tests.blind.field_recorder import Recorder
-from tests.blind.field_rig import Rig, Run, fly
+from tests.blind.field_rig import Arrays, Floats, Rig, Run
 from tests.blind.field_study import DISTURBANCES, PLANTS, RIGS, Study
 from tests.blind.field_write import PLANTS as FOLDER
 from tests.blind.field_write import recorded, true_error, write
@@ -44,8 +44,8 @@ def test_truth_and_model_file_are_the_same_plant(name: str, effect: str) -> None
         truth[effect] = entry.at(entry.unit(np.random.default_rng(0)), math.sqrt(entry.low * entry.high))
     p = rig.numbers({n: value * (1.0 + 0.3 * share) for n, (value, share) in rig.sheet.items()}, truth)
     commands, start = rig.drive(np.random.default_rng(5))[100:180], rig.begin(np.random.default_rng(8))
-    truly = fly(
-        rig, p, Run(np.arange(80) * rig.step, commands, np.zeros((80, len(rig.pushes))), start), tolerance=1e-10
+    truly = rig.course(
+        p, Run(np.arange(80) * rig.step, commands, np.zeros((80, len(rig.pushes))), start), tolerance=1e-10
     )
     model = model_of(rig)
     # fine enough that the kinks of dry friction, and a delay between two substeps, cost a sensor nothing
@@ -60,6 +60,21 @@ def test_truth_and_model_file_are_the_same_plant(name: str, effect: str) -> None
         moment = stepper.step(moment, command, rig.step)
 
 
+@pytest.mark.parametrize("name", PLANTS)
+def test_equations_are_the_same_for_floats_and_for_arrays(name: str) -> None:
+    rig, rng = RIGS[name], np.random.default_rng(4)
+    u, quiet = [1.1 * value + 0.1 for value in rig.inputs.values()], [0.0] * len(rig.pushes)
+    for effect, entry in rig.entries.items():
+        p = rig.numbers({}, {effect: entry.at(entry.unit(rng), entry.start)})
+        rate, look = rig.bind(Floats, p)
+        x = rig.scales({effect}) * rng.uniform(0.2, 1.0, len(rig.scales({effect})))
+        rates, looks = rig.bind(Arrays, {key: np.array([value, 1.01 * value]) for key, value in p.items()})
+        both = np.repeat(x[:, None], 2, axis=1)
+        pairs = (*zip(rate(1.0, x, u, quiet), rates(1.0, both, u, quiet), strict=True),)
+        pairs += (*zip(look(1.0, x, quiet), looks(1.0, both, quiet), strict=True),)
+        assert [np.broadcast_to(found, 2)[0] for _, found in pairs] == pytest.approx([one for one, _ in pairs]), effect
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_folder_holds_logs_about_which_the_true_model_errs_by_its_sensors_noise(
@@ -67,7 +82,9 @@ def test_a_folder_holds_logs_about_which_the_true_model_errs_by_its_sensors_nois
 ) -> None:
     monkeypatch.setitem(DISTURBANCES, "small", 0.0)
     base = {name: value for name, (value, _) in RIGS[plant].sheet.items()}
-    study = Study(3, plant, "known", {}, base, "small", Recorder(noise=dict.fromkeys(RIGS[plant].outputs, 1.0)))
+    study = Study(
+        "field", 3, plant, "known", {}, base, "small", Recorder(noise=dict.fromkeys(RIGS[plant].outputs, 1.0))
+    )
     # 1500 cells tell a deviation to 2 %; four of them
     assert true_error(study) == pytest.approx(study.rig.outputs, rel=0.08)
     path = write(study, tmp_path)

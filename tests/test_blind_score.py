@@ -11,7 +11,7 @@ import pytest
 
 from tests.blind import baseline, field_study, fmu_study, harness, score, truth
 from tests.blind.field_rig import flat
-from tests.blind.truth_study import BASE, SENSORS
+from tests.blind.truth import BASE, SENSORS
 
 RIGHT, IN_SET, WRONG, NONE = (True, True, False), (False, True, False), (False, False, True), (False, False, False)
 OPEN = [{"name": "stribeck", "in_place_of": "coulomb"}]
@@ -85,7 +85,7 @@ def test_wilson_intervals_are_those_of_the_literature() -> None:
 
 def test_seeds_draw_the_frozen_studies() -> None:
     draws: dict[str, Any] = {score.LABORATORY: truth.draw, score.FIELD: field_study.deal, score.FMU: fmu_study.deal}
-    for line in (line for line in harness.read(baseline.LINES) if line["suite"] in draws):
+    for line in (line for line in harness.read(baseline.LINES).values() if line["suite"] in draws):
         drawn = vars(draws[line["suite"]](line["seed"]))
         same = {"kind", "plant", "way", "version", "size", "disturbance", "disturbed"} & drawn.keys() & line.keys()
         assert {key: drawn[key] for key in same} == {key: line[key] for key in same}
@@ -115,7 +115,9 @@ def test_a_refiner_that_knows_everything_scores_everything(monkeypatch: pytest.M
         found = {"verdict": verdict, "effects": effects, "noise_floor": {"psi": 1.0}, "error": error}
         (out / "refine.json").write_text(json.dumps(found))
 
-    figures = score.summary(score.LABORATORY, harness.run(range(20), oracle, tmp_path / "r.jsonl", "abc"))
+    one, results = partial(harness.conduct_here, refiner=oracle, of_revision="abc"), tmp_path / "r.jsonl"
+    assert harness.run([(score.LABORATORY, seed) for seed in range(20)], one, results) == 0
+    figures = score.summary(score.LABORATORY, list(harness.read(results, "abc").values()))
     assert figures.pop("studies") == 20
     nought = ("wrong", "false_alarms", "outside_misnamed", "excess_left")
     assert figures == {name: 0.0 if name in nought else 1.0 for name in figures}

@@ -12,9 +12,8 @@ from scipy.linalg import expm
 from cosim.model import Stepper
 from plant.hovercraft import Hovercraft
 from tests.blind.field_craft import CraftRig
-from tests.blind.truth import craft_of, fly, write
+from tests.blind.truth import BASE, EFFECTS, Study, craft_of, fly, size, write
 from tests.blind.truth_craft import DUTY, OUTPUTS, REST, STEP, VARIANCE, Command, Craft, Flight
-from tests.blind.truth_study import BASE, EFFECTS, Study, size
 
 THRUST = 2.4973  # eq 5.36 [N]
 GAMMA = 1.142024  # ground effect at 95 mm, model sheet

@@ -27,8 +27,7 @@ from cosim.refinement.search.attribution import Attributor
 from cosim.simulation.workflow import run
 from cosim.verbs.cli import command_line
 from plant.hovercraft import Hovercraft
-from tests.blind.truth import VARIANCE
-from tests.blind.truth_craft import STEP, Craft, Flight
+from tests.blind.truth_craft import STEP, VARIANCE, Craft, Flight
 from tests.studies import Weighed, weighed
 
 DRIVE = Path(__file__).parent.parent / "examples" / "drive" / "drive.py"

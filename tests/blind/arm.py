@@ -23,8 +23,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares as minimise
 from scipy.signal import savgol_filter
 
-from tests.blind.field_rig import LOGS, Array, Random, base_numbers, csv, log_uniform, show, write_study
-from tests.blind.field_rig import stream as any_stream
+from tests.blind.field_rig import LOGS, Array, Random, base_numbers, csv, log_uniform, random_stream, show, write_study
 
 PLANT = Path(__file__).with_name("plants") / "arm.py"
 STEP, ROWS, HORIZON = 0.005, 2000, 0.3  # [s], rows of a log, [s] of a prediction
@@ -58,7 +57,7 @@ class Log:
     angle: Array
 
 
-stream = partial(any_stream, 77261)
+stream = partial(random_stream, 77261)
 
 
 def draw(seed: int) -> ArmStudy:

@@ -23,15 +23,13 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from tests.blind import harness, score
-from tests.blind.harness import ROOT, STAGES
-from tests.blind.score import ARM, FIELD, FMU, LABORATORY, MIXED, Line
+from tests.blind.harness import Key, StudyFailed, read
+from tests.blind.score import ARM, FIELD, FMU, IN_PARTS, LABORATORY, MIXED, Line
 from tests.corpus import revisions
 
 LINES = Path(__file__).with_name("baseline.jsonl")
@@ -44,15 +42,11 @@ SUITES = {  # suite → first seed, number of studies; chosen before any of thes
 }
 CONFIRMATORY = LINES.with_name("confirmatory.json")  # suite → seeds, chosen before any of them was refined
 TIMEOUT = 3600.0  # time limit of a study [s]
-STUDY = ("kind", "plant", "way", "version", "size", "disturbance", "disturbed", "truth", "strangers", "costs")
-ANSWER = ("error_true", "yardstick")
-FOUND = ("verdict", "grade", "rivals", "not_excluded", "alike", "failure")
 ONE_SIDED = statistics.NormalDist().inv_cdf(0.95)
-BEST = 5  # candidates with scores
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-# -- one study ---------------------------------------------------------------------------------------------
+# -- studies -----------------------------------------------------------------------------------------------
 
 
 def conduct(suite: str, seed: int, python: str, revision: str, folder: Path, *, near_ties: bool = True) -> Line:
@@ -70,139 +64,50 @@ def conduct(suite: str, seed: int, python: str, revision: str, folder: Path, *, 
 
     def refiner(study: Path, out: Path) -> None:
         for path in study.parent.glob("*.py") if not revision.endswith("+") else ():
-            shown = ["git", "show", f"{revision}:tests/blind/plants/{path.name}"]
-            path.write_bytes(subprocess.run(shown, cwd=ROOT, capture_output=True, check=True).stdout)
+            path.write_bytes(revisions.git("show", f"{revision}:tests/blind/plants/{path.name}"))
         command(study, out)
 
-    told, found = harness.refined(suite, seed, folder, refiner)
-    line = line_of(suite, told, found)
+    _, line = harness.conduct(suite, seed, refiner, folder)
     if near_ties:  # of the first revision, which was compared with the nearest other effect of each study
-        line["near_tie"] = any((x["suite"], x["seed"]) == (suite, seed) and x["near_tie"] for x in harness.read(LINES))
-    return line | {"revision": revision, "processor_seconds": round(found["processor_seconds"], 1)}
+        line["near_tie"] = read(LINES).get((suite, seed), {}).get("near_tie", False)
+    del line["seconds"]
+    return line | {"revision": revision}
 
 
-def line_of(suite: str, told: Line, found: dict[str, Any]) -> Line:
-    """Return the line of a study from its answer and from refine.json, numbers with six digits.
-
-    The keys are those of the harness, but `error` has stage → set of logs → channel, and `sensors` only those of the
-    truth.
-    """
-    line = {"suite": suite, "seed": told["seed"]}
-    line |= {key: told[key] for key in (*STUDY, *ANSWER) if key in told}
-    line["sensors"] = sorted(set(told.get("sensors", ())) & set(told["truth"]))
-    line |= {key: found[key] for key in FOUND if found.get(key)}
-    line["rivals"], line["effects"] = harness.names_of_rivals(found), []
-    for effect in found.get("effects", ()):
-        claimed = {p: {k: v.get(k) for k in ("value", "ci95")} for p, v in effect["parameters"].items()}
-        line["effects"].append({"name": effect["name"], "parameters": claimed})
-    line["scores"] = [
-        [" + ".join(c["names"]), c.get("log_likelihood_gain"), c.get("score_gain")]
-        for c in found.get("candidates", ())[:BEST]
-    ]
-    errors = found.get("error") or {}
-    line["error"] = {
-        stage: {logs: errors[stage][logs] for logs in ("estimation", "validation")}
-        for stage in STAGES
-        if errors.get(stage)
-    }
-    line["noise_floor"] = found.get("noise_floor") or {}
-    return dict(_rounded(line))
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, float):
-        return float(f"{value:.6g}")
-    if isinstance(value, dict):
-        return {key: _rounded(v) for key, v in value.items()}
-    return [_rounded(v) for v in value] if isinstance(value, list | tuple) else value
-
-
-# -- all studies -------------------------------------------------------------------------------------------
-
-
-def read(path: Path, revision: str) -> dict[tuple[str, int], Line]:
-    """Return (suite, seed) → line of a revision."""
-    return {(line["suite"], line["seed"]): line for line in harness.read(path) if line["revision"] == revision}
-
-
-def missing(
-    path: Path, revision: str, suites: Sequence[str] = (), *, confirmatory: bool = False
-) -> list[tuple[str, int]]:
+def missing(path: Path, revision: str, suites: Sequence[str] = (), *, confirmatory: bool = False) -> list[Key]:
     """Return the studies without a line of a revision, suites in turn."""
     have = read(path, revision)
-    rows = [(suite, [*range(first, first + count)]) for suite, (first, count) in SUITES.items()]
+    rows = {suite: [*range(first, first + count)] for suite, (first, count) in SUITES.items()}
     if confirmatory:
-        rows = [*json.loads(CONFIRMATORY.read_text()).items()]
-    table = sorted((k / len(seeds), suite, seed) for suite, seeds in rows for k, seed in enumerate(seeds))
+        rows = json.loads(CONFIRMATORY.read_text())
+    table = sorted((k / len(seeds), suite, seed) for suite, seeds in rows.items() for k, seed in enumerate(seeds))
     return [(suite, seed) for _, suite, seed in table if (suite, seed) not in have and (not suites or suite in suites)]
 
 
-def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path, jobs: int, *further: str) -> int:
-    """Conduct studies, several at a time; return how many could not be drawn."""
-    running: set[subprocess.Popen[str]] = set()
-    stopped, failed = threading.Event(), 0
-    for ending in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(ending, signal.default_int_handler)
+def conduct_apart(suite: str, seed: int, words: Sequence[str], running: set[subprocess.Popen[str]]) -> Line:
+    """Return the line of a study from this command in a process of its own, which is in `running` meanwhile."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | ONE_THREAD
-    words = [sys.executable, "-m", "tests.blind.baseline", "--python", python, "--revision", revision, *further]
-
-    def one(key: tuple[str, int]) -> tuple[Line | None, str]:
-        with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
-            if stopped.is_set():
-                return None, ""
-            process = subprocess.Popen(
-                [*words, "--study", *map(str, key), folder], cwd=ROOT, env=environment | {"TMPDIR": folder},
-                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-            )  # fmt: skip
-            running.add(process)
-            try:
-                told, why = process.communicate()
-            finally:
-                _kill(process)
-                running.discard(process)
-            return (json.loads(told), "") if process.returncode == 0 else (None, why[-1000:])
-
-    try:
-        for number, ((suite, seed), (line, why)) in enumerate(harness.conducted(todo, one, jobs), start=1):
-            begin = f"{number:4d}/{len(todo)}  "
-            if line is None:
-                failed += 1
-                print(f"{begin}{suite} {seed}: {why}", file=sys.stderr)
-                continue
-            harness.append(path, line)
-            outcome = line.get("failure") or score.outcome_text(suite, scored(line))
-            told = f"{suite:10} {seed}  {score.label(suite, line):50} {outcome}  {line['processor_seconds']} s"
-            print(begin + told, file=sys.stderr)
-    except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print("stopped; the same command goes on", file=sys.stderr)
-        raise SystemExit(130) from None
-    finally:
-        stopped.set()
-        for process in list(running):
-            _kill(process)
-    return failed
-
-
-def _kill(process: subprocess.Popen[str]) -> None:
-    """End a process and those that it has started."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+    with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.blind.baseline", *words, "--study", suite, str(seed), folder],
+            cwd=revisions.ROOT, env=environment | {"TMPDIR": folder}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True, start_new_session=True,
+        )  # fmt: skip
+        running.add(process)
+        told, why = process.communicate()
+        running.discard(process)
+    if process.returncode:
+        raise StudyFailed(why[-1000:])
+    return dict(json.loads(told))
 
 
 # -- the table ---------------------------------------------------------------------------------------------
 
 
-def scored(line: Line) -> Line:
-    """Return a line as the scores read it: errors of the sealed logs."""
-    return line | {"error": {stage: of["validation"] for stage, of in line["error"].items()}}
-
-
-def counts(suite: str, lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
+def counts(suite: str, lines: Sequence[Line]) -> score.Counts:
     """Return figure → (number of hits, number of cases), without those of a size of disturbance."""
-    lines = [scored(line) for line in lines]
     counted = score.counts(suite, lines)
-    if suite in (MIXED, ARM):
+    if suite in IN_PARTS:
         alarms = [score.is_false_alarm(line) for line in lines if line["kind"] == "nothing"]
         counted |= {"false_alarms": (sum(alarms), len(alarms)), "coverage": score.coverage(lines)}
     return {name: pair for name, pair in counted.items() if "disturbed" not in name}
@@ -230,21 +135,7 @@ def table(lines: Sequence[Line]) -> str:
     return "\n".join(text[1:])
 
 
-def is_right(line: Line) -> bool:
-    """Return whether a known study gets its names and no others, of several parts also as rivals or in part."""
-    if line["suite"] in (MIXED, ARM):
-        return score.named_parts(line) == score.parts(line) and not score.wrong_parts(line)
-    return score.is_right(line)
-
-
-def is_wrong(line: Line) -> bool:
-    """Return whether a study gets a name that is not in the truth."""
-    if line["suite"] in (MIXED, ARM):
-        return bool(score.wrong_parts(line))
-    return (score.is_wrong if line["kind"] == "known" else score.is_misnamed)(line)
-
-
-def comparison(old: Mapping[tuple[str, int], Line], new: Mapping[tuple[str, int], Line]) -> str:
+def comparison(old: Mapping[Key, Line], new: Mapping[Key, Line]) -> str:
     """Return the announced figures of two revisions on the same studies."""
     pairs = [(old[key], new[key]) for key in sorted(old.keys() & new.keys())]
     known, nothing, outside = ([pair for pair in pairs if pair[0]["kind"] == kind] for kind in score.KINDS)
@@ -265,9 +156,9 @@ def comparison(old: Mapping[tuple[str, int], Line], new: Mapping[tuple[str, int]
         return [statistics.geometric_mean(found) for found in both if found]
 
     alarms = [[score.is_false_alarm(pair[side]) for pair in nothing] for side in (0, 1)]
-    text = [f"{len(pairs)} studies", f"right: {points(known, is_right)}"]
-    text += [f"  {s}: {points([pair for pair in known if pair[0]['suite'] == s], is_right)}" for s in SUITES]
-    text.append(f"wrong or misnamed: {points([*known, *outside], is_wrong)}")
+    text = [f"{len(pairs)} studies", f"right: {points(known, score.is_right)}"]
+    text += [f"  {s}: {points([pair for pair in known if pair[0]['suite'] == s], score.is_right)}" for s in SUITES]
+    text.append(f"wrong or misnamed: {points([*known, *outside], score.is_wrong)}")
     text.append(f"false alarms: {sum(alarms[0])} → {sum(alarms[1])} of {len(nothing)}")
     for suite in SUITES:
         chosen = [pair for pair in outside if pair[0]["suite"] == suite]
@@ -275,7 +166,7 @@ def comparison(old: Mapping[tuple[str, int], Line], new: Mapping[tuple[str, int]
     hold = score.share_text(*score.coverage(new_line for _, new_line in pairs), 3)
     text.append(f"95 % intervals that hold the truth:{hold}")
     if pairs:
-        errors = ratios(lambda line: score.delivered(scored(line)))
+        errors = ratios(score.delivered)
         text.append(f"sealed error, geometric mean of new over old: {statistics.geometric_mean(errors):.3f}")
         seconds = statistics.median(ratios(lambda line: {"": line["processor_seconds"]}))
         text.append(f"processor time of a study, median of new over old: {seconds:.2f}")
@@ -323,9 +214,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
             parser.error(f"{python} has no cosim and hovercraft")
         todo = missing(lines, revision, options.suites, confirmatory=options.confirmatory)
-        further = ["--confirmatory"] if options.confirmatory else []
-        if run(todo, python, revision, lines, options.jobs, *further):
-            return 1
+        words = ["--python", python, "--revision", revision, *["--confirmatory"] * options.confirmatory]
+        running: set[subprocess.Popen[str]] = set()
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            if harness.run(todo, partial(conduct_apart, words=words, running=running), lines, options.jobs):
+                return 1
+        except KeyboardInterrupt:
+            print("stopped; the same command goes on", file=sys.stderr)
+            return 130
+        finally:
+            for process in running:
+                os.killpg(process.pid, signal.SIGKILL)
     print(f"revision {revision}\n{table(list(read(lines, revision).values()))}")
     return 0
 

@@ -13,7 +13,7 @@ import argparse
 import pickle
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,8 @@ import numpy as np
 from cosim.refinement.decision import posterior as rules
 from cosim.refinement.decision.posterior import Bundle, Decision, Evidence, decide
 from cosim.refinement.workflow import refine
-from tests.blind import baseline, harness, score
+from tests.blind import harness, score
+from tests.blind.score import Line
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "bundles"
 RESAMPLED = 100  # bootstrap samples of the blocks
@@ -36,34 +37,30 @@ def keep(suite: str, seed: int) -> str:
     """Refine a study, and keep its bundle, truth and line."""
     results: list[Any] = []
     with tempfile.TemporaryDirectory() as folder:
-        told, found = harness.refined(
-            suite, seed, Path(folder), lambda study, out: results.append(refine(study, out, report=False))
+        _, line = harness.conduct(
+            suite, seed, lambda study, out: results.append(refine(study, out, report=False)), Path(folder)
         )
     if not results:
-        raise RuntimeError(f"{suite} {seed}: {found['failure']}")
-    line = baseline.line_of(suite, told, found) | {"processor_seconds": round(found["processor_seconds"], 1)}
+        raise RuntimeError(f"{suite} {seed}: {line['failure']}")
     place = FOLDER / f"{suite}_{seed}.pickle"
     place.with_suffix(".part").write_bytes(pickle.dumps((results[0].verdict.bundle, line)))
     place.with_suffix(".part").rename(place)
     return f"{suite} {seed}: {outcome(line)}"
 
 
-def outcome(line: Mapping[str, Any]) -> str:
-    """Return the score of a line in a word."""
-    given = dict(line)
+def outcome(line: Line) -> str:
+    """Return the score of a line: one of `COLUMNS`."""
     if line["kind"] == "nothing":
-        return "false alarm" if score.is_false_alarm(given) else "quiet"
+        return "false alarm" if score.is_false_alarm(line) else "quiet"
     if line["kind"] == "outside":
-        if score.is_misnamed(given):
+        if score.is_misnamed(line):
             return "misnamed"
-        return "flagged" if score.is_flagged(given) else "missed"
-    for name, holds in (("right", baseline.is_right), ("wrong", baseline.is_wrong)):
-        if holds(given):
-            return name
-    return "in set" if score.is_in_set(given) else "open"
+        return "flagged" if score.is_flagged(line) else "missed"
+    columns = {"right": score.is_right, "wrong": score.is_wrong, "in set": score.is_in_set}
+    return next((column for column, holds in columns.items() if holds(line)), "open")
 
 
-def judged(line: Mapping[str, Any], decision: Decision) -> dict[str, Any]:
+def judged(line: Line, decision: Decision) -> Line:
     """Return the line of a study with another decision."""
     rivals = [" + ".join(sorted(parts)) or "no_effect" for parts in decision.rivals]
     effects = [{"name": name, "parameters": {}} for name in decision.claimed]
@@ -158,7 +155,7 @@ RULES: dict[str, Rule] = {
 COLUMNS = ("right", "in set", "open", "wrong", "quiet", "false alarm", "flagged", "missed", "misnamed")
 
 
-def table(kept: Iterable[tuple[Bundle, Mapping[str, Any]]]) -> list[str]:
+def table(kept: Iterable[tuple[Bundle, Line]]) -> list[str]:
     """Return the table of alternatives: outcomes, and the share of studies with the verdict and names of the rule."""
     kept = list(kept)
     usual = [judged(line, decide(bundle)) for bundle, line in kept]

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Array, Course, Entry, Flat, Look, Random, Rate, Rig, Run, Sensor, Truth
-from tests.blind.truth_craft import OUTPUTS, REST, SHEET, STATES, VARIANCE, Craft, Flight, Outside, Servos, equations
-from tests.blind.truth_outside import OUTSIDE, outside
+from tests.blind.field_rig import Array, Course, Entry, Flat, Look, Random, Rate, Rig, Run, Truth, sensor
+from tests.blind.truth_craft import CALM, OUTPUTS, REST, SHEET, STATES, VARIANCE, Craft, Flight, Servos, equations
+from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_pilot import Pilot
 
 _DEG = math.pi / 180.0
@@ -44,20 +44,15 @@ class CraftRig(Rig):
         "inflow_thrust_loss": Entry("coefficient", 0.1, 0.01, 0.6),
         "com_offset": Entry("right", 1e-3, 1e-4, 0.015, signed=True),
         "table_tilt": Entry("x y", 0.05 * _DEG, 5e-3 * _DEG, 0.6 * _DEG),
-        "accelerometer_bias": Entry("value", 0.03, 2e-3, 0.5, signed=True),
-        "accelerometer_scale": Entry("value", 0.05, 5e-3, 0.4, signed=True, neutral=1.0),
-        "gyro_bias": Entry("value", 3e-3, 2e-4, 0.1, signed=True),
+        "accelerometer_scale": sensor("ax", "scale", 0.05, 5e-3, 0.4),
+        "accelerometer_bias": sensor("ax", "bias", 0.03, 2e-3, 0.5),
+        "gyro_bias": sensor("psi_dot", "bias", 3e-3, 2e-4, 0.1),
     }
-    sensors = {
-        "accelerometer_scale": Sensor("ax", "scale"),
-        "accelerometer_bias": Sensor("ax", "bias"),
-        "gyro_bias": Sensor("psi_dot", "bias"),
-    }
-    outside = {name: Entry(next(iter(entry.ranges)), 1.0, 1.0, 1.0, fixed=True) for name, entry in OUTSIDE.items()}
-    families = (
+    outside = {name: Entry(next(iter(ranges)), 1.0, 1.0, 1.0, fixed=True) for name, ranges in OUTSIDE.items()}
+    families = (  # never in one study: the data cannot tell them apart, or one hides the other
         frozenset({"coulomb_friction", "stribeck_friction", "quadratic_drag"}),
         frozenset({"yaw_damping", "yaw_coulomb_friction"}),
-        frozenset({"actuator_delay", "servo_rate_limit"}),
+        frozenset({"actuator_second_order", "actuator_delay", "servo_rate_limit"}),
         frozenset({"servo_backlash", "servo_dead_band"}),
         frozenset({"thrust_asymmetry", "com_offset", "tilt_offset"}),
         frozenset({"battery_sag", "inflow_thrust_loss"}),
@@ -75,7 +70,7 @@ class CraftRig(Rig):
 
     def acting(self, p: Flat, run: Run, parts: int) -> Array:
         """Return the mean command over each row after delay, play, offset and dead band of the servos."""
-        servos = Servos({key: float(p[key]) for key in self.shaping if key in p}, Outside())
+        servos = Servos({key: float(p[key]) for key in self.shaping if key in p})
         ends = np.append(run.times[1:], run.times[-1] + self.step)
         rows = []
         for begin, end, command in zip(run.times.tolist(), ends.tolist(), run.commands.tolist(), strict=True):
@@ -86,7 +81,7 @@ class CraftRig(Rig):
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return the equations of the craft without odometers and rates of the tilts."""
         rate, look = equations(
-            f, p, Outside(), lambda vf, vs: f.sqrt(vf * vf + vs * vs + 1e-12),
+            f, p, lambda vf, vs: f.sqrt(vf * vf + vs * vs + 1e-12),
             lambda force, slip: force * f.tanh(slip / 0.01) / slip,
         )  # fmt: skip
         shown = [OUTPUTS.index(name) for name in self.outputs]
@@ -101,12 +96,9 @@ class CraftRig(Rig):
         return lambda t, x, u, push: rate(t, whole(x), u, push)[2:14], outputs
 
 
-def craft(base: dict[str, float], kind: str, truth: Truth) -> Craft:
-    """Return the craft with wrong base parameters, effects, or an effect outside the catalogue."""
-    if kind == "outside" and truth:  # none yet while the recorder's stamps are drawn
-        (name,) = truth
-        return Craft(base=base, outside=outside(name, truth[name]))
-    return Craft(base=base, effects={name: values for name, values in truth.items() if name not in CraftRig.sensors})
+def craft(base: dict[str, float], truth: Truth) -> Craft:
+    """Return the craft with wrong base parameters and effects, without errors of sensors."""
+    return Craft(base, {name: values for name, values in truth.items() if name not in CraftRig().sensors})
 
 
 def moving_start(rng: Random) -> dict[str, float]:
@@ -118,37 +110,35 @@ def moving_start(rng: Random) -> dict[str, float]:
 
 
 def fly_craft(
-    flight: Flight, craft: Craft, pilot: Pilot, truth: Truth, inputs: tuple[Array, ...], channels: int = 5
+    craft: Craft, start: dict[str, float], pilot: Pilot, truth: Truth, inputs: tuple[Array, ...], channels: int = 5
 ) -> tuple[Run, Course]:
     """Simulate a log in closed loop; the pilot uses readings with sensor noise, without the recorder's faults.
 
     Args:
-        flight: the craft at the start.
-        craft: the same, for its compass.
+        craft: with its effects.
+        start: states of the craft that are not those of rest.
         pilot: gives the commands.
         truth: with the errors of the sensors.
         inputs: times, disturbances and noise of the sensors.
         channels: how many of the outputs the pilot sees.
     """
-    rig, (times, pushes, noise) = CraftRig(), inputs
+    rig, flight, (times, pushes, noise) = CraftRig(), Flight(craft, craft.rest(**start)), inputs
     p = rig.numbers({}, truth)
-    readings, states, commands = np.empty((times.size, len(rig.outputs))), np.empty((times.size, flight.state.size)), []
+    readings, states, commands = [], [], []
     for k, push in enumerate(map(tuple, pushes.tolist())):
-        readings[k] = [rig.sensed(p, output, value) for output, value in _shown(flight, craft, push).items()]
-        states[k] = flight.state
+        readings.append([rig.sensed(p, output, value) for output, value in shown(flight, push).items()])
+        states.append(flight.state.copy())
         cells = zip(rig.outputs, readings[k] + noise[k], strict=True)
         seen = {output: float(f"{cell:.6g}") for output, cell in list(cells)[:channels]}
         commands.append(pilot.command(seen))
         if k + 1 < times.size:
             flight.advance(commands[-1], push, float(times[k + 1]))
-    return Run(times, np.array(commands), pushes, states[0][2:14]), Course(readings, states)
+    return Run(times, np.array(commands), pushes, states[0][2:14]), Course(np.array(readings), np.array(states))
 
 
-def _shown(flight: Flight, craft: Craft, push: Any) -> dict[str, float]:
-    """Return the readings of right sensors; a compass may deviate."""
+def shown(flight: Flight, push: Any) -> dict[str, float]:
+    """Return the readings of right sensors."""
     now = flight.outputs(push)
-    if craft.outside.compass:
-        now["psi"] = craft.outside.compass(now["psi"])
     return {output: now[output] for output in CraftRig.outputs}
 
 
@@ -164,5 +154,5 @@ def replay_craft(made: Craft, truth: Truth, run: Run, course: Course) -> Array:
             flight.servos.pieces(times[j], times[j + 1], commands[j])
         for j in range(k, min(k + horizon, last)):
             flight.advance(commands[j], end=times[j + 1])
-            right[j + 1] = list(_shown(flight, made, (0.0, 0.0, 0.0)).values())
+            right[j + 1] = list(shown(flight, CALM).values())
     return rig.all_sensed(rig.numbers({}, truth), right)

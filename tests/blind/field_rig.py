@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -57,20 +57,21 @@ def grouped(p: Flat) -> dict[str, dict[str, Any]]:
     return effects
 
 
-def hidden_in(p: Flat) -> Callable[..., Any]:
-    """Return (name, term, otherwise) → the term of an effect for its parameters in `p`, else `otherwise` or 0."""
+def laws_in(p: Flat, laws: Mapping[str, Callable[..., Any]]) -> list[Callable[..., Any]]:
+    """Return the laws of the effects in `p`, for their parameters."""
     effects = grouped(p)
+    return [partial(law, **effects[name]) for name, law in laws.items() if name in effects]
 
-    def term_of(name: str, term: Callable[..., Any], otherwise: Any = 0.0) -> Any:
-        return term(**effects[name]) if name in effects else otherwise
 
-    return term_of
+def hidden_in(p: Flat) -> Callable[..., Any]:
+    """Return (name, term) → the term of an effect for its parameters in `p`, else 0."""
+    effects = grouped(p)
+    return lambda name, term: term(**effects[name]) if name in effects else 0.0
 
 
 def terms_in(p: Flat, every: Mapping[str, Any]) -> Callable[..., Any]:
     """Return (total, arguments) → total + the terms of the effects in `p` for the arguments and its parameters."""
-    effects = grouped(p)
-    present = [partial(term, **effects[name]) for name, term in every.items() if name in effects]
+    present = laws_in(p, every)
     if not present:  # fast, as it is usual
         return lambda total, *at: total
     return lambda total, *at: sum((term(*at) for term in present), total)
@@ -86,6 +87,7 @@ class Entry:
     signed:  both signs are plausible
     inverse: the parameter is 1/size
     fixed:   the size is uniform within the plausible ones, regardless of its cost
+    output:  output of a sensor error; `error` is its kind: `scale`, `bias`, `late` (latency), of FMUs also others
     """
 
     names: str
@@ -98,6 +100,8 @@ class Entry:
     ratio: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     inverse: bool = False
     fixed: bool = False
+    output: str = ""
+    error: str = ""
 
     def unit(self, rng: Random) -> dict[str, float]:
         """Return the parameters at size 1; parameters of `shape` do not depend on the size."""
@@ -120,12 +124,10 @@ class Entry:
         return {p: v if p in self.shape else nothing for p, v in values.items()}
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """Error of a sensor: its output, and its kind `scale`, `bias` or `late` (latency)."""
-
-    output: str
-    kind: str
+def sensor(output: str, error: str, start: float, low: float, high: float) -> Entry:
+    """Return an error of a sensor, of any sign, or a latency: `scale`, `bias` or `late`."""
+    late, neutral = error == "late", 1.0 if error == "scale" else 0.0
+    return Entry("value", start, low, high, signed=not late, neutral=neutral, fixed=late, output=output, error=error)
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,6 @@ class Rig:
     sheet: dict[str, tuple[float, float]]
     constants: dict[str, float] = {}
     entries: dict[str, Entry]
-    sensors: dict[str, Sensor]
     outside: dict[str, Entry]
     families: tuple[frozenset[str], ...] = ()
     own_states: dict[str, dict[str, float]] = {}  # effect → its states and their start values
@@ -191,9 +192,43 @@ class Rig:
         """Return the start state of a log, with probability ½ at rest."""
         raise NotImplementedError
 
-    def course(self, p: Mapping[str, float], run: Run, resets: Mapping[int, Array] | None = None) -> Course:
-        """Return the simulated log for parameters `p`; `resets`: row → new state."""
-        return fly(self, p, run, resets)
+    def course(
+        self, p: Mapping[str, float], run: Run, resets: Mapping[int, Array] | None = None, tolerance: float = 1e-8
+    ) -> Course:
+        """Integrate a run, restarting the integrator where the acting command or the push changes.
+
+        `resets`: row → new state. Late readings refer to the past also across a reset.
+        """
+        rate, look = self.bind(Floats, p)
+        sensor, late_output = self.late()
+        delay, latency = p.get("command_delay.time", 0.0), p.get(f"{sensor}.value", 0.0)
+        arrive, seen, rows = (np.round(run.times + shift, 9) for shift in (delay, -latency, 0.0))
+        begin = round(float(run.times[0]) - self.preroll, 9)
+        cuts = np.unique(np.concatenate([[begin], rows, arrive[arrive < rows[-1]], seen]))
+        middle = 0.5 * (cuts[1:] + cuts[:-1])
+        before = tuple(self.inputs.values())
+        commands = [before if k < 0 else tuple(run.commands[k].tolist()) for k in np.searchsorted(arrive, middle) - 1]
+        pushed = np.maximum(np.searchsorted(rows, np.append(middle, rows[-1] + 1e-9)) - 1, 0)
+        pushes = [tuple(run.pushes[k].tolist()) for k in pushed]
+        row_of = {int(c): k for k, c in enumerate(np.searchsorted(cuts, rows))}
+        acting: list[Any] = [before, pushes[0]]
+        integrator = solver(lambda t, x: rate(t, x.tolist(), *acting), tolerance, self.step)
+        state = self.first_state({name.partition(".")[0] for name in p}, run)
+        outputs, states = np.empty((cuts.size, len(self.outputs))), np.empty((rows.size, state.size))
+        for k, (at, push) in enumerate(zip(cuts.tolist(), pushes, strict=True)):
+            row = row_of.get(k)
+            if row is not None:
+                state = (resets or {}).get(row, state)
+                states[row] = state
+            outputs[k] = look(at, state.tolist(), push)
+            if k + 1 < cuts.size:
+                acting[:] = commands[k], push
+                state = advanced(integrator, state, at, float(cuts[k + 1]))
+        readings = outputs[np.searchsorted(cuts, rows)]
+        if late_output:
+            late = list(self.outputs).index(late_output)
+            readings[:, late] = outputs[np.searchsorted(cuts, seen), late]
+        return Course(self.all_sensed(p, readings), states)
 
     def first_state(self, names: Collection[str], run: Run) -> Array:
         """Return the start state of a run, with the states of the effects `names`."""
@@ -205,6 +240,11 @@ class Rig:
     def every_entry(self) -> dict[str, Entry]:
         """Return the effects of the catalogue and outside of it."""
         return {**self.entries, **self.outside}
+
+    @cached_property
+    def sensors(self) -> dict[str, Entry]:
+        """Return the errors of sensors in the catalogue."""
+        return {name: entry for name, entry in self.entries.items() if entry.output}
 
     def numbers(self, base: Mapping[str, float], truth: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """Return all parameters for `bind` by full name."""
@@ -222,8 +262,8 @@ class Rig:
     def sensed(self, p: Flat, output: str, value: Any) -> Any:
         """Return a reading with the errors of its sensor except latency: first scale, then bias."""
         for kind in ("scale", "bias"):
-            for name, sensor in self.sensors.items():
-                if sensor == Sensor(output, kind) and f"{name}.value" in p:
+            for name, entry in self.sensors.items():
+                if (entry.output, entry.error) == (output, kind) and f"{name}.value" in p:
                     error = p[f"{name}.value"]
                     value = value * error if kind == "scale" else value + error
         return value
@@ -234,7 +274,7 @@ class Rig:
 
     def late(self) -> tuple[str, str]:
         """Return the name of the latency and its output, or two empty texts for a rig without a late sensor."""
-        return next(((name, s.output) for name, s in self.sensors.items() if s.kind == "late"), ("", ""))
+        return next(((name, s.output) for name, s in self.sensors.items() if s.error == "late"), ("", ""))
 
     def acting(self, p: Flat, run: Run, parts: int) -> Array:
         """Return the mean acting (delayed) command of each of `parts` parts of a row, shape (rows, parts, inputs)."""
@@ -268,63 +308,18 @@ def advanced(integrator: Any, state: Array, begin: float, end: float) -> Array:
     return state
 
 
-def fly(
-    rig: Rig, p: Mapping[str, float], run: Run, resets: Mapping[int, Array] | None = None, tolerance: float = 1e-8
-) -> Course:
-    """Integrate a run, restarting the integrator where the acting command or the push changes.
-
-    `resets`: row → new state. Late readings refer to the past also across a reset.
-    """
-    rate, look = rig.bind(Floats, p)
-    sensor, late_output = rig.late()
-    delay, latency = p.get("command_delay.time", 0.0), p.get(f"{sensor}.value", 0.0)
-    arrive, seen, rows = (np.round(run.times + shift, 9) for shift in (delay, -latency, 0.0))
-    begin = round(float(run.times[0]) - rig.preroll, 9)
-    cuts = np.unique(np.concatenate([[begin], rows, arrive[arrive < rows[-1]], seen]))
-    middle = 0.5 * (cuts[1:] + cuts[:-1])
-    before = tuple(rig.inputs.values())
-    commands = [before if k < 0 else tuple(run.commands[k].tolist()) for k in np.searchsorted(arrive, middle) - 1]
-    pushed = np.maximum(np.searchsorted(rows, np.append(middle, rows[-1] + 1e-9)) - 1, 0)
-    pushes = [tuple(run.pushes[k].tolist()) for k in pushed]
-    row_of = {int(c): k for k, c in enumerate(np.searchsorted(cuts, rows))}
-    acting: list[Any] = [before, pushes[0]]
-    integrator = solver(lambda t, x: rate(t, x.tolist(), *acting), tolerance, rig.step)
-    state = rig.first_state({name.partition(".")[0] for name in p}, run)
-    outputs, states = np.empty((cuts.size, len(rig.outputs))), np.empty((rows.size, state.size))
-    for k, (at, push) in enumerate(zip(cuts.tolist(), pushes, strict=True)):
-        row = row_of.get(k)
-        if row is not None:
-            state = (resets or {}).get(row, state)
-            states[row] = state
-        outputs[k] = look(at, state.tolist(), push)
-        if k + 1 < cuts.size:
-            acting[:] = commands[k], push
-            state = advanced(integrator, state, at, float(cuts[k + 1]))
-    readings = outputs[np.searchsorted(cuts, rows)]
-    if late_output:
-        late = list(rig.outputs).index(late_output)
-        readings[:, late] = outputs[np.searchsorted(cuts, seen), late]
-    return Course(rig.all_sensed(p, readings), states)
-
-
 # -- what is drawn ---------------------------------------------------------------------------------------
 
 
-def stream(suite: int, seed: int, *purpose: int) -> Random:
+def random_stream(suite: int, seed: int, *purpose: int) -> Random:
     """Return an independent random stream of a suite for a purpose of a seed."""
     return np.random.default_rng([suite, seed, *purpose])
 
 
-def dealt(deck: Sequence[Any], number: int, stream_of: Callable[[int], Random]) -> tuple[Any, int]:
-    """Return card `number` of an endless pile of equal decks, and how many equal cards are above it.
-
-    Args:
-        deck: the cards.
-        number: which.
-        stream_of: pile → random stream that shuffles it.
-    """
+def dealt(suite: int, deck: Sequence[Any], number: int, *purpose: int) -> tuple[Any, int]:
+    """Return card `number` of an endless pile of equal decks, each shuffled, and how many equal cards are above it."""
     pile, place = divmod(number, len(deck))
-    order = [deck[k] for k in stream_of(pile).permutation(len(deck))]
+    order = [deck[k] for k in random_stream(suite, pile, *purpose).permutation(len(deck))]
     card = order[place]
     return card, pile * deck.count(card) + order[:place].count(card)
 
@@ -411,13 +406,14 @@ def rounded(values: Array) -> Array:
 # -- files -----------------------------------------------------------------------------------------------
 
 
-def write_study(folder: Path, model: str, logs: Sequence[str], more: str = "") -> Path:
+def write_study(folder: Path, model: str, logs: Sequence[str], tolerance: Mapping[str, float] | None = None) -> Path:
     """Write study.yaml and the logs (their text); return the path of study.yaml."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in zip(LOGS, logs, strict=True):
         (folder / f"{name}.csv").write_text(text)
+    shares = ", ".join(f"{name}: {share:g}" for name, share in (tolerance or {}).items())
     path = folder / "study.yaml"
-    path.write_text(f"model: {model}\n{STUDY_LOGS}{more}")
+    path.write_text(f"model: {model}\n{STUDY_LOGS}" + (f"tolerance: {{{shares}}}\n" if shares else ""))
     return path
 
 

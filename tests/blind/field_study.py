@@ -1,7 +1,10 @@
-"""Studies of the field half, drawn by seed: plant, kind, effects and sizes, base parameters, recorder, pushes.
+"""Studies of the field half and mixed ones, drawn by seed: plant, kind, effects and sizes, base parameters, recorder.
 
 Plants alternate; kinds, numbers of effects and sizes of the disturbance come from shuffled decks. The size of an effect
 is chosen so that the true model without it loses a randomly drawn log-likelihood (`field_cost`).
+
+A mixed study has two or three effects of the catalogue; every fifth has one such effect and a stranger, an effect
+outside the catalogue. The rest is as in the field half.
 """
 
 from __future__ import annotations
@@ -10,15 +13,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from tests.blind.field_cart import Cart
 from tests.blind.field_cost import Conditions, costs
 from tests.blind.field_craft import CraftRig, craft, fly_craft, moving_start
-from tests.blind.field_drive_train import DriveTrain
-from tests.blind.field_quarter_car import QuarterCar
+from tests.blind.field_plants import Cart, DriveTrain, QuarterCar, Tanks
 from tests.blind.field_recorder import Recorder
 from tests.blind.field_rig import (
     Array,
@@ -32,12 +32,10 @@ from tests.blind.field_rig import (
     coloured,
     dealt,
     log_uniform,
+    random_stream,
 )
-from tests.blind.field_rig import stream as any_stream
-from tests.blind.field_tanks import Tanks
-from tests.blind.truth_craft import Flight
 from tests.blind.truth_outside import OUTSIDE
-from tests.blind.truth_pilot import Pilot, Style
+from tests.blind.truth_pilot import Pilot
 
 RIGS: dict[str, Rig] = {rig.name: rig for rig in (CraftRig(), DriveTrain(), Tanks(), Cart(), QuarterCar())}
 PLANTS = tuple(RIGS)
@@ -55,19 +53,22 @@ Wanted = Callable[[Random], float]  # → a random cost [nats]
 
 @dataclass(frozen=True)
 class Deal:
-    """Properties of a seed from the shuffled decks."""
+    """Properties of a seed from the shuffled decks; way, version and size of effects only of FMUs."""
 
-    seed: int
     plant: str
     kind: str  # known, nothing, outside
     effects: int
-    disturbance: str
+    disturbance: str = "small"
+    way: str = ""
+    version: int = 0
+    size: str = ""  # usual, fifth; empty without effects of the catalogue
 
 
 @dataclass(frozen=True)
 class Study:
     """Answer of a study: hidden effects and recorder; `costs` [nats] of the effects."""
 
+    half: str
     seed: int
     plant: str
     kind: str
@@ -84,46 +85,51 @@ class Study:
         return RIGS[self.plant]
 
     @property
-    def faults(self) -> tuple[str, ...]:
-        """Return the faults of the recorder, and `late` for a late sensor, which is also part of the truth."""
-        return (*self.recorder.faults, "late") if self.rig.late()[0] in self.truth else self.recorder.faults
-
-    @property
     def push_deviations(self) -> list[float]:
         """Return the standard deviations of the disturbance."""
         return [DISTURBANCES[self.disturbance] * reach for reach in self.rig.pushes]
 
 
-stream = partial(any_stream, 60493)  # of this half and of the FMUs
-
-
-def card(deck: Sequence[Any], number: int, *purpose: int) -> tuple[Any, int]:
-    """Return card `number` of an endless pile of equal decks, and how many equal cards are above it."""
-    return dealt(deck, number, lambda pile: stream(pile, *purpose))
+SUITE = 60493  # of this half and of the FMUs
+stream, card = partial(random_stream, SUITE), partial(dealt, SUITE)
 
 
 def deal(seed: int) -> Deal:
     """Return the properties of a seed from the decks, without effects and sizes."""
     kind, number = card(BLOCK, seed, 1)
     count = card(COUNTS, number, 2)[0] if kind == "known" else int(kind == "outside")
-    return Deal(seed, PLANTS[seed % len(PLANTS)], kind, count, card(tuple(DISTURBANCES), seed, 3)[0])
+    return Deal(PLANTS[seed % len(PLANTS)], kind, count, card(tuple(DISTURBANCES), seed, 3)[0])
 
 
 def draw(seed: int) -> Study:
     """Return the study of a seed, reproducible byte for byte."""
     given, rng = deal(seed), stream(seed, 4)
-    study = bare(seed, given.plant, rng, given.kind)
+    study = bare("field", seed, given.plant, rng, given.kind)
     if given.kind == "known":
-        return hidden(study, lambda: names_of(study.rig, rng, given.effects), rng, _wanted)
+        return hidden(lambda: sized(study, names_of(study.rig, rng, given.effects), rng, _wanted))
     if given.kind == "nothing":
         return study
     if given.plant == "craft":  # with the sizes of the laboratory half
         name = str(rng.choice(sorted(OUTSIDE)))
-        return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].ranges.items()}})
-    return hidden(study, lambda: [str(rng.choice(sorted(study.rig.outside)))], rng, costing(OUTSIDE_COST))
+        return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].items()}})
+    return hidden(lambda: sized(study, [str(rng.choice(sorted(study.rig.outside)))], rng, costing(OUTSIDE_COST)))
 
 
-def bare(seed: int, plant: str, rng: Random, kind: str = "known") -> Study:
+def draw_mixed(seed: int) -> Study:
+    """Return the mixed study of a seed, with several hidden effects."""
+    plant, rng = PLANTS[seed % len(PLANTS)], stream(seed, 6)
+    study = bare("mixed", seed, plant, rng)
+    strange = (seed // len(PLANTS)) % 5 == 4 and plant != "craft"  # a craft has one effect or one stranger
+
+    def names() -> list[str]:
+        if strange:
+            return [str(rng.choice(sorted(study.rig.entries))), str(rng.choice(sorted(study.rig.outside)))]
+        return names_of(study.rig, rng, int(rng.integers(2, 4)))
+
+    return hidden(lambda: sized(study, names(), rng, costing(LARGE)))
+
+
+def bare(half: str, seed: int, plant: str, rng: Random, kind: str = "known") -> Study:
     """Return a study with base parameters, disturbance and recorder, but without hidden effects.
 
     Args:
@@ -133,7 +139,7 @@ def bare(seed: int, plant: str, rng: Random, kind: str = "known") -> Study:
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
     disturbance, _ = card(tuple(DISTURBANCES), seed, 3)
-    study = Study(seed, plant, kind, {}, base_numbers(rig.sheet, rng), disturbance, recorder)
+    study = Study(half, seed, plant, kind, {}, base_numbers(rig.sheet, rng), disturbance, recorder)
     if recorder.timing:
         study = replace(study, stamp_error=recorder.stamp_error(rig, course(study, 0)[1].readings))
     return study
@@ -166,11 +172,10 @@ def course(study: Study, number: int) -> tuple[Run, Course]:
     pushes = coloured(pushed, rig.rows, study.push_deviations, rig.step, rig.correlation_time)
     times = study.recorder.times(clock, rig.rows, rig.step)
     if isinstance(rig, CraftRig):
-        made, start = craft(study.base, study.kind, study.truth), moving_start(manoeuvre)
-        style = Style.draw(manoeuvre, bool(manoeuvre.random() < 0.5))
-        pilot = Pilot(manoeuvre, style, times.size, start.get("psi", 0.0))
+        made, start = craft(study.base, study.truth), moving_start(manoeuvre)
+        pilot = Pilot(manoeuvre, bool(manoeuvre.random() < 0.5), times.size, start.get("psi", 0.0))
         inputs = times, pushes, noise(study, number)
-        return fly_craft(Flight(made, made.rest(**start)), made, pilot, study.truth, inputs)
+        return fly_craft(made, start, pilot, study.truth, inputs)
     run = Run(times, rig.drive(manoeuvre), pushes, rig.begin(manoeuvre))
     return run, rig.course(rig.numbers(study.base, study.truth), run)
 
@@ -189,61 +194,54 @@ def rows_to_keep(study: Study, number: int) -> Array:
 # -- how large it is ---------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Sized:
-    """An effect in the search for the size of a wanted cost; `known` holds tried sizes with their costs."""
+def hidden(attempt: Callable[[], Study | None]) -> Study:
+    """Return the first study of several attempts in which all effects have the sizes of their wanted costs."""
+    for _ in range(50):
+        if (found := attempt()) is not None:
+            return found
+    raise RuntimeError("no effects that can be seen")
 
-    entry: Entry
-    unit: dict[str, float]
+
+@dataclass
+class _Search:
+    """Search for the size of an effect with a wanted cost; `tried` has the last size with its cost."""
+
     size: float
     wanted: float
-    known: list[tuple[float, float]] = field(default_factory=list)
+    tried: tuple[float, float] | None = None
 
-    def learn(self, cost: float) -> Any:
+    def next_size(self, entry: Entry, cost: float) -> float:
         """Return the next size to try, within the limits, from a power law of the cost, at first the square."""
-        if self.entry.fixed:
+        if entry.fixed:
             return self.size
         power, cost = 2.0, max(cost, 1e-3)
-        if self.known and abs(math.log(self.size / self.known[-1][0])) > 1e-3:
-            size, before = self.known[-1]
-            power = math.log(cost / before) / math.log(self.size / size)
-        self.known.append((self.size, cost))
+        if self.tried and abs(math.log(self.size / self.tried[0])) > 1e-3:
+            power = math.log(cost / self.tried[1]) / math.log(self.size / self.tried[0])
+        self.tried = self.size, cost
         factor = (self.wanted / cost) ** (1.0 / min(max(power, 1.0), 12.0))
-        return min(max(self.size * min(max(factor, 0.1), 10.0), self.entry.low), self.entry.high)
-
-    @property
-    def hopeless(self) -> bool:
-        """Return whether the cost is too low at the largest size."""
-        return bool(self.known) and self.size == self.entry.high and self.known[-1][1] < LEAST
-
-
-def hidden(study: Study, names: Callable[[], Sequence[str]], rng: Random, wanted: Wanted) -> Study:
-    """Return the study with effects of random names, each of the size that has a wanted cost [nats]."""
-    for _ in range(50):
-        if (found := sized(study, names(), rng, wanted)) is not None:
-            return found
-    raise RuntimeError(f"seed {study.seed}: no effects that can be seen")
+        return float(min(max(self.size * min(max(factor, 0.1), 10.0), entry.low), entry.high))
 
 
 def sized(study: Study, names: Sequence[str], rng: Random, wanted: Wanted) -> Study | None:
     """Return the study with each effect at the size of its wanted cost; None if a cost cannot be reached."""
-    search = {}
-    for name in names:
-        entry, cost = study.rig.every_entry[name], wanted(rng)
+    entries, units, searches = {name: study.rig.every_entry[name] for name in names}, {}, {}
+    for name, entry in entries.items():
+        cost = wanted(rng)
         start = float(rng.uniform(entry.low, entry.high)) if entry.fixed else entry.start
-        search[name] = _Sized(entry, entry.unit(rng), start, cost)
+        units[name], searches[name] = entry.unit(rng), _Search(start, cost)
     for _ in range(6):
-        study = replace(study, truth={name: s.entry.at(s.unit, s.size) for name, s in search.items()})
+        study = replace(study, truth={n: entry.at(units[n], searches[n].size) for n, entry in entries.items()})
         try:
             study = with_costs(study)
         except ArithmeticError:
             return None
-        sizes = {name: s.learn(study.costs[name]) for name, s in search.items()}
-        if any(s.hopeless for s in search.values()):
-            return None
-        if all(abs(math.log(sizes[name] / s.size)) < NEAR for name, s in search.items()):
+        sizes = {name: s.next_size(entries[name], study.costs[name]) for name, s in searches.items()}
+        for name, s in searches.items():
+            if s.tried and s.size == entries[name].high and s.tried[1] < LEAST:
+                return None  # the cost is too low at the largest size
+        if all(abs(math.log(sizes[name] / s.size)) < NEAR for name, s in searches.items()):
             break
-        for name, s in search.items():
+        for name, s in searches.items():
             s.size = sizes[name]
     return study if min(study.costs.values()) >= LEAST else None
 

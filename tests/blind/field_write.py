@@ -36,8 +36,9 @@ def recorded(study: Study, number: int) -> tuple[Run, Course, Array]:
 def write(study: Study, folder: Path) -> Path:
     """Write study.yaml, the model file and the logs, without the answer; return the path of study.yaml."""
     if study.plant == "craft":  # the tolerances of the others are in their model files
-        tolerance = ", ".join(f"{name}: {share:g}" for name, (_, share) in study.rig.sheet.items())
-        return write_study(folder, "base", logs_of(study), f"tolerance: {{{tolerance}}}\n")
+        return write_study(
+            folder, "base", logs_of(study), {name: share for name, (_, share) in study.rig.sheet.items()}
+        )
     path = write_study(folder, f"{study.plant}.py:{study.rig.model}", logs_of(study))
     shutil.copyfile(PLANTS / f"{study.plant}.py", folder / f"{study.plant}.py")
     return path
@@ -63,7 +64,7 @@ def true_error(study: Study) -> dict[str, float]:
     rig = study.rig
     run, result, cells = recorded(study, SEALED)
     if isinstance(rig, CraftRig):
-        predicted = replay_craft(craft(study.base, study.kind, study.truth), study.truth, run, result)
+        predicted = replay_craft(craft(study.base, study.truth), study.truth, run, result)
     else:
         resets = {k: result.states[k] for k in range(0, run.times.size, round(rig.horizon / rig.step))}
         predicted = rig.course(rig.numbers(study.base, study.truth), undisturbed(run), resets).readings
@@ -75,8 +76,11 @@ def true_error(study: Study) -> dict[str, float]:
 
 def answer(study: Study, **more: Any) -> str:
     """Return the answer as JSON, to be opened after the verdict."""
-    told: dict[str, Any] = {"half": "field"} | asdict(study)
-    told |= {"faults": list(study.faults), "sensors": list(study.rig.sensors), "error_true": true_error(study)}
+    late = ("late",) if study.rig.late()[0] in study.truth else ()  # a fault, and an effect
+    faults, sensors = [*study.recorder.faults, *late], list(study.rig.sensors)
+    told = asdict(study) | {"faults": faults, "sensors": sensors, "error_true": true_error(study)}
+    if study.half == "mixed":
+        told["strangers"] = sorted(set(study.truth) & set(study.rig.outside))
     return json.dumps(told | more, indent=1) + "\n"
 
 

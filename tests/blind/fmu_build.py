@@ -4,29 +4,25 @@
     build(Path("tanks.fmu"), "tanks", version=3, ways=("co_simulation",))      FMI 3.0, co-simulation
     build(Path("bad.fmu"), "drive", ways=WAYS, fault="idle_reset")             both ways in a file, misbehaving
 
-`PLANTS` declares the sound FMUs: drive, dc_motor, tanks, heated_box, pendulum, coupled, cylinder. Sources are in
-`fmus/`, a file of equations each and a runtime for all. `FAULTS` declares the ways to misbehave; every plant can have
-each of them.
+`PLANTS` has the sound FMUs. Sources are in `fmus/`: for each plant a file with a table of its variables and with its
+equations, and a runtime for all. `FAULTS` declares the ways to misbehave; every plant can have each of them.
 
 Parameters are fixed: they are accepted before and in initialization mode, later they are an error. States are start
 values (`initial` exact). A step of co-simulation has any length and is divided into Runge-Kutta steps of at most
 `Plant.inner` seconds. FMU states can be saved and serialized. There are no events and no directional derivatives.
-
-    python -m tests.blind.fmu_build FOLDER      all sound FMUs, both versions, both ways
 """
 
 from __future__ import annotations
 
 import os
-import platform
+import re
 import shlex
 import shutil
 import subprocess
-import sys
 import tempfile
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -50,12 +46,13 @@ UNITS = {  # name → exponents of SI base units
 
 @dataclass(frozen=True)
 class Variable:
-    """Name, start value, unit and description of a variable."""
+    """Name, start value, unit, description and, of a parameter, stated tolerance of a variable."""
 
     name: str
     start: float
     unit: str
     description: str = ""
+    tolerance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -84,189 +81,27 @@ class Plant:
         return tuple(output if isinstance(output, str) else output.name for output in self.outputs)
 
 
-def _rows(*texts: str) -> tuple[Variable, ...]:
-    cells = [text.split(maxsplit=3) for text in texts]
-    return tuple(Variable(name, float(start), unit, description) for name, start, unit, description in cells)
+def _read(name: str) -> Plant:
+    """Return the variables of a plant from the table in its C source, in `layout.h` and in its order."""
+    rows: dict[str, list[str]] = {}
+    for kind, text in re.findall(r"^ \* (\w+): (.*)$", (SOURCES / f"{name}.c").read_text(), re.MULTILINE):
+        rows.setdefault(kind, []).append(text)
+
+    def variables(kind: str) -> tuple[Variable, ...]:
+        cells = [text.split(maxsplit=3) for text in rows.get(kind, ())]
+        return tuple(Variable(name, float(start), unit, description) for name, start, unit, description in cells)
+
+    def parameter(v: Variable) -> Variable:
+        tolerance, description = v.description.split(maxsplit=1)
+        return replace(v, description=description, tolerance=float(tolerance))
+
+    outputs = (*" ".join(rows.get("shown", ())).split(), *variables("output"))
+    parts = variables("input"), variables("state"), outputs, tuple(map(parameter, variables("parameter")))
+    return Plant(rows["title"][0], *parts, float(rows["inner"][0]))
 
 
-PLANTS: dict[str, Plant] = {  # each variable: name, start value, unit, description
-    "drive": Plant(
-        "Motor and load on an elastic shaft",
-        _rows(
-            "torque 0.0 N.m air gap torque",
-        ),
-        _rows(
-            "motor.phi 0.0 rad angle of the motor",
-            "motor.w 0.0 rad/s speed of the motor",
-            "load.phi 0.0 rad angle of the load",
-            "load.w 0.0 rad/s speed of the load",
-        ),
-        (
-            "motor.phi",
-            "motor.w",
-            "load.phi",
-        ),
-        _rows(
-            "motor.J 0.01 kg.m2 inertia of the motor",
-            "load.J 0.03 kg.m2 inertia of the load",
-            "shaft.c 40.0 N.m/rad stiffness of the shaft",
-            "shaft.d 0.1 N.m.s/rad damping of the shaft",
-            "motor.b 0.02 N.m.s/rad bearing of the motor",
-        ),
-        1e-3,
-    ),
-    "dc_motor": Plant(
-        "DC motor with load torque",
-        _rows(
-            "voltage 0.0 V terminal voltage",
-            "load_torque 0.0 N.m torque that brakes",
-        ),
-        _rows(
-            "current 0.0 A armature current",
-            "angle 0.0 rad angle of the shaft",
-            "speed 0.0 rad/s speed of the shaft",
-        ),
-        (
-            "current",
-            "angle",
-            "speed",
-        ),
-        _rows(
-            "resistance 1.2 ohm of the winding",
-            "inductance 6e-3 H of the winding",
-            "constant 0.05 N.m/A torque constant",
-            "inertia 2e-4 kg.m2 moment of inertia",
-            "damping 1e-4 N.m.s/rad viscous friction",
-        ),
-        1e-3,
-    ),
-    "tanks": Plant(
-        "Two tanks joined by a pipe",
-        _rows(
-            "pump_left 5.0 V voltage of the left pump",
-            "pump_right 5.0 V voltage of the right pump",
-        ),
-        _rows(
-            "left.h 0.3 m level in the left tank",
-            "right.h 0.25 m level in the right tank",
-        ),
-        _rows("gauge_left 0.3 m level that is shown", "gauge_right 0.25 m level that is shown"),
-        _rows(
-            "left.area 0.02 m2 cross section",
-            "right.area 0.02 m2 cross section",
-            "pipe.k 1.2e-4 m2.5/s flow through the pipe at 1 m",
-            "outlet.k 1.2e-4 m2.5/s flow out of the right tank at 1 m",
-            "gain_left 6e-6 m3/(s.V) flow of the left pump",
-            "gain_right 6e-6 m3/(s.V) flow of the right pump",
-        ),
-        0.5,
-    ),
-    "heated_box": Plant(
-        "Heated box",
-        _rows(
-            "heater 0.0 1 share of the power",
-            "T_room 295.0 K temperature of the room",
-        ),
-        _rows(
-            "T_heater 295.0 K temperature of the heater",
-            "T_air 295.0 K temperature of the air",
-        ),
-        (
-            "T_heater",
-            "T_air",
-        ),
-        _rows(
-            "power 100.0 W power of the heater",
-            "C_heater 120.0 J/K heat capacity of the heater",
-            "C_air 300.0 J/K heat capacity of the air and the walls",
-            "G_heater 3.0 W/K conductance from heater to air",
-            "G_wall 1.5 W/K conductance to the room",
-        ),
-        0.5,
-    ),
-    "pendulum": Plant(
-        "Cart on a spring with a hanging pendulum",
-        _rows(
-            "force 0.0 N force on the cart",
-        ),
-        _rows(
-            "x 0.0 m position of the cart",
-            "v 0.0 m/s velocity of the cart",
-            "phi 0.0 rad angle of the pendulum, 0 when hanging",
-            "w 0.0 rad/s rate of the pendulum",
-        ),
-        (
-            "x",
-            "v",
-            "phi",
-            "w",
-        ),
-        _rows(
-            "cart 1.0 kg mass of the cart",
-            "bob 0.25 kg mass of the bob",
-            "length 0.5 m from hinge to bob",
-            "spring 3.0 N/m stiffness that centres the cart",
-            "rub 0.8 N.s/m viscous friction of the cart",
-            "hinge 5e-3 N.m.s/rad viscous friction of the hinge",
-        ),
-        4e-3,
-    ),
-    "coupled": Plant(
-        "Two pendulums joined by a torsion spring",
-        _rows(
-            "torque 0.0 N.m torque on the first",
-        ),
-        _rows(
-            "phi1 0.0 rad angle of the first",
-            "w1 0.0 rad/s rate of the first",
-            "phi2 0.0 rad angle of the second",
-            "w2 0.0 rad/s rate of the second",
-        ),
-        (
-            "phi1",
-            "phi2",
-        ),
-        _rows(
-            "J1 0.1 kg.m2 inertia of the first",
-            "J2 0.08 kg.m2 inertia of the second",
-            "c1 1.0 N.m/rad torque of gravity on the first per sine of its angle",
-            "c2 0.8 N.m/rad torque of gravity on the second per sine of its angle",
-            "k 1.0 N.m/rad stiffness of the spring",
-            "d1 0.03 N.m.s/rad viscous friction of the first",
-            "d2 0.02 N.m.s/rad viscous friction of the second",
-        ),
-        4e-3,
-    ),
-    "cylinder": Plant(
-        "Hydraulic cylinder with a valve",
-        _rows(
-            "valve 0.0 1 opening of the valve",
-            "load 0.0 N force against the piston",
-        ),
-        _rows(
-            "piston.x 0.0 m position of the piston",
-            "piston.v 0.0 m/s velocity of the piston",
-            "p_a 1e6 Pa pressure in chamber A",
-            "p_b 1e6 Pa pressure in chamber B",
-        ),
-        (
-            "piston.x",
-            "piston.v",
-            "p_a",
-            "p_b",
-        ),
-        _rows(
-            "mass 50.0 kg moved mass",
-            "damping 800.0 N.s/m viscous friction",
-            "spring 1.5e4 N/m stiffness of the load",
-            "bulk 2e8 Pa bulk modulus of the oil",
-            "valve.k 2e-7 m4/(s.N.5) flow of the open valve at 1 Pa",
-            "supply 2e6 Pa supply pressure",
-        ),
-        5e-4,
-    ),
-}
-
+NAMES = ("drive", "dc_motor", "tanks", "heated_box", "pendulum", "coupled", "cylinder")
+PLANTS = {name: _read(name) for name in NAMES}
 
 NO_PARAMETERS, NO_UNITS, OWN_STEP = "no_parameters", "no_units", "own_step"
 FAULTS: dict[str, dict[str, str]] = {  # macros of the runtime; the description is wrong of those without any
@@ -300,23 +135,15 @@ def build(
         ways: from `WAYS`.
         fault: a key of `FAULTS`.
     """
+    folder = fmpy.platform if version == 2 else fmpy.platform_tuple
     entries = {
         "modelDescription.xml": _description(plant, version, fault, ways).encode(),
-        f"binaries/{_binary(plant, version)}": library(plant, version, fault),
+        f"binaries/{folder}/{plant}{fmpy.sharedLibraryExtension}": library(plant, version, fault),
     }
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in entries.items():
             archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content)
     return path
-
-
-def _binary(plant: str, version: int) -> str:
-    """Return the path of the library of this machine below `binaries`."""
-    system = {"win32": "windows"}.get(sys.platform, sys.platform)
-    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
-    suffix = {"windows": ".dll", "darwin": ".dylib"}.get(system, ".so")
-    of_two = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}[system]
-    return f"{of_two if version == 2 and machine == 'x86_64' else f'{machine}-{system}'}/{plant}{suffix}"
 
 
 def build_slave(path: Path, plant: str) -> Path:
@@ -437,16 +264,3 @@ def _description(name: str, version: int, fault: str, ways: Sequence[str]) -> st
         f"<ModelVariables>\n{listed}\n</ModelVariables>\n<ModelStructure>{structure}</ModelStructure>\n"
         "</fmiModelDescription>\n"
     )
-
-
-def main(arguments: Sequence[str]) -> int:
-    folder = Path(arguments[0])
-    folder.mkdir(parents=True, exist_ok=True)
-    for plant in PLANTS:
-        for version in (2, 3):
-            print(build(folder / f"{plant}-fmi{version}.fmu", plant, version, ways=WAYS))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,8 +1,8 @@
 """Truth of the FMUs' blind suite: the general catalogue of effects at places, and integration in small steps.
 
-Nothing of the project is used, nor the C sources of the FMUs. A plant (`fmu_truths.py`) declares its places: inputs,
-position-velocity pairs, storages, outputs. From these follow its effects, named `{kind}_at_{place}`. Runs are
-integrated by Runge-Kutta with a few steps a row; a test compares with DOP853.
+Nothing of the project is used, and of the C sources of the FMUs only the tables of variables. A plant (`fmu_truths.py`)
+declares its places: inputs, position-velocity pairs, storages, outputs. From these follow its effects, named
+`{kind}_at_{place}`. Runs are integrated by Runge-Kutta with a few steps a row; a test compares with DOP853.
 
 | effect | parameters | acts |
 |---|---|---|
@@ -45,12 +45,13 @@ from tests.blind.field_rig import (
     Rate,
     Rig,
     Run,
-    Sensor,
-    grouped,
     hidden_in,
+    laws_in,
     manoeuvre,
     rounded,
+    sensor,
 )
+from tests.blind.fmu_build import PLANTS
 
 ModelExchange, CoSimulation = "model_exchange", "co_simulation"
 PARTS = 4  # Runge-Kutta steps of a row
@@ -81,6 +82,20 @@ class Input:
         """Return the largest distance of a command from 0."""
         return max(abs(self.low), abs(self.high))
 
+    def effects(self, _: str, rig: FmuRig) -> dict[str, Entry]:
+        """Return the effects that an input may have."""
+        h, reach = rig.step, self.reach
+        return {
+            "bias": Entry("value", 0.02 * reach, 5e-4 * reach, 0.3 * reach, signed=True),
+            "gain": Entry("value", 0.03, 1e-3, 0.4, signed=True, neutral=1.0),
+            "dead_band": Entry("width", 0.03 * reach, 1e-3 * reach, 0.3 * reach),
+            "saturation": Entry("limit", 0.1, 0.01, 0.6, neutral=reach, ratio={"limit": (-reach, -reach)}),
+            "rate_limit": Entry("rate", 4.0 * h / reach, h / reach, 100.0 * h / reach, inverse=True),
+            "play": Entry("width", 0.03 * reach, 1e-3 * reach, 0.3 * reach),
+            "lag": Entry("time", h, 0.05 * h, 30.0 * h),
+            "second_order_lag": Entry("frequency", h, 0.1 * h, 20.0 * h, shape=DAMPING, inverse=True),
+        }
+
 
 @dataclass(frozen=True)
 class Pair:
@@ -99,6 +114,22 @@ class Pair:
     inertia: str = ""
     period: tuple[float, float] = (1.0, 1.0)
 
+    def effects(self, *_: Any) -> dict[str, Entry]:
+        """Return the effects that a velocity may have; a parameter is a share of the usual force over a unit."""
+
+        def force(names: str, unit: float, **more: Any) -> Entry:
+            return Entry(names, 0.02 * self.force / unit, 2e-4 * self.force / unit, 0.5 * self.force / unit, **more)
+
+        slow = {"speed": (0.2 * self.speed, 0.5 * self.speed)}
+        return {
+            "coulomb": force("level", 1.0),
+            "stribeck": force("breakaway", 1.0, ratio={"level": (0.2, 0.4)}, shape=slow),
+            "viscous": force("coefficient", self.speed),
+            "quadratic_drag": force("coefficient", self.speed**2),
+            "cogging": force("sine cosine", 1.0, shape={"period": self.period}),
+            "cubic_spring": force("stiffness", self.distance**3),
+        }
+
 
 @dataclass(frozen=True)
 class Storage:
@@ -109,6 +140,14 @@ class Storage:
     rate: float
     kinds: str
 
+    def effects(self, *_: Any) -> dict[str, Entry]:
+        """Return the effects that a storage may have."""
+        usual, high = self.rate / self.value, self.rate / (0.1 * self.value)
+        return {
+            "leak": Entry("coefficient", 0.05 * usual, 1e-4 * usual, usual),
+            "overflow": Entry("coefficient", high, 0.01 * high, 100.0 * high, shape={"level": (self.level,) * 2}),
+        }
+
 
 @dataclass(frozen=True)
 class Output:
@@ -118,6 +157,17 @@ class Output:
     noise: float
     spread: float
     kinds: str
+
+    def effects(self, name: str, rig: FmuRig) -> dict[str, Entry]:
+        """Return the errors that an output may have."""
+        h, slow = rig.step, self.spread / (rig.rows * rig.step)
+        return {
+            "bias": sensor(name, "bias", self.noise, 0.02 * self.noise, 0.3 * self.spread),
+            "scale": sensor(name, "scale", 0.02, 5e-4, 0.3),
+            "lag": Entry("time", h, SHORTEST_LAG * h, 15.0 * h, output=name, error="lag"),
+            "drift": Entry("rate", 0.02 * slow, 5e-4 * slow, 0.5 * slow, signed=True, output=name, error="drift"),
+            "latency": sensor(name, "late", 2.0 * h, 1.5 * h, 4.0 * h),
+        }
 
 
 class FmuRig(Rig):
@@ -131,22 +181,21 @@ class FmuRig(Rig):
     preroll_rows: int = 60
 
     def __init__(self, way: str) -> None:
-        self.way = way
+        self.way, plant = way, PLANTS[self.name]
+        self.sheet = {place(v.name): (v.start, v.tolerance) for v in plant.parameters}
+        self.rest = [v.start for v in plant.states]
         self.inputs = {name: u.rest for name, u in self.plants_inputs.items()}
         self.outputs = {name: y.noise for name, y in self.plants_outputs.items()}
         self.preroll = self.preroll_rows * self.step
-        at_inputs, at_outputs = self._at_inputs(), self._at_outputs()
-        ported, internal = self._at_pairs(port=True), self._at_pairs(port=False) | self._at_storages()
+        at_inputs = {"delay": Entry("time", 0.5 * self.step, 0.02 * self.step, 20.0 * self.step)}
+        at_inputs |= self.effects_at(self.plants_inputs)
+        ported = self.effects_at({name: v for name, v in self.pairs.items() if v.port})
+        internal = self.effects_at({name: v for name, v in self.pairs.items() if not v.port} | self.storages)
         first = next(iter(self.plants_inputs))
         self.outside = self.strangers | _of_time(place(first), self.plants_inputs[first], self.step * self.rows)
-        self.entries = at_inputs | ported | at_outputs
+        self.entries = at_inputs | ported | self.effects_at(self.plants_outputs)
         self.entries |= internal if way == ModelExchange else {}
         self.outside |= internal if way == CoSimulation else {}
-        self.sensors = {
-            f"{kind}_at_{place(name)}": Sensor(name, {"latency": "late"}.get(kind, kind))
-            for name, y in self.plants_outputs.items()
-            for kind in y.kinds.split()
-        }
         self.own_states = {
             f"lag_at_{place(name)}": {f"lag_at_{place(name)}.state": self.rest[y.state]}
             for name, y in self.plants_outputs.items()
@@ -159,93 +208,28 @@ class FmuRig(Rig):
         slow = {n for n in at_inputs if n == "delay" or n.startswith(("lag_", "second_order", "rate_limit", "play"))}
         self.families = tuple(map(frozenset, (*alike, slow)))
 
-    @property
-    def rest(self) -> list[float]:
-        """Return the states at rest."""
-        raise NotImplementedError
-
-    # -- what may be hidden --------------------------------------------------------------------------
-
-    def _at_inputs(self) -> dict[str, Entry]:
-        h = self.step
-        found = {"delay": Entry("time", 0.5 * h, 0.02 * h, 20.0 * h)}
-        for name, u in self.plants_inputs.items():
-            reach = u.reach
-            every = {
-                "bias": Entry("value", 0.02 * reach, 5e-4 * reach, 0.3 * reach, signed=True),
-                "gain": Entry("value", 0.03, 1e-3, 0.4, signed=True, neutral=1.0),
-                "dead_band": Entry("width", 0.03 * reach, 1e-3 * reach, 0.3 * reach),
-                "saturation": Entry("limit", 0.1, 0.01, 0.6, neutral=reach, ratio={"limit": (-reach, -reach)}),
-                "rate_limit": Entry("rate", 4.0 * h / reach, h / reach, 100.0 * h / reach, inverse=True),
-                "play": Entry("width", 0.03 * reach, 1e-3 * reach, 0.3 * reach),
-                "lag": Entry("time", h, 0.05 * h, 30.0 * h),
-                "second_order_lag": Entry("frequency", h, 0.1 * h, 20.0 * h, shape=DAMPING, inverse=True),
-            }
-            found |= _placed(name, u.kinds, every)
-        return found
-
-    def _at_pairs(self, port: bool) -> dict[str, Entry]:
-        found: dict[str, Entry] = {}
-        for name, v in self.pairs.items():
-
-            def force(names: str, unit: float, usual: float = v.force, **more: Any) -> Entry:
-                """Return an effect whose parameter is a share of the usual force over a unit."""
-                return Entry(names, 0.02 * usual / unit, 2e-4 * usual / unit, 0.5 * usual / unit, **more)
-
-            slow = {"speed": (0.2 * v.speed, 0.5 * v.speed)}
-            every = {
-                "coulomb": force("level", 1.0),
-                "stribeck": force("breakaway", 1.0, ratio={"level": (0.2, 0.4)}, shape=slow),
-                "viscous": force("coefficient", v.speed),
-                "quadratic_drag": force("coefficient", v.speed**2),
-                "cogging": force("sine cosine", 1.0, shape={"period": v.period}),
-                "cubic_spring": force("stiffness", v.distance**3),
-            }
-            found |= _placed(name, v.kinds, every) if v.port == port else {}
-        return found
-
-    def _at_storages(self) -> dict[str, Entry]:
-        found: dict[str, Entry] = {}
-        for name, s in self.storages.items():
-            usual, high = s.rate / s.value, s.rate / (0.1 * s.value)
-            every = {
-                "leak": Entry("coefficient", 0.05 * usual, 1e-4 * usual, usual),
-                "overflow": Entry("coefficient", high, 0.01 * high, 100.0 * high, shape={"level": (s.level,) * 2}),
-            }
-            found |= _placed(name, s.kinds, every)
-        return found
-
-    def _at_outputs(self) -> dict[str, Entry]:
-        h, found = self.step, dict[str, Entry]()
-        for name, y in self.plants_outputs.items():
-            slow = y.spread / (self.rows * h)
-            every = {
-                "bias": Entry("value", y.noise, 0.02 * y.noise, 0.3 * y.spread, signed=True),
-                "scale": Entry("value", 0.02, 5e-4, 0.3, signed=True, neutral=1.0),
-                "lag": Entry("time", h, SHORTEST_LAG * h, 15.0 * h),
-                "drift": Entry("rate", 0.02 * slow, 5e-4 * slow, 0.5 * slow, signed=True),
-                "latency": Entry("value", 2.0 * h, 1.5 * h, 4.0 * h, fixed=True),
-            }
-            found |= _placed(name, y.kinds, every)
-        return found
+    def effects_at(self, places: Mapping[str, Any]) -> dict[str, Entry]:
+        """Return the effects of places by name."""
+        kinds = [(kind, name) for name, at in places.items() for kind in at.kinds.split()]
+        return {f"{kind}_at_{place(name)}": places[name].effects(name, self)[kind] for kind, name in kinds}
 
     # -- equations ------------------------------------------------------------------------------------
 
-    def equations(self, f: Any, p: Flat, drag: Callable[..., Any], loss: Callable[..., Any]) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Callable[..., Any], hidden: Callable[..., Any]) -> Rate:
         """Return the derivatives of the plant's own states.
 
         Args:
             f: math functions, `Floats` or `Arrays`.
             p: parameters.
-            drag: (place, position, velocity) → force against the motion.
-            loss: (place, value) → loss of a storage per second.
+            acts: (pair, position, velocity) → force against the motion, (storage, value) → its loss per second.
+            hidden: (stranger, term) → the term for its parameters, 0 without it.
         """
         raise NotImplementedError
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return derivatives and outputs, with the hidden effects of `p`."""
         hidden, first = hidden_in(p), place(next(iter(self.plants_inputs)))
-        own = self.equations(f, p, self._drag(f, p), self._loss(f, p))
+        own = self.equations(f, p, self._acts(f, p), hidden)
         names = {key.partition(".")[0] for key in p}
         lagged = [place(name) for name in self.plants_outputs if f"lag_at_{place(name)}" in names]
         number = {at: len(self.states) + k for k, at in enumerate(lagged)}
@@ -267,24 +251,17 @@ class FmuRig(Rig):
 
         return rate, look
 
-    def _drag(self, f: Any, p: Flat) -> Callable[..., Any]:
-        """Return (place, position, velocity) → force against the motion of the effects at a velocity."""
-        effects = grouped(p)
-        terms = {
-            name: [
-                (term, effects[f"{kind}_at_{name}"]) for kind, term in DRAGS.items() if f"{kind}_at_{name}" in effects
-            ]
-            for name in self.pairs
-        }
+    def _acts(self, f: Any, p: Flat) -> Callable[..., Any]:
+        """Return (place, values) → sum of the effects at a velocity or a storage."""
         creep = {name: v.speed / 50.0 for name, v in self.pairs.items()}
-        return lambda name, q, v: sum(term(f, q, v, f.tanh(v / creep[name]), **values) for term, values in terms[name])
+        places = (*self.pairs, *self.storages)
+        terms = {at: laws_in(p, {f"{kind}_at_{at}": law for kind, law in LAWS.items()}) for at in places}
 
-    def _loss(self, f: Any, p: Flat) -> Callable[..., Any]:
-        """Return (place, value) → loss of a storage per second."""
-        leaks = {name: p.get(f"leak_at_{name}.coefficient", 0.0) for name in self.storages}
-        spills = {name: p.get(f"overflow_at_{name}.coefficient", 0.0) for name in self.storages}
-        levels = {name: p.get(f"overflow_at_{name}.level", 0.0) for name in self.storages}
-        return lambda name, x: leaks[name] * x + spills[name] * f.maximum(x - levels[name], 0.0)
+        def acts(name: str, *at: Any) -> Any:
+            way = (f.tanh(at[1] / creep[name]),) if name in creep else ()
+            return sum(law(f, *at, *way) for law in terms[name])
+
+        return acts
 
     def resolves(self, truth: Mapping[str, Mapping[str, float]]) -> bool:
         """Return whether the integration resolves the lag of every sensor."""
@@ -352,12 +329,8 @@ class FmuRig(Rig):
         return rounded(commands)
 
 
-def _placed(at: str, kinds: str, every: Mapping[str, Entry]) -> dict[str, Entry]:
-    return {f"{kind}_at_{place(at)}": every[kind] for kind in kinds.split()}
-
-
-# (functions, position, velocity, direction, parameters) → force against the motion
-DRAGS: dict[str, Callable[..., Any]] = {
+# (functions, position, velocity, direction, parameters) → force against the motion; (…, value, …) → loss of a storage
+LAWS: dict[str, Callable[..., Any]] = {
     "coulomb": lambda f, q, v, way, level: level * way,
     "stribeck": lambda f, q, v, way, level, breakaway, speed: (
         (level + (breakaway - level) * f.exp(-((v / speed) ** 2))) * way
@@ -368,6 +341,8 @@ DRAGS: dict[str, Callable[..., Any]] = {
         sine * f.sin(2.0 * math.pi / period * q) + cosine * f.cos(2.0 * math.pi / period * q)
     ),
     "cubic_spring": lambda f, q, v, way, stiffness: stiffness * q**3,
+    "leak": lambda f, x, coefficient: coefficient * x,
+    "overflow": lambda f, x, coefficient, level: coefficient * f.maximum(x - level, 0.0),
 }
 
 

@@ -9,46 +9,27 @@ Six plants alternate; over 24 consecutive seeds each is drawn with both ways and
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from collections.abc import Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
-from tests.blind import field_write
+from tests.blind import field_study, field_write
 from tests.blind.field_recorder import Recorder
-from tests.blind.field_rig import Entry, Random, Rig, base_numbers, show, write_study
-from tests.blind.field_study import LEAST, OUTSIDE_COST, Study, card, costing, names_of, sized, stream, with_costs
+from tests.blind.field_rig import Entry, Rig, base_numbers, show, write_study
+from tests.blind.field_study import Deal, Study, card, costing, hidden, sized, stream
 from tests.blind.fmu_build import PLANTS as DECLARED
 from tests.blind.fmu_build import WAYS, build, build_slave
-from tests.blind.fmu_rig import CoSimulation, FmuRig, ModelExchange, place
+from tests.blind.fmu_rig import CoSimulation, ModelExchange, place
 from tests.blind.fmu_truths import CLASSES, RIGS
 
 PLANTS = tuple(rig.name for rig in CLASSES)
-DEALT = {"known", "nothing", "outside", "usual", "fifth", *PLANTS, *WAYS}  # what is decided without effects
+DEALT = {"usual", "fifth", *PLANTS, *WAYS}  # what is decided without effects, beside the kind
 BLOCK = ("known",) * 12 + ("nothing",) * 5 + ("outside",) * 3  # of twenty consecutive seeds, in shuffled order
 HIDDEN = (("usual", 1), ("fifth", 1), ("usual", 2), ("fifth", 1), ("usual", 1), ("fifth", 2))  # size, effects
 USUAL = (500.0, 5000.0)  # nats, log-uniform
 SMALLER = 5.0
-OWN_C, PYTHONFMU = "own C", "pythonfmu"
 FIRST_OF_TWO = 5000  # first seed with a second exporter; earlier studies stay as they were
 SLAVES = {("tanks", "co_simulation", 2)}  # plant, way and version of FMI that pythonfmu makes too
 OWN = 26  # first number of this suite's random streams
-
-
-@dataclass(frozen=True)
-class Deal:
-    """Properties of a seed from the shuffled decks."""
-
-    seed: int
-    plant: str
-    way: str
-    version: int
-    kind: str  # known, nothing, outside
-    size: str  # usual, fifth; empty without effects of the catalogue
-    effects: int
 
 
 @dataclass(frozen=True)
@@ -58,12 +39,6 @@ class FmuStudy(Study):
     way: str = ModelExchange
     version: int = 2
     size: str = ""
-
-    @property
-    def exporter(self) -> str:
-        """Return the exporter of the FMU: own C, or that of every second study which another exporter can make."""
-        made = (self.plant, self.way, self.version) in SLAVES and self.seed >= FIRST_OF_TWO
-        return PYTHONFMU if made and stream(self.seed, OWN + 2).uniform() < 0.5 else OWN_C
 
     @property
     def rig(self) -> Rig:
@@ -77,42 +52,32 @@ def deal(seed: int) -> Deal:
     size, count = card(HIDDEN, number, OWN + 1)[0] if kind == "known" else ("", int(kind == "outside"))
     round_, half = seed // len(PLANTS), seed // (2 * len(PLANTS))
     plant, way, version = PLANTS[seed % len(PLANTS)], WAYS[(seed + round_) % 2], 2 + (seed + half) % 2
-    return Deal(seed, plant, way, version, kind, size, count)
+    return Deal(plant, kind, count, way=way, version=version, size=size)
 
 
-@cache
-def draw(seed: int) -> FmuStudy:
+def draw(seed: int) -> Study:
     """Return the study of a seed, reproducible byte for byte."""
     dealt, rng = deal(seed), stream(seed, OWN, 2)
     rig = RIGS[dealt.plant, dealt.way]
     study = FmuStudy(
-        seed, dealt.plant, dealt.kind, {}, base_numbers(rig.sheet, rng), "small",
+        "fmu", seed, dealt.plant, dealt.kind, {}, base_numbers(rig.sheet, rng), "small",
         Recorder(noise=dict.fromkeys(rig.outputs, 1.0)), way=dealt.way, version=dealt.version, size=dealt.size,
     )  # fmt: skip
+
+    def known() -> Study | None:
+        """Return the study with effects of usual size or a fifth; None if one cannot have it."""
+        found = sized(study, field_study.names_of(rig, rng, dealt.effects), rng, costing(USUAL))
+        if found is None or dealt.size == "usual":
+            return found
+        found = replace(found, truth={name: shrunk(rig.entries[name], v) for name, v in found.truth.items()})
+        found = field_study.with_costs(found) if rig.resolves(found.truth) else None
+        return found if found and min(found.costs.values()) >= field_study.LEAST else None
+
     if dealt.kind == "nothing":
         return study
-    for _ in range(50):
-        if dealt.kind == "known":
-            found = _known(study, names_of(rig, rng, dealt.effects), rng)
-        else:
-            found = sized(study, [str(rng.choice(sorted(rig.outside)))], rng, costing(OUTSIDE_COST))
-        if isinstance(found, FmuStudy):
-            return found
-    raise RuntimeError(f"seed {seed}: no effects that can be seen")
-
-
-def _known(study: FmuStudy, names: Sequence[str], rng: Random) -> Study | None:
-    """Return the study with effects of usual size or a fifth; None if one cannot have it."""
-    found = sized(study, names, rng, costing(USUAL))
-    if found is None or study.size == "usual":
-        return found
-    entries = found.rig.entries
-    found = replace(found, truth={name: shrunk(entries[name], values) for name, values in found.truth.items()})
-    assert isinstance(found.rig, FmuRig)
-    if not found.rig.resolves(found.truth):
-        return None
-    found = with_costs(found)
-    return found if min(found.costs.values()) >= LEAST else None
+    if dealt.kind == "known":
+        return hidden(known)
+    return hidden(lambda: sized(study, [str(rng.choice(sorted(rig.outside)))], rng, costing(field_study.OUTSIDE_COST)))
 
 
 def shrunk(entry: Entry, values: dict[str, float]) -> dict[str, float]:
@@ -122,37 +87,23 @@ def shrunk(entry: Entry, values: dict[str, float]) -> dict[str, float]:
     return {p: v if p in entry.shape else entry.neutral + (v - entry.neutral) / SMALLER for p, v in values.items()}
 
 
-def is_any_of(seed: int, chosen: AbstractSet[str]) -> bool:
-    """Return whether the kind, plant, way, size or an effect of a seed is in `chosen`."""
-    dealt = deal(seed)
-    if {dealt.kind, dealt.plant, dealt.way, dealt.size} & chosen:
-        return True
-    rig = RIGS[dealt.plant, dealt.way]
-    possible = {"known": rig.entries, "outside": rig.outside}.get(dealt.kind, {})
-    return bool(chosen & possible.keys()) and bool(draw(seed).truth.keys() & chosen)
-
-
-def known_names() -> set[str]:
-    """Return kinds, plants, ways, sizes and effects."""
-    return {*DEALT, *(name for rig in RIGS.values() for name in (*rig.entries, *rig.outside))}
-
-
 # -- files and answer --------------------------------------------------------------------------------------
 
 
 def write(study: FmuStudy, folder: Path) -> Path:
-    """Write study.yaml, the FMU and the logs, without the answer; return the path of study.yaml."""
+    """Write study.yaml, the FMU and the logs, without the answer; return the path of study.yaml.
+
+    Every second study that pythonfmu can make, too, has its FMU from there.
+    """
     names = {place(v.name): v.name for v in DECLARED[study.plant].parameters}
-    tolerance = ", ".join(f"{names[name]}: {share:g}" for name, (_, share) in study.rig.sheet.items())
-    path = write_study(folder, "plant.fmu", field_write.logs_of(study), f"tolerance: {{{tolerance}}}\n")
-    shutil.copyfile(_fmu(study.plant, study.version, study.way, study.exporter), folder / "plant.fmu")
+    tolerance = {names[name]: share for name, (_, share) in study.rig.sheet.items()}
+    path = write_study(folder, "plant.fmu", field_write.logs_of(study), tolerance)
+    of_two = (study.plant, study.way, study.version) in SLAVES and study.seed >= FIRST_OF_TWO
+    if of_two and stream(study.seed, OWN + 2).uniform() < 0.5:
+        build_slave(folder / "plant.fmu", study.plant)
+    else:
+        build(folder / "plant.fmu", study.plant, study.version, ways=(study.way,))
     return path
-
-
-@cache
-def _fmu(plant: str, version: int, way: str, exporter: str = OWN_C) -> Path:
-    path = Path(tempfile.mkdtemp(prefix="blind-fmu-")) / "plant.fmu"
-    return build_slave(path, plant) if exporter == PYTHONFMU else build(path, plant, version, ways=(way,))
 
 
 def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
@@ -161,8 +112,7 @@ def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
     A force without a port is claimed as a rate: it is divided by the true inertia. Where a damping of the FMU tells how
     forces act, the claim is a force. In co-simulation an effect at a storage has the name of the output that shows it.
     """
-    rig, told = study.rig, {}
-    assert isinstance(rig, FmuRig)
+    rig, told = RIGS[study.plant, study.way], {}
     states = [place(v.name) for v in DECLARED[study.plant].states]
     shown = {states[y.state]: place(name) for name, y in rig.plants_outputs.items() if study.way == CoSimulation}
     for name, values in study.truth.items():
@@ -177,7 +127,7 @@ def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
 
 def answer(study: FmuStudy) -> str:
     """Return the answer as JSON, to be opened after the verdict."""
-    return field_write.answer(study, half="fmu", truth=claimed(study), physical=study.truth)
+    return field_write.answer(study, truth=claimed(study), physical=study.truth)
 
 
 if __name__ == "__main__":

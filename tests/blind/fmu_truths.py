@@ -1,7 +1,7 @@
 """Independent equations of the six plants whose FMUs are in `fmus/`, with their places and base parameters.
 
-Parameters are named as in the FMU, with _ for every other character. The equations are written from energies and
-balances, and import neither the FMUs' sources nor the project.
+Parameters are named as in the FMU, with _ for every other character. Equations are written from energies and balances,
+without the equations of the FMUs and without the project.
 """
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Array, Entry, Flat, Random, Rate, hidden_in, moving, rounded
+from tests.blind.field_rig import Array, Entry, Flat, Random, Rate, moving, rounded
 from tests.blind.fmu_rig import CoSimulation, FmuRig, Input, ModelExchange, Output, Pair, Storage
 
 LAGS = "lag second_order_lag rate_limit"
@@ -34,31 +34,22 @@ class Drive(FmuRig):
         "motor.w": Output(1, 0.3, 30.0, "bias scale lag drift"),
         "load.phi": Output(2, 1e-2, 10.0, "scale lag drift latency"),
     }
-    sheet = {
-        "motor_J": (0.01, 0.05),
-        "load_J": (0.03, 0.1),
-        "shaft_c": (40.0, 0.1),
-        "shaft_d": (0.1, 0.1),
-        "motor_b": (0.02, 0.1),
-    }
     strangers = {
         "brake": Entry("level", 0.1, 2e-3, 1.0, shape={"period": (2.5, 4.0), "length": (0.6, 1.2)}),
     }
     pushes, correlation_time = (2.0, 2.0), 0.2
     step, rows, horizon = 0.005, 2000, 0.5
     substeps = 2
-    rest = [0.0] * 4
 
-    def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Any, hidden: Any) -> Rate:
         """Return the derivatives from the balance of momentum of both discs."""
-        hidden = hidden_in(p)
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             a, wa, b, wb = x[:4]
             through = p["shaft_c"] * (a - b) + p["shaft_d"] * (wa - wb)
             brake = hidden("brake", lambda level, period, length: f.where(t % period < length, level, 0.0))
-            slows = 0.03 * wb + drag("load_w", b, wb) + brake * f.tanh(wb / 0.3)
-            from_motor = u[0] + push[0] - p["motor_b"] * wa - drag("motor_w", a, wa)
+            slows = 0.03 * wb + acts("load_w", b, wb) + brake * f.tanh(wb / 0.3)
+            from_motor = u[0] + push[0] - p["motor_b"] * wa - acts("motor_w", a, wa)
             return [wa, (from_motor - through) / p["motor_J"], wb, (through + push[1] - slows) / p["load_J"]]
 
         return rate
@@ -86,28 +77,19 @@ class DcMotor(FmuRig):
         "angle": Output(1, 0.05, 100.0, "scale lag latency"),
         "speed": Output(2, 1.0, 200.0, "bias scale lag drift"),
     }
-    sheet = {
-        "resistance": (1.2, 0.1),
-        "inductance": (6e-3, 0.1),
-        "constant": (0.05, 0.03),
-        "inertia": (2e-4, 0.05),
-        "damping": (1e-4, 0.1),
-    }
     strangers = {"iron": Entry("share", 0.02, 1e-3, 0.6)}
     pushes, correlation_time = (12.0, 0.1), 0.2
     step, rows, horizon = 0.005, 2000, 0.5
     substeps = 2
-    rest = [0.0] * 3
 
-    def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Any, hidden: Any) -> Rate:
         """Return the derivatives from flux linkage and momentum."""
-        hidden = hidden_in(p)
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             i, angle, w = x[:3]
             flux = p["constant"] * (1.0 - hidden("iron", lambda share: share * (i / 5.0) ** 2))
             voltage = u[0] + push[0] - flux * w
-            torque = flux * i + push[1] - u[1] - drag("speed", angle, w)
+            torque = flux * i + push[1] - u[1] - acts("speed", angle, w)
             faster = torque / p["inertia"] - p["damping"] / p["inertia"] * w
             return [voltage / p["inductance"] - p["resistance"] / p["inductance"] * i, w, faster]
 
@@ -134,14 +116,6 @@ class Tanks(FmuRig):
         "gauge_left": Output(0, 1e-3, 0.2, "bias scale lag drift latency"),
         "gauge_right": Output(1, 1e-3, 0.2, "bias scale lag drift"),
     }
-    sheet = {
-        "left_area": (0.02, 0.02),
-        "right_area": (0.02, 0.02),
-        "pipe_k": (1.2e-4, 0.1),
-        "outlet_k": (1.2e-4, 0.1),
-        "gain_left": (6e-6, 0.05),
-        "gain_right": (6e-6, 0.05),
-    }
     strangers = {
         "cone": Entry("slope", 0.2, 5e-3, 1.8),
         "tap": Entry("flow", 3e-6, 1e-7, 4e-5, shape={"period": (250.0, 400.0), "length": (60.0, 120.0)}),
@@ -149,11 +123,9 @@ class Tanks(FmuRig):
     pushes, correlation_time = (6e-5, 6e-5), 30.0
     step, rows, horizon = 1.0, 1800, 40.0
     substeps = 1
-    rest = [0.3, 0.25]
 
-    def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Any, hidden: Any) -> Rate:
         """Return the derivatives from the balance of volume."""
-        hidden = hidden_in(p)
 
         def orifice(k: Any, head: Any) -> Any:
             return k * head * (1e-4 + head * head) ** -0.25
@@ -164,8 +136,8 @@ class Tanks(FmuRig):
             out = out + hidden("tap", lambda flow, period, length: f.where(t % period < length, flow, 0.0))
             area = p["left_area"] * (1.0 + hidden("cone", lambda slope: slope * (left - 0.3)))
             return [
-                (p["gain_left"] * u[0] + push[0] - pipe) / area - loss("left_h", left),
-                (p["gain_right"] * u[1] + push[1] + pipe - out) / p["right_area"] - loss("right_h", right),
+                (p["gain_left"] * u[0] + push[0] - pipe) / area - acts("left_h", left),
+                (p["gain_right"] * u[1] + push[1] + pipe - out) / p["right_area"] - acts("right_h", right),
             ]
 
         return rate
@@ -201,13 +173,6 @@ class HeatedBox(FmuRig):
         "T_heater": Output(0, 0.1, 40.0, "bias lag drift"),
         "T_air": Output(1, 0.05, 30.0, "bias lag drift latency"),
     }
-    sheet = {
-        "power": (100.0, 0.05),
-        "C_heater": (120.0, 0.1),
-        "C_air": (300.0, 0.1),
-        "G_heater": (3.0, 0.1),
-        "G_wall": (1.5, 0.1),
-    }
     strangers = {
         "radiation": Entry("share", 0.02, 1e-3, 1.0),
         "door": Entry("conductance", 0.1, 5e-3, 3.0, shape={"period": (500.0, 800.0), "length": (60.0, 150.0)}),
@@ -215,11 +180,9 @@ class HeatedBox(FmuRig):
     pushes, correlation_time = (100.0, 100.0), 60.0
     step, rows, horizon = 2.0, 1500, 100.0
     substeps = 1
-    rest = [295.0, 295.0]
 
-    def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Any, hidden: Any) -> Rate:
         """Return the derivatives from the balance of heat."""
-        hidden = hidden_in(p)
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             hot, air = x[0], x[1]
@@ -250,29 +213,19 @@ class Pendulum(FmuRig):
         "x": Output(0, 2e-3, 1.5, "scale lag"),
         "phi": Output(2, 3e-3, 0.8, "bias scale lag drift latency"),
     }
-    sheet = {
-        "cart": (1.0, 0.05),
-        "bob": (0.25, 0.05),
-        "length": (0.5, 0.02),
-        "spring": (3.0, 0.05),
-        "rub": (0.8, 0.1),
-        "hinge": (5e-3, 0.1),
-    }
     strangers = {
         "magnet": Entry("force", 0.1, 2e-3, 2.0, shape={"place": (-0.5, 0.5), "width": (0.1, 0.2)}),
     }
     pushes, correlation_time = (4.0, 1.0), 1.0
     step, rows, horizon = 0.02, 2000, 2.0
     substeps = 2
-    rest = [0.0] * 4
 
-    def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Any, hidden: Any) -> Rate:
         """Return the derivatives by elimination of the force in the rod.
 
         Along the rod and across it: l·w' = −g·sin φ − v'·cos φ + hinge/(m·l), and the cart feels the rod.
         """
         mass, bob, length = p["cart"], p["bob"], p["length"]
-        hidden = hidden_in(p)
 
         def attracted(force: Any, off: Any) -> Any:
             return force * off * f.exp(-off * off)
@@ -280,8 +233,8 @@ class Pendulum(FmuRig):
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             q, v, phi, w = x[:4]
             sin, cos = f.sin(phi), f.cos(phi)
-            hinge = push[1] - p["hinge"] * w - drag("w", phi, w)
-            outer = u[0] + push[0] - p["spring"] * q - p["rub"] * v - drag("v", q, v)
+            hinge = push[1] - p["hinge"] * w - acts("w", phi, w)
+            outer = u[0] + push[0] - p["spring"] * q - p["rub"] * v - acts("v", q, v)
             outer = outer - hidden("magnet", lambda force, place, width: attracted(force, (q - place) / width))
             bent = bob * sin * (length * w * w + 9.81 * cos) - hinge * cos / length
             faster = (outer + bent) / (mass + bob * sin * sin)
@@ -312,23 +265,13 @@ class Cylinder(FmuRig):
         "p_a": Output(2, 5e3, 1e6, "bias scale lag drift"),
         "p_b": Output(3, 5e3, 1e6, "bias scale lag drift"),
     }
-    sheet = {
-        "mass": (50.0, 0.05),
-        "damping": (800.0, 0.1),
-        "spring": (1.5e4, 0.05),
-        "bulk": (2e8, 0.1),
-        "valve_k": (2e-7, 0.05),
-        "supply": (2e6, 0.03),
-    }
     strangers = {"foam": Entry("share", 0.05, 2e-3, 0.9)}
     pushes, correlation_time = (1500.0,), 0.3
     step, rows, horizon = 0.005, 2000, 0.5
     substeps = 4
-    rest = [0.0, 0.0, 1e6, 1e6]
 
-    def equations(self, f: Any, p: Flat, drag: Any, loss: Any) -> Rate:
+    def equations(self, f: Any, p: Flat, acts: Any, hidden: Any) -> Rate:
         """Return the derivatives from momentum and the balance of volume of both chambers."""
-        hidden = hidden_in(p)
 
         def orifice(opening: Any, head: Any) -> Any:
             return p["valve_k"] * opening * head * (4e8 + head * head) ** -0.25
@@ -341,12 +284,12 @@ class Cylinder(FmuRig):
             out, back = f.maximum(u[0], 0.0), f.maximum(-u[0], 0.0)
             flow_a = orifice(out, p["supply"] - a) - orifice(back, a)
             flow_b = orifice(back, p["supply"] - b) - orifice(out, b)
-            force = 1e-3 * (a - b) - u[1] + push[0] - p["spring"] * q - p["damping"] * v - drag("piston_v", q, v)
+            force = 1e-3 * (a - b) - u[1] + push[0] - p["spring"] * q - p["damping"] * v - acts("piston_v", q, v)
             return [
                 v,
                 force / p["mass"],
-                stiff(a) * (flow_a - 1e-3 * v) / (5e-4 + 1e-3 * q) - loss("p_a", a),
-                stiff(b) * (flow_b + 1e-3 * v) / (5e-4 - 1e-3 * q) - loss("p_b", b),
+                stiff(a) * (flow_a - 1e-3 * v) / (5e-4 + 1e-3 * q) - acts("p_a", a),
+                stiff(b) * (flow_b + 1e-3 * v) / (5e-4 - 1e-3 * q) - acts("p_b", b),
             ]
 
         return rate

@@ -3,9 +3,9 @@
     python -m tests.blind.harness 200 [--half laboratory] [--jobs 2] [--only coulomb_friction outside] [--first 0]
 
 There are two halves, the laboratory (`truth*.py`) and the field (`field_*.py`), with the given number of studies each,
-and on request mixed studies (`parts.py`), studies of an arm (`arm.py`) and of FMUs (`fmu_*.py`). Results are lines of
-JSON, one per study, appended at once. A restarted run skips studies with a verdict of the same git revision. The last
-line of the output is JSON: the figures of `score.summary`, with the figures of further halves under their names.
+and on request mixed studies, studies of an arm (`arm.py`) and of FMUs (`fmu_*.py`). Results are lines of JSON, one per
+study, appended at once. A restarted run skips studies with a verdict of the same git revision. The last line of the
+output is JSON: the figures of `score.summary`, with the figures of further halves under their names.
 """
 
 from __future__ import annotations
@@ -21,28 +21,46 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tests.blind import arm, field_study, field_write, fmu_study, parts, score, truth
+from tests.blind import arm, field_study, field_write, fmu_study, score, truth
 from tests.blind.score import ARM, FIELD, FMU, KINDS, LABORATORY, MIXED, Line
-from tests.blind.truth_outside import OUTSIDE
-from tests.blind.truth_study import BASE, EFFECTS, SENSORS
+from tests.corpus import revisions
 
-ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "results" / "blind.jsonl"
-HALVES = {half: (half,) for half in (LABORATORY, FIELD, MIXED, ARM, FMU)} | {"both": (LABORATORY, FIELD)}
+RESULTS = revisions.ROOT / "results" / "blind.jsonl"
+DRAWS: dict[str, tuple[Any, Callable[[int], Any]]] = {  # suite → module with `write` and `answer`; seed → its study
+    LABORATORY: (truth, truth.draw),
+    FIELD: (field_write, field_study.draw),
+    MIXED: (field_write, field_study.draw_mixed),
+    ARM: (arm, arm.draw),
+    FMU: (fmu_study, fmu_study.draw),
+}
+QUICK: dict[str, tuple[Callable[[int], Any], Iterable[str], Iterable[str]]] = {
+    # suites for which `--only` chooses: seed → what is known quickly, its names, names of what is hidden
+    LABORATORY: (truth.draw, (), truth.NAMES),
+    FIELD: (field_study.deal, field_study.PLANTS, [n for rig in field_study.RIGS.values() for n in rig.every_entry]),
+    FMU: (fmu_study.deal, fmu_study.DEALT, [n for rig in fmu_study.RIGS.values() for n in rig.every_entry]),
+}
+HALVES = {half: (half,) for half in DRAWS} | {"both": (LABORATORY, FIELD)}
+STUDY = ("kind", "plant", "way", "version", "size", "disturbance", "disturbed", "truth", "strangers", "costs")
+ANSWER = ("error_true", "yardstick")
+FOUND = ("verdict", "grade", "not_excluded", "alike", "failure")
 STAGES = ("before", "recalibrated", "after", "nearest")
+SETS = ("estimation", "validation")
+BEST = 5  # candidates with scores
 
+Key = tuple[str, int]  # suite, seed
 Refiner = Callable[[Path, Path], Any]  # (study.yaml, folder to leave refine.json in)
 
 _writing = threading.Lock()  # one integrator at a time
 
 
-class RefinerFailed(Exception):
-    """Failure of the refiner to return a verdict."""
+class StudyFailed(Exception):
+    """Failure to draw a study, or of the refiner to return a verdict."""
 
 
 # -- one study ---------------------------------------------------------------------------------------------
@@ -56,49 +74,42 @@ def command_refiner(template: str, timeout: float) -> Refiner:
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=timeout, check=False)
         except subprocess.TimeoutExpired as e:
-            raise RefinerFailed(f"no verdict within {timeout:g} s") from e
+            raise StudyFailed(f"no verdict within {timeout:g} s") from e
         except OSError as e:
-            raise RefinerFailed(str(e)) from e
+            raise StudyFailed(str(e)) from e
         if done.returncode:
-            raise RefinerFailed(f"exit {done.returncode}: {done.stderr.strip()[-500:]}")
+            raise StudyFailed(f"exit {done.returncode}: {done.stderr.strip()[-500:]}")
 
     return refine
 
 
-def invent(half: str, seed: int, folder: Path) -> tuple[Path, str]:
+def invent(suite: str, seed: int, folder: Path) -> tuple[Path, str]:
     """Write the study of a seed; return the path of study.yaml, and the answer as JSON."""
-    if half == MIXED:
-        mixed = parts.draw(seed)
-        strangers = sorted(set(mixed.truth) & set(mixed.rig.outside))
-        return field_write.write(mixed, folder), field_write.answer(mixed, half=MIXED, strangers=strangers)
-    draws: dict[str, tuple[Any, Any]] = {
-        LABORATORY: (truth, truth.draw),
-        FIELD: (field_write, field_study.draw),
-        ARM: (arm, arm.draw),
-        FMU: (fmu_study, fmu_study.draw),
-    }
-    module, draw = draws[half]
+    module, draw = DRAWS[suite]
     study = draw(seed)
     return module.write(study, folder), module.answer(study)
 
 
-def refined(half: str, seed: int, folder: Path, refiner: Refiner) -> tuple[Line, Line]:
-    """Draw and refine a study in a folder; return its answer, and refine.json (or the failure) with the seconds.
+def conduct(suite: str, seed: int, refiner: Refiner, folder: Path) -> tuple[Line, Line]:
+    """Draw and refine a study in a folder; return its answer and its line.
 
     The refiner sees a folder with study.yaml and logs, and not the answer.
     """
     with _writing:
-        study, told = invent(half, seed, folder / "study")
-    out = folder / "out"
+        study, answer = invent(suite, seed, folder / "study")
+    told, out = json.loads(answer), folder / "out"
     out.mkdir()
     begin, used = time.perf_counter(), _processor_seconds()
     try:
         refiner(study, out)
-        found = json.loads((out / "refine.json").read_text())
-    except (RefinerFailed, OSError, ValueError) as e:
-        found = {"verdict": "failed", "failure": str(e)}
-    seconds = {"seconds": time.perf_counter() - begin, "processor_seconds": _processor_seconds() - used}
-    return json.loads(told), found | seconds
+        line = line_of(suite, told, json.loads((out / "refine.json").read_text()))
+        score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
+    except StudyFailed as e:
+        line = line_of(suite, told, {"verdict": "failed", "failure": str(e)})
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as e:
+        line = line_of(suite, told, {"verdict": "failed", "failure": f"refine.json: {type(e).__name__}: {e}"})
+    line["seconds"] = round(time.perf_counter() - begin, 2)
+    return told, line | {"processor_seconds": round(_processor_seconds() - used, 1)}
 
 
 def _processor_seconds() -> float:
@@ -107,116 +118,115 @@ def _processor_seconds() -> float:
     return sum(used.ru_utime + used.ru_stime for used in both)
 
 
-def conduct(seed: int, refiner: Refiner, half: str = LABORATORY) -> Line:
-    """Run the refiner on a study and return its result line, with errors of the sealed log."""
-    with tempfile.TemporaryDirectory() as folder:
-        told, found = refined(half, seed, Path(folder), refiner)
-    try:
-        line = {
-            "verdict": found["verdict"],
-            "effects": [{"name": e["name"], "parameters": dict(e["parameters"])} for e in found["effects"]],
-            "rivals": names_of_rivals(found),
-            "error": {stage: found["error"][stage]["validation"] for stage in STAGES if found["error"].get(stage)},
-            "noise_floor": found["noise_floor"],
+def line_of(suite: str, told: Line, found: Line) -> Line:
+    """Return the line of a study from its answer and from refine.json, numbers with six digits.
+
+    `error` has stage → set of logs → channel; `sensors` are only those of the truth.
+    """
+    line = {"suite": suite, "seed": told["seed"]} | {key: told[key] for key in (*STUDY, *ANSWER) if key in told}
+    line["sensors"] = sorted(set(told.get("sensors", ())) & set(told["truth"]))
+    line |= {key: found[key] for key in FOUND if found.get(key)} | {"verdict": found["verdict"]}
+    line["rivals"] = [r if isinstance(r, str) else r["name"] for r in found.get("rivals", ())]
+    line["effects"] = [
+        {
+            "name": e["name"],
+            "parameters": {p: {k: v.get(k) for k in ("value", "ci95")} for p, v in e["parameters"].items()},
         }
-        line |= {name: found[name] for name in ("grade", "not_excluded", "alike") if found.get(name)}
-        score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
-    except (KeyError, TypeError, ValueError, AttributeError) as e:
-        why = found.get("failure") or f"refine.json: {type(e).__name__}: {e}"
-        line = {"verdict": "failed", "effects": [], "rivals": [], "failure": why}
-    return told | line | {"seconds": round(found["seconds"], 2)}
+        for e in found.get("effects", ())
+    ]
+    line["scores"] = [
+        [" + ".join(c["names"]), c.get("log_likelihood_gain"), c.get("score_gain")]
+        for c in found.get("candidates", ())[:BEST]
+    ]
+    errors = found.get("error") or {}
+    line["error"] = {
+        stage: {logs: errors[stage][logs] for logs in SETS if logs in errors[stage]}
+        for stage in STAGES
+        if errors.get(stage)
+    }
+    line["noise_floor"] = found.get("noise_floor") or {}
+    return dict(_rounded(line))
 
 
-def names_of_rivals(found: Line) -> list[str]:
-    """Return the names of the rivals in refine.json."""
-    return [r if isinstance(r, str) else r["name"] for r in found.get("rivals", ())]
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _rounded(v) for key, v in value.items()}
+    return [_rounded(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 # -- all studies -------------------------------------------------------------------------------------------
 
 
-def revision() -> str:
-    """Return the commit of the working tree, with + for uncommitted changes."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
-        return done.stdout.strip() if done.returncode == 0 else ""
-
-    commit = git("rev-parse", "--short=12", "HEAD") or "unknown"
-    return commit + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+def read(path: Path, revision: str = "") -> dict[Key, Line]:
+    """Return (suite, seed) → line of a revision, by default of any, in a file of results."""
+    lines = [json.loads(text) for text in path.read_text().splitlines() if text.strip()] if path.exists() else []
+    return {(line["suite"], line["seed"]): line for line in lines if revision in ("", line["revision"])}
 
 
-def seeds(count: int, first: int, only: Sequence[str], half: str = LABORATORY) -> list[int]:
-    """Return `count` consecutive seeds from `first`; with `only`, those whose kind, plant or truth is in `only`."""
-    chosen = set(only) & known_names(half)
-    if only and not chosen:
-        return []  # this half has none of it
+def run(todo: Sequence[Key], one: Callable[[str, int], Line], path: Path, jobs: int = 1) -> int:
+    """Conduct studies, several at a time, and append each line at once; return how many could not be drawn.
 
-    def wanted(seed: int) -> bool:
-        if half == FMU:
-            return fmu_study.is_any_of(seed, chosen)
-        if half == FIELD and chosen <= {*KINDS, *field_study.PLANTS}:
-            dealt = field_study.deal(seed)
-            return bool({dealt.kind, dealt.plant} & chosen)
-        study: Any = field_study.draw(seed) if half == FIELD else truth.draw(seed)
-        return bool({study.kind, getattr(study, "plant", ""), *study.truth} & chosen)
-
-    return list(itertools.islice((s for s in itertools.count(first) if not only or wanted(s)), count))
-
-
-def known_names(half: str) -> set[str]:
-    """Return the possible values of `--only`: kinds, plants, effects, base parameters."""
-    if half in (MIXED, ARM):
-        return set()
-    if half == LABORATORY:
-        return {*KINDS, *EFFECTS, *BASE, *SENSORS, *OUTSIDE}
-    if half == FMU:
-        return {*KINDS, *fmu_study.known_names()}
-    return {*KINDS, *field_study.PLANTS, *(name for rig in field_study.RIGS.values() for name in rig.every_entry)}
-
-
-def read(results: Path) -> list[Line]:
-    """Return the lines of a file of results."""
-    return [json.loads(text) for text in results.read_text().splitlines() if text.strip()] if results.exists() else []
-
-
-def append(path: Path, line: Line) -> None:
-    """Add a line to a file that several commands may write."""
+    Args:
+        one: conducts a study and returns its line, or raises StudyFailed.
+    """
+    failed = 0
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
-
-
-def conducted(keys: Iterable[Any], one: Callable[[Any], Any], jobs: int) -> Iterator[tuple[Any, Any]]:
-    """Return each key with its result as soon as it is there, several at a time."""
     with ThreadPoolExecutor(jobs) as pool:
-        pending = {pool.submit(one, key): key for key in keys}
+        pending = {pool.submit(one, *key): key for key in todo}
         try:
-            yield from ((pending[done], done.result()) for done in as_completed(pending))
+            for number, done in enumerate(as_completed(pending), start=1):
+                suite, seed = pending[done]
+                print(f"{number:4d}/{len(todo)}  {suite:10} {seed}", end="  ", file=sys.stderr)
+                try:
+                    line = done.result()
+                except StudyFailed as e:
+                    failed += 1
+                    print(e, file=sys.stderr)
+                    continue
+                with path.open("a") as file:  # several commands may write it
+                    fcntl.flock(file, fcntl.LOCK_EX)
+                    file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
+                outcome = line.get("failure") or score.outcome_text(suite, line)
+                print(f"{score.label(suite, line):50} {outcome}  {line['processor_seconds']} s", file=sys.stderr)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+    return failed
 
 
-def run(
-    todo: Sequence[int], refiner: Refiner, results: Path, of_revision: str, jobs: int = 1, half: str = LABORATORY
-) -> list[Line]:
-    """Run the refiner on studies without a verdict, append each result line at once, and return all lines.
+def revision() -> str:
+    """Return the commit of the working tree, with + for uncommitted changes."""
+    changed = revisions.git("status", "--porcelain", "--untracked-files=no")
+    return revisions.git("rev-parse", "--short=12", "HEAD").decode().strip() + ("+" if changed else "")
 
-    Failed studies are repeated. Lines without a half belong to the laboratory.
-    """
-    of_half = (line for line in read(results) if line.get("half", LABORATORY) == half)
-    have = {line["seed"]: line for line in of_half if line["revision"] == of_revision}
-    missing = [seed for seed in todo if seed not in have or have[seed]["verdict"] == "failed"]
-    results_of = conducted(missing, lambda seed: conduct(seed, refiner, half), jobs)
-    for number, (seed, line) in enumerate(results_of, start=1):
-        have[seed] = {"study": f"{seed:05d}", "revision": of_revision} | line
-        append(results, have[seed])
-        outcome = line.get("failure") or score.outcome_text(half, line)
-        print(
-            f"{number:4d}/{len(missing)}  {score.label(half, line):40} {outcome}  {line['seconds']} s", file=sys.stderr
-        )
-    return [have[seed] for seed in todo]
+
+def seeds(suite: str, count: int, first: int, only: Iterable[str]) -> list[int]:
+    """Return `count` consecutive seeds from `first`; with `only`, those with such a kind, plant, way or truth."""
+    if not only:
+        return list(range(first, first + count))
+    if not (chosen := known_names(suite) & set(only)):
+        return []  # this suite has none of it
+    deal, quick, _ = QUICK[suite]
+
+    def wanted(seed: int) -> bool:
+        dealt = {str(x) for x in vars(deal(seed)).values()}
+        is_slow = not chosen <= {*KINDS, *quick} and "nothing" not in dealt
+        return bool(chosen & dealt) or (is_slow and bool(chosen & DRAWS[suite][1](seed).truth.keys()))
+
+    return list(itertools.islice(filter(wanted, itertools.count(first)), count))
+
+
+def known_names(suite: str) -> set[str]:
+    """Return the possible values of `--only`: kinds, plants, ways, effects, base parameters; none of some suites."""
+    return {*KINDS, *QUICK[suite][1], *QUICK[suite][2]} if suite in QUICK else set()
+
+
+def conduct_here(suite: str, seed: int, refiner: Refiner, of_revision: str) -> Line:
+    """Return the line of a study, with all of its answer."""
+    with tempfile.TemporaryDirectory() as folder:
+        told, line = conduct(suite, seed, refiner, Path(folder))
+    return {"study": f"{seed:05d}", "revision": of_revision} | told | line
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -234,17 +244,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.count < 1 or options.jobs < 1 or options.first < 0:
         parser.error("N and --jobs are at least 1, --first at least 0")
-    halves = HALVES[options.half]
+    halves, of_revision = HALVES[options.half], revision()
     if strangers := set(options.only).difference(*map(known_names, halves)):
         parser.error(f"--only does not know {', '.join(sorted(strangers))}")
-    refiner, of_revision = command_refiner(options.command, options.timeout), revision()
-    lines = {}
+    one = partial(conduct_here, refiner=command_refiner(options.command, options.timeout), of_revision=of_revision)
+    lines, summaries = {}, {}
     for half in halves:
-        todo = seeds(options.count, options.first, options.only, half)
-        lines[half] = run(todo, refiner, options.results, of_revision, options.jobs, half)
+        todo = [(half, seed) for seed in seeds(half, options.count, options.first, options.only)]
+        have = read(options.results, of_revision)
+        missing = [key for key in todo if key not in have or have[key]["verdict"] == "failed"]
+        run(missing, one, options.results, options.jobs)
+        have = read(options.results, of_revision)
+        lines[half] = [have[key] for key in todo]
     for half, judged in lines.items():
         print(score.table(half, judged), end="\n\n")
-    summaries = {half: score.summary(half, judged) for half, judged in lines.items()}
+        summaries[half] = score.summary(half, judged)
     print(json.dumps(summaries.pop(LABORATORY, {}) | summaries))
     return 0
 

@@ -14,17 +14,18 @@ from __future__ import annotations
 import math
 import re
 import statistics
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
-from tests.blind.truth_study import BASE, SENSORS
+from tests.blind.truth import BASE, SENSORS
 
 Line = dict[str, Any]
 Counts = dict[str, tuple[int, int]]  # figure → number of hits, number of cases
 
 LABORATORY, FIELD, MIXED, ARM, FMU = "laboratory", "field", "mixed", "arm", "fmu"
+IN_PARTS = (MIXED, ARM)
 KINDS = ("known", "nothing", "outside")
 OUTCOMES = ("right", "in set", "part", "wrong", "no_effect", "unexplained", "ambiguous", "failed")
 CONFIDENT = ("effect_found", "parameter_error", "sensor_error")
@@ -67,12 +68,12 @@ def put_forward(line: Line) -> set[str]:
     return named(line) if grade(line) in ("claimed", "part") else set()
 
 
-def expected_verdict(truth: Iterable[str], sensors: Iterable[str]) -> str:
-    """Return the verdict for a truth: base parameters alone, sensor errors alone, or effects."""
-    names = set(truth)
+def expected_verdict(line: Line) -> str:
+    """Return the verdict for the truth: base parameters alone, sensor errors alone, or effects."""
+    names = set(line["truth"])
     if names <= set(BASE):
         return "parameter_error"
-    return "sensor_error" if names <= set(sensors) else "effect_found"
+    return "sensor_error" if names <= {*SENSORS, *line.get("sensors", ())} else "effect_found"
 
 
 def alternatives(line: Line) -> list[set[str]]:
@@ -87,14 +88,14 @@ def replaceable(line: Line) -> list[tuple[str, str]]:
     return special + [(name, other) for name, other in alike if name in named(line)]
 
 
-def left_open(line: Line) -> list[set[str]]:
-    """Return sets of the claimed names, with one replaced by an effect that the verdict leaves open in its place."""
-    return [(named(line) - {claimed}) | {other} for claimed, other in replaceable(line)]
-
-
 def is_right(line: Line) -> bool:
-    """Return whether a known study has the expected verdict and claims exactly the names of the truth."""
-    fits = line["verdict"] == expected_verdict(line["truth"], (*SENSORS, *line.get("sensors", ())))
+    """Return whether a known study has the expected verdict and claims exactly the names of the truth.
+
+    Of a study in parts, whether exactly the true parts are named.
+    """
+    if line.get("suite") in IN_PARTS:
+        return named_parts(line) == parts(line) and not wrong_parts(line)
+    fits = line["verdict"] == expected_verdict(line)
     return fits and grade(line) == "claimed" and named(line) == set(line["truth"])
 
 
@@ -106,7 +107,8 @@ def is_in_set(line: Line) -> bool:
     (`not_excluded`, `alike`) is in the set, too.
     """
     truth, sets = set(line["truth"]), alternatives(line)
-    if is_right(line) or (grade(line) == "claimed" and truth in left_open(line)):
+    left_open = [(named(line) - {claimed}) | {other} for claimed, other in replaceable(line)]
+    if is_right(line) or (grade(line) == "claimed" and truth in left_open):
         return True
     if line["verdict"] != "ambiguous" or not put_forward(line) <= truth:
         return False
@@ -115,11 +117,8 @@ def is_in_set(line: Line) -> bool:
 
 
 def is_wrong(line: Line) -> bool:
-    """Return whether a known study gets a name, claimed wholly or in part, that is not in the truth.
-
-    A name in whose place the verdict leaves the true effect open is not wrong.
-    """
-    return is_misnamed(line) and not any(names <= set(line["truth"]) for names in left_open(line))
+    """Return whether a study gets a name, claimed wholly or in part, that is not in the truth (`wrong_parts`)."""
+    return bool(wrong_parts(line))
 
 
 def is_misnamed(line: Line) -> bool:
@@ -158,7 +157,8 @@ def excess_left(line: Line) -> float | None:
     """
     if line["verdict"] == "failed":
         return 1.0
-    before, after, floor = line["error"]["before"], line["error"]["after"], line["noise_floor"]
+    before, after = (line["error"][stage]["validation"] for stage in ("before", "after"))
+    floor = line["noise_floor"]
     shares = [
         max(0.0, (after[c] ** 2 - floor[c] ** 2) / (before[c] ** 2 - floor[c] ** 2))
         for c in before
@@ -168,8 +168,9 @@ def excess_left(line: Line) -> float | None:
 
 
 def delivered(line: Line) -> Any:
-    """Return the errors of the claim, else of the nearest model."""
-    return line["error"]["nearest" if grade(line) != "claimed" and "nearest" in line["error"] else "after"]
+    """Return the errors of the claim on the sealed log, else those of the nearest model."""
+    stage = "nearest" if grade(line) != "claimed" and "nearest" in line["error"] else "after"
+    return line["error"][stage]["validation"]
 
 
 def sealed_ratio(line: Line) -> float | None:
@@ -211,28 +212,44 @@ def is_due(line: Line) -> bool:
     return not errors or any(w <= HALVED * o for o, w in zip(errors["without"], errors["with"], strict=True))
 
 
+def outcome(line: Line) -> str:
+    """Return the outcome of a study that is not judged in parts: a word of `OUTCOMES`."""
+    if line["kind"] == "known":
+        for word, holds in (("right", is_right), ("in set", is_in_set)):
+            if holds(line):
+                return word
+    if put_forward(line):
+        return "wrong" if line["kind"] != "known" or is_wrong(line) else "part"
+    return str(line["verdict"])
+
+
 # -- many studies ------------------------------------------------------------------------------------------
 
 
-def counts(suite: str, lines: Sequence[Line]) -> Counts:
+def counts(suite: str, lines: Iterable[Line]) -> Counts:
     """Return the counted figures of a suite."""
+    lines = list(lines)
     known, nothing, outside = ([line for line in lines if line["kind"] == kind] for kind in KINDS)
-    if suite in (MIXED, ARM):
+
+    def count(holds: Callable[[Line], Any], of: Sequence[Line]) -> tuple[int, int]:
+        return sum(bool(holds(line)) for line in of), len(of)
+
+    if suite in IN_PARTS:
         due = [line for line in known if is_due(line)]
         return {
-            "all_parts_named": _count(lambda line: named_parts(line) == parts(line), due),
+            "all_parts_named": count(lambda line: named_parts(line) == parts(line), due),
             "parts_named": (sum(len(named_parts(line)) for line in due), sum(len(parts(line)) for line in due)),
             "wrong_parts": (sum(len(wrong_parts(line)) for line in lines), sum(len(put_forward(x)) for x in lines)),
-            "studies_with_wrong_parts": _count(wrong_parts, lines),
+            "studies_with_wrong_parts": count(wrong_parts, lines),
         }
     found = {
-        "right": _count(is_right, known),
-        "in_set": _count(is_in_set, known),
-        "wrong": _count(is_wrong, known),
-        "false_alarms": _count(is_false_alarm, nothing),
-        "no_effect": _count(lambda line: line["verdict"] == "no_effect", nothing),
-        "outside_flagged": _count(is_flagged, outside),
-        "outside_misnamed": _count(is_misnamed, outside),
+        "right": count(is_right, known),
+        "in_set": count(is_in_set, known),
+        "wrong": count(is_wrong, known),
+        "false_alarms": count(is_false_alarm, nothing),
+        "no_effect": count(lambda line: line["verdict"] == "no_effect", nothing),
+        "outside_flagged": count(is_flagged, outside),
+        "outside_misnamed": count(is_misnamed, outside),
         "coverage": coverage(known),
     }
     if suite == LABORATORY:
@@ -243,22 +260,18 @@ def counts(suite: str, lines: Sequence[Line]) -> Counts:
     return found
 
 
-def _count(holds: Callable[[Line], Any], lines: Sequence[Line]) -> tuple[int, int]:
-    return sum(bool(holds(line)) for line in lines), len(lines)
-
-
 def coverage(lines: Iterable[Line]) -> tuple[int, int]:
     """Return how many intervals of claims hold the truth, and how many there are."""
     hits = [hit for line in lines for hit in claims(line)]
     return sum(hits), len(hits)
 
 
-def groups(lines: Sequence[Line]) -> dict[str, tuple[tuple[str, ...], list[Line]]]:
+def groups(lines: Iterable[Line]) -> dict[str, tuple[tuple[str, ...], list[Line]]]:
     """Return group of studies of FMUs → (its figures, its lines): ways, sizes, both together."""
     found: dict[str, tuple[tuple[str, ...], list[Line]]] = {}
+    by_size = (*BY_NAMES, "coverage")
     for line in lines:
         size, way = line["size"], line["way"]
-        by_size = (*BY_NAMES, "coverage")
         names = {way: tuple(counts(FMU, ()))} | ({size: by_size, f"{size}, {way}": by_size} if size else {})
         for name, figures in names.items():
             found.setdefault(name, (figures, []))[1].append(line)
@@ -310,8 +323,8 @@ def label(suite: str, line: Line) -> str:
     names = " + ".join(sorted(line["truth"])) or "nothing"
     strange = "outside: " if line["kind"] == "outside" else ""
     if suite == LABORATORY:
-        condition = ("disturbed" if line["disturbed"] else "clean") if line["kind"] == "nothing" else ""
-        return f"{strange}{names}{condition and ', '}{condition}"
+        condition = (", disturbed" if line["disturbed"] else ", clean") if line["kind"] == "nothing" else ""
+        return f"{strange}{names}{condition}"
     if suite == FMU:
         way = "".join(word[0] for word in line["way"].split("_"))
         return f"{line['plant']} {way}{line['version']}: {line['size'] or line['kind']}: {names}"
@@ -319,29 +332,25 @@ def label(suite: str, line: Line) -> str:
 
 
 def outcome_text(suite: str, line: Line) -> str:
-    """Return the outcome of a study: a column of the table; after a colon wrong names, in the laboratory also rivals.
+    """Return the outcome of a study with wrong names, in the laboratory also with rivals.
 
     Of a study in parts: number of named effects, wrong names, verdict and grade.
     """
-    verdict = str(line["verdict"])
-    if suite in (MIXED, ARM):
+    if suite in IN_PARTS:
         wrong = "".join(f", wrong: {name}" for name in sorted(wrong_parts(line)))
-        return f"{len(named_parts(line))} of {len(parts(line))}{wrong} ({verdict}, {line.get('grade', '')})"
-    names = " + ".join(sorted(put_forward(line)))
-    if line["kind"] == "known":
-        for word, holds in (("right", is_right), ("in set", is_in_set)):
-            if holds(line):
-                return word
-    if names:
-        return f"{'wrong' if line['kind'] != 'known' or is_wrong(line) else 'part'}: {names}"
-    return f"{verdict}: {' | '.join(line['rivals'])}" if suite == LABORATORY and verdict == "ambiguous" else verdict
+        return f"{len(named_parts(line))} of {len(parts(line))}{wrong} ({line['verdict']}, {line.get('grade', '')})"
+    word = outcome(line)
+    instead = {"part": sorted(put_forward(line)), "wrong": sorted(put_forward(line))}
+    if suite == LABORATORY:
+        instead["ambiguous"] = line["rivals"]
+    return f"{word}: {(' | ' if word == 'ambiguous' else ' + ').join(instead[word])}" if word in instead else word
 
 
 def table(suite: str, lines: Sequence[Line]) -> str:
     """Return a table of outcomes, then the figures with Wilson's 95 % intervals."""
-    if suite in (MIXED, ARM):
+    if suite in IN_PARTS:
         text = [f"{label(suite, line):70} {outcome_text(suite, line)}" for line in lines]
-        return "\n".join(text + _figures(counts(suite, lines)))
+        return "\n".join(text + figures(counts(suite, lines)))
     rows: dict[tuple[Any, str], list[str]] = defaultdict(list)
     for line in lines:
         for row in _rows(suite, line):
@@ -349,17 +358,17 @@ def table(suite: str, lines: Sequence[Line]) -> str:
     title, last = ("hidden", "  instead") if suite == LABORATORY else (suite, "")
     text = [f"{title:48} {'n':>3}  {'  '.join(OUTCOMES)}{last}"]
     for (_, name), outcomes in sorted(rows.items()):
-        words = [outcome.split(": ")[0] for outcome in outcomes]
-        cells = "  ".join(f"{words.count(c) or '·':>{len(c)}}" for c in OUTCOMES)
-        told = sorted({(outcome, outcomes.count(outcome)) for outcome in outcomes if ": " in outcome})
-        instead = ", ".join(f"{outcome.split(': ')[1]} ×{n}" for outcome, n in told) if last else ""
+        words = Counter(text.partition(": ")[0] for text in outcomes)
+        cells = "  ".join(f"{words[c] or '·':>{len(c)}}" for c in OUTCOMES)
+        told = sorted(Counter(text for text in outcomes if ": " in text).items())
+        instead = ", ".join(f"{text.split(': ')[1]} ×{n}" for text, n in told) if last else ""
         text.append(f"{name:48} {len(outcomes):3d}  {cells}  {instead}".rstrip())
     if suite != FMU:
-        return "\n".join([*text, "", *_figures(counts(suite, lines), 18 if suite == LABORATORY else 25)])
+        return "\n".join([*text, "", *figures(counts(suite, lines), 18 if suite == LABORATORY else 25)])
     every = {"all": (tuple(counts(suite, ())), list(lines))} | groups(lines)
-    for name, (figures, chosen) in every.items():
+    for name, (names, chosen) in every.items():
         counted = counts(suite, chosen)
-        text += ["", name, *_figures({figure: counted[figure] for figure in figures})]
+        text += ["", name, *figures({figure: counted[figure] for figure in names})]
     return "\n".join(text)
 
 
@@ -374,5 +383,6 @@ def _rows(suite: str, line: Line) -> list[tuple[Any, str]]:
     return [("", f"{plant}, {kind}"), *((kind, f"{strange}{plant}: {name}") for name in line["truth"])]
 
 
-def _figures(counted: Mapping[str, tuple[int, int]], width: int = 25) -> list[str]:
+def figures(counted: Mapping[str, tuple[int, int]], width: int = 25) -> list[str]:
+    """Return a line of text for each figure."""
     return [f"{name:{width}}{share_text(hits, of)}" for name, (hits, of) in counted.items()]

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Array, Flat, Floats, Look, Rate, advanced, flat, solver
+from tests.blind.field_rig import Array, Flat, Floats, Look, Rate, advanced, flat, laws_in, solver
+from tests.blind.truth_outside import COMPASSES, FORCES, GAINS, SERVOS
 
 STEP = 0.02  # sample time [s]
 DUTY = 6.38763  # nominal duty [%]
@@ -47,7 +48,6 @@ OUTPUTS = (*BODY, "ax", "thrust_right", "thrust_left", "tilt_right_actual", "til
 
 Command = tuple[float, float, float, float]  # duty right, left [%]; tilt right, left [rad]
 Disturbance = tuple[float, float, float]  # forward, starboard [N], yaw [N m]; held over a sample
-Push = tuple[float, float, float, float, float, float]  # felt forward, starboard [N], yaw, roll [N m]; unfelt f, s [N]
 
 REST: Command = (DUTY, DUTY, 0.0, 0.0)
 CALM: Disturbance = (0.0, 0.0, 0.0)
@@ -56,26 +56,11 @@ VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479, "x_world": 1e-6
 
 
 @dataclass(frozen=True)
-class Outside:
-    """An effect outside the catalogue, by its place in the equations; each hook is optional.
-
-    force(t, state, thrusts) → Push;  servo(t, tilt, memory) → tilt of one propeller, with a memory dict of its own;
-    gain(t) → factor on both thrusts;  compass(ψ) → reading of the heading sensor.
-    """
-
-    force: Callable[[float, list[float], tuple[float, float]], Push] | None = None
-    servo: Callable[[float, float, dict[str, float]], float] | None = None
-    gain: Callable[[float], float] | None = None
-    compass: Callable[[float], float] | None = None
-
-
-@dataclass(frozen=True)
 class Craft:
-    """Base parameters different from the model sheet, effects by catalogue name, and at most one effect outside it."""
+    """Base parameters different from the model sheet, and effects by name, of the catalogue or outside of it."""
 
     base: Mapping[str, float] = field(default_factory=dict)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    outside: Outside = Outside()
 
     def numbers(self) -> dict[str, float]:
         """Return all parameters by full name."""
@@ -99,14 +84,13 @@ def gripped(force: float, slip: float) -> float:
 
 
 def equations(
-    f: Any, p: Flat, outside: Outside, speed: Callable[..., Any] = math.hypot, grip: Callable[..., Any] = gripped
+    f: Any, p: Flat, speed: Callable[..., Any] = math.hypot, grip: Callable[..., Any] = gripped
 ) -> tuple[Rate, Look]:
     """Return the derivatives of `STATES`, and all of `OUTPUTS` without sensor errors, in body axes, eqs 5.9 to 5.14.
 
     Args:
         f: math functions, `Floats` or `Arrays`.
-        p: parameters; effects missing in it are absent.
-        outside: an effect outside the catalogue, for floats.
+        p: parameters; effects missing in it are absent, those outside the catalogue are for floats.
         speed: from both velocities.
         grip: (force, speed) → dry friction per speed.
     """
@@ -119,8 +103,8 @@ def equations(
     com, yaw_viscous = get("com_offset.right", 0.0), get("yaw_damping.coefficient", 0.0)
     yaw_dry, turning = get("yaw_coulomb_friction.moment", 0.0), get("coriolis.gain", 0.0)
     down_x, down_y = (mass * p["gravity"] * f.sin(get(f"table_tilt.{axis}", 0.0)) for axis in ("x", "y"))
-    slew, omega = get("servo_rate_limit.rate") or math.inf, get("actuator_second_order.natural_frequency", 0.0)
-    zeta = get("actuator_second_order.damping_ratio", 0.7)
+    slew, omega = get("servo_rate_limit.rate", math.inf), get("actuator_second_order.natural_frequency", 0.0)
+    zeta, forces, gains = get("actuator_second_order.damping_ratio", 0.7), laws_in(p, FORCES), laws_in(p, GAINS)
 
     def lift(height: Any) -> Any:
         """Return the ground effect, eqs 4.23 and 4.28 (with the minus sign)."""
@@ -130,8 +114,8 @@ def equations(
         """Return right and left thrust in ground effect, each propeller at its own height [N]."""
         rise = arm * f.sin(x[8])
         both = (1.0 - drop * (1.0 - f.exp(-t / sag_time))) * (1.0 - inflow * x[5])
-        if outside.gain:
-            both *= outside.gain(t)
+        for gain in gains:
+            both = both * gain(t)
         right = x[10] * lift(p["height"] + rise) * both * (1.0 + uneven)
         return right, x[11] * lift(p["height"] - rise) * both * (1.0 - uneven)
 
@@ -153,10 +137,12 @@ def equations(
         roll = arm * (right_up - left_up) - com * up
         roll = roll - p["table_roll_stiffness"] * phi - p["table_roll_damping"] * p_phi
         cos, sin = f.cos(psi), f.sin(psi)
-        felt = forward, starboard, yaw, roll, down_x * cos + down_y * sin, down_x * sin - down_y * cos
-        if not outside.force:
-            return felt
-        return tuple(a + b for a, b in zip(felt, outside.force(t, x, (right, left)), strict=True))
+        total: tuple[Any, ...] = (
+            forward, starboard, yaw, roll, down_x * cos + down_y * sin, down_x * sin - down_y * cos,
+        )  # fmt: skip
+        for force in forces:
+            total = tuple(a + b for a, b in zip(total, force(t, x, (right, left)), strict=True))
+        return total
 
     def rate(t: Any, x: Any, u: Any, disturbance: Any) -> list[Any]:
         _, _, _, _, psi, vf, vs, r, _, p_phi, tr, tl, *servos = x
@@ -195,8 +181,8 @@ def equations(
 class Servos:
     """Servos without their lag: delay, play, offset, dead band, in this order; then effects outside the catalogue."""
 
-    def __init__(self, p: Flat, outside: Outside) -> None:
-        self.p, self.outside = p, outside
+    def __init__(self, p: Flat) -> None:
+        self.p, self.laws = p, laws_in(p, SERVOS)
         self.sent: list[tuple[float, Command]] = [(-math.inf, REST)]
         self.play = [0.0, 0.0]
         self.memory: tuple[dict[str, float], dict[str, float]] = ({}, {})
@@ -208,9 +194,9 @@ class Servos:
         while len(self.sent) > 1 and self.sent[1][0] <= t + 1e-9:
             del self.sent[0]
         arrived = [(a, b, next(u for s, u in reversed(self.sent) if s <= a + 1e-9)) for a, b in pairwise(cuts)]
-        return [(a, b, self._shaped(a, u)) for a, b, u in arrived]
+        return [(a, b, self._shaped(u)) for a, b, u in arrived]
 
-    def _shaped(self, t: float, command: Command) -> Command:
+    def _shaped(self, command: Command) -> Command:
         half, band = self.p.get("servo_backlash.width", 0.0) / 2.0, self.p.get("servo_dead_band.width", 0.0)
         tilts = []
         for i, side in enumerate(("right", "left")):
@@ -218,8 +204,8 @@ class Servos:
             self.play[i] = min(max(self.play[i], goal - half), goal + half)
             goal = self.play[i] + self.p.get(f"tilt_offset.{side}", 0.0)
             goal = math.copysign(max(abs(goal) - band, 0.0), goal)
-            if self.outside.servo:
-                goal = self.outside.servo(t, goal, self.memory[i])
+            for law in self.laws:
+                goal = law(goal, self.memory[i])
             tilts.append(goal)
         return command[0], command[1], tilts[0], tilts[1]
 
@@ -228,8 +214,9 @@ class Flight:
     """A moving craft, advanced by samples; the integrator restarts at each change of the acting command."""
 
     def __init__(self, craft: Craft, state: Array, t: float = 0.0, tolerance: float = 1e-9) -> None:
-        rate, self._look = equations(Floats, craft.numbers(), craft.outside)
-        self.servos, self.state, self.t = Servos(craft.numbers(), craft.outside), state, t
+        p = craft.numbers()
+        rate, self._look = equations(Floats, p)
+        self.servos, self.compasses, self.state, self.t = Servos(p), laws_in(p, COMPASSES), state, t
         self._acting: list[Any] = [REST, CALM]
         self._start, self._count = t, 0
         self._solver = solver(lambda t, x: rate(t, x.tolist(), *self._acting), tolerance, STEP)
@@ -244,5 +231,8 @@ class Flight:
         self.t = end
 
     def outputs(self, disturbance: Disturbance = CALM) -> dict[str, float]:
-        """Return every quantity of `OUTPUTS` without sensor errors."""
-        return dict(zip(OUTPUTS, self._look(self.t, self.state.tolist(), disturbance), strict=True))
+        """Return every quantity of `OUTPUTS` without sensor errors; a compass may deviate."""
+        now = dict(zip(OUTPUTS, self._look(self.t, self.state.tolist(), disturbance), strict=True))
+        for compass in self.compasses:
+            now["psi"] = compass(now["psi"])
+        return now

@@ -6,7 +6,6 @@ The pilot assumes the base model and uses the measurements of the log, with sens
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,27 +13,6 @@ from tests.blind.field_rig import Array, Random
 from tests.blind.truth_craft import DUTY, SHEET, STEP, TILT_MAX, Command
 
 THRUST = 2.4973  # nominal thrust of a propeller in ground effect, eq 5.36 [N]
-
-
-@dataclass(frozen=True)
-class Style:
-    """Style of a flight: gain factors, dither amplitudes [rad], duty dither [%] (0: constant duty)."""
-
-    forward_gain: float
-    yaw_gain: float
-    common_dither: float
-    turning_dither: float
-    duty_dither: float
-
-    @classmethod
-    def draw(cls, rng: Random, duty: bool) -> Style:
-        return cls(
-            forward_gain=rng.uniform(0.7, 1.1),
-            yaw_gain=rng.uniform(0.6, 0.9),
-            common_dither=rng.uniform(0.03, 0.045),
-            turning_dither=rng.uniform(0.03, 0.05),
-            duty_dither=rng.uniform(0.08, 0.11) if duty else 0.0,
-        )
 
 
 Range = tuple[float, float]
@@ -72,14 +50,16 @@ def telegraph(rng: Random, count: int, amplitude: float, hold: Range) -> Array:
 class Pilot:
     """Observer and feedback, with distance and speed from the accelerometer and, if measured, the position."""
 
-    def __init__(self, rng: Random, style: Style, count: int, heading: float) -> None:
-        self.style = style
+    def __init__(self, rng: Random, duty_varied: bool, count: int, heading: float) -> None:
+        self.forward_gain, self.yaw_gain = rng.uniform(0.7, 1.1), rng.uniform(0.6, 0.9)
+        common, turning = rng.uniform(0.03, 0.045), rng.uniform(0.03, 0.05)  # amplitudes of the dither [rad], [%]
+        power = rng.uniform(0.08, 0.11) if duty_varied else 0.0
         self.distance_ref = reference(rng, count, (0.2, 1.4), (0.1, 0.6), (1.0, 4.0))
         self.heading_ref = heading + reference(rng, count, (0.3, 2.0), (0.25, 1.2), (0.5, 2.5))
-        self.common = telegraph(rng, count, style.common_dither, (0.04, 0.5))
-        self.turning = telegraph(rng, count, style.turning_dither, (0.04, 0.4))
-        self.power = telegraph(rng, count, style.duty_dither, (0.3, 2.0))
-        self.balance = telegraph(rng, count, 0.3 * style.duty_dither, (0.2, 1.0))
+        self.common = telegraph(rng, count, common, (0.04, 0.5))
+        self.turning = telegraph(rng, count, turning, (0.04, 0.4))
+        self.power = telegraph(rng, count, power, (0.3, 2.0))
+        self.balance = telegraph(rng, count, 0.3 * power, (0.2, 1.0))
         self.k = 0
         self.distance = self.speed = self.pull = 0.0  # along the craft's axis [m, m/s, m/s²]
         self.heading, self.rate = heading, 0.0
@@ -110,12 +90,12 @@ class Pilot:
     def command(self, seen: dict[str, float]) -> Command:
         """Return the command for a measurement of the same instant."""
         self._observe(seen)
-        k, style = self.k, self.style
+        k = self.k
         self.k += 1
         ahead = 0.70 * (self.distance_ref[k] - self.distance) - 0.65 * self.speed
         turn = 0.22 * (self.heading_ref[k] - self.heading) - 0.11 * self.rate
-        common = style.forward_gain * ahead + self.common[k]
-        turning = style.yaw_gain * turn + self.turning[k]
+        common = self.forward_gain * ahead + self.common[k]
+        turning = self.yaw_gain * turn + self.turning[k]
         right = min(max(common + turning, -TILT_MAX), TILT_MAX)
         left = min(max(common - turning, -TILT_MAX), TILT_MAX)
         goal = 2.0 * THRUST / SHEET["mass"] * math.sin(0.5 * (right + left))

@@ -1,4 +1,20 @@
-/* Cart on a spring with a hanging pendulum. */
+/* Cart on a spring with a hanging pendulum.
+ *
+ * title: Cart on a spring with a hanging pendulum
+ * inner: 0.004
+ * input: force 0.0 N force on the cart
+ * state: x 0.0 m position of the cart
+ * state: v 0.0 m/s velocity of the cart
+ * state: phi 0.0 rad angle of the pendulum, 0 when hanging
+ * state: w 0.0 rad/s rate of the pendulum
+ * shown: x v phi w
+ * parameter: cart 1.0 kg 0.05 mass of the cart
+ * parameter: bob 0.25 kg 0.05 mass of the bob
+ * parameter: length 0.5 m 0.02 from hinge to bob
+ * parameter: spring 3.0 N/m 0.05 stiffness that centres the cart
+ * parameter: rub 0.8 N.s/m 0.1 viscous friction of the cart
+ * parameter: hinge 0.005 N.m.s/rad 0.1 viscous friction of the hinge
+ */
 static void rates(const double *p, double t, const double *x, const double *u, double *dx) {
     const double cart = p[0], bob = p[1], length = p[2], spring = p[3], rub = p[4], hinge = p[5], g = 9.81;
     const double s = sin(x[2]), c = cos(x[2]), m11 = cart + bob, m12 = bob * length * c, m22 = bob * length * length;

@@ -35,11 +35,9 @@ class Coulomb1(ArmEffect):
 
     name = "coulomb_1"
     equation = "torque −F·tanh(ω₁/0.02) at joint 1"
-
     level: float = parameter(0.0, unit="N.m", bounds=(0, 5), neutral=0.0, typical=0.2, doc="dry friction F")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return torque −F·tanh(ω₁/0.02) at joint 1."""
         return -self.level * m.tanh(rates[0] / CREEP), 0.0
 
 
@@ -49,11 +47,9 @@ class Coulomb2(ArmEffect):
 
     name = "coulomb_2"
     equation = "torque −F·tanh(ω₂/0.02) at joint 2"
-
     level: float = parameter(0.0, unit="N.m", bounds=(0, 3), neutral=0.0, typical=0.1, doc="dry friction F")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return torque −F·tanh(ω₂/0.02) at joint 2."""
         return 0.0, -self.level * m.tanh(rates[1] / CREEP)
 
 
@@ -63,13 +59,11 @@ class Drag1(ArmEffect):
 
     name = "drag_1"
     equation = "torque −k·|ω₁|·ω₁ at joint 1"
-
     coefficient: float = parameter(
         0.0, unit="N.m.s2/rad2", bounds=(0, 2), neutral=0.0, typical=0.03, doc="coefficient k"
     )
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return torque −k·|ω₁|·ω₁ at joint 1."""
         return -self.coefficient * _size(m, rates[0]) * rates[0], 0.0
 
 
@@ -79,13 +73,11 @@ class Drag2(ArmEffect):
 
     name = "drag_2"
     equation = "torque −k·|ω₂|·ω₂ at joint 2"
-
     coefficient: float = parameter(
         0.0, unit="N.m.s2/rad2", bounds=(0, 1), neutral=0.0, typical=0.01, doc="coefficient k"
     )
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return torque −k·|ω₂|·ω₂ at joint 2."""
         return 0.0, -self.coefficient * _size(m, rates[1]) * rates[1]
 
 
@@ -95,11 +87,9 @@ class TorqueBias1(ArmEffect):
 
     name = "torque_bias_1"
     equation = "torque B at joint 1"
-
     torque_1: float = parameter(0.0, unit="N.m", bounds=(-2, 2), neutral=0.0, typical=0.1, doc="constant torque B")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return torque B at joint 1."""
         return self.torque_1, 0.0
 
 
@@ -109,11 +99,9 @@ class TorqueBias2(ArmEffect):
 
     name = "torque_bias_2"
     equation = "torque B at joint 2"
-
     torque_2: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="constant torque B")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return torque B at joint 2."""
         return 0.0, self.torque_2
 
 
@@ -123,11 +111,9 @@ class CableSpring(ArmEffect):
 
     name = "cable_spring"
     equation = "torque −k·q₂ at joint 2"
-
     stiffness: float = parameter(0.0, unit="N.m/rad", bounds=(0, 2), neutral=0.0, typical=0.03, doc="stiffness k")
 
     def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return torque −k·q₂ at joint 2."""
         return 0.0, -self.stiffness * angles[1]
 
 
@@ -137,7 +123,6 @@ class EncoderOffset2(Bias):
 
     name = "encoder_offset_2"
     output = "angle_2"
-
     value: float = parameter(0.0, unit="rad", bounds=(-0.3, 0.3), neutral=0.0, typical=0.01, doc="offset b")
 
 

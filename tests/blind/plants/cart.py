@@ -62,11 +62,9 @@ class ForceDeadBand(CartEffect):
 
     name = "force_dead_band"
     equation = "force u − w·tanh(u/(w + 0.02)) in place of u"
-
     width: float = parameter(0.0, unit="N", bounds=(0, 3), neutral=0.0, typical=0.2, doc="half width w of the band")
 
     def drive(self, m: Namespace, force: Number) -> Number:
-        """Return u − w·tanh(u/(w + 0.02))."""
         return force - self.width * m.tanh(force / (self.width + 0.02))
 
 
@@ -76,11 +74,9 @@ class ForceAsymmetry(CartEffect):
 
     name = "force_asymmetry"
     equation = "force u + a·|u| in place of u"
-
     ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.03, doc="asymmetry a")
 
     def drive(self, m: Namespace, force: Number) -> Number:
-        """Return u + a·|u|."""
         return force + self.ratio * m.where(force >= 0.0, force, -force)
 
 
@@ -91,7 +87,6 @@ class MotorLag(CartEffect):
     name = "motor_lag"
     equation = "τ·ḟ = u − f, f in place of u"
     states = (Quantity("force", "N", "force after the lag"),)
-
     time: float = parameter(0.0, unit="s", bounds=(0, 1), neutral=0.0, typical=0.03, doc="time constant τ; 0 = off")
 
     def lag(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
@@ -105,11 +100,9 @@ class CartCoulomb(CartEffect):
 
     name = "cart_coulomb"
     equation = "force −F·tanh(v/0.02)"
-
     level: float = parameter(0.0, unit="N", bounds=(0, 3), neutral=0.0, typical=0.2, doc="dry friction F")
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −F·tanh(v/0.02)."""
         return -self.level * m.tanh(velocity / CREEP)
 
 
@@ -119,13 +112,11 @@ class CartDrag(CartEffect):
 
     name = "cart_drag"
     equation = "force −k·|v|·v"
-
     coefficient: float = parameter(
         0.0, unit="N.s2/m2", bounds=(0, 10), neutral=0.0, typical=0.3, doc="drag coefficient k"
     )
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −k·|v|·v."""
         return -self.coefficient * m.where(velocity >= 0.0, velocity, -velocity) * velocity
 
 
@@ -135,11 +126,9 @@ class CableSpring(CartEffect):
 
     name = "cable_spring"
     equation = "force −k·x"
-
     stiffness: float = parameter(0.0, unit="N/m", bounds=(0, 20), neutral=0.0, typical=0.2, doc="stiffness k")
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −k·x."""
         return -self.stiffness * position
 
 
@@ -149,12 +138,10 @@ class BeltRipple(CartEffect):
 
     name = "belt_ripple"
     equation = "force s·sin(2πx/0.1) + c·cos(2πx/0.1)"
-
     sine: float = parameter(0.0, unit="N", bounds=(-3, 3), neutral=0.0, typical=0.2, doc="amplitude s")
     cosine: float = parameter(0.0, unit="N", bounds=(-3, 3), neutral=0.0, typical=0.2, doc="amplitude c")
 
     def cart(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return s·sin(2πx/0.1) + c·cos(2πx/0.1)."""
         phase = 6.283185307179586 / PITCH * position
         return self.sine * m.sin(phase) + self.cosine * m.cos(phase)
 
@@ -165,11 +152,9 @@ class PivotCoulomb(CartEffect):
 
     name = "pivot_coulomb"
     equation = "moment −T·tanh(ω/0.1) about the pivot"
-
     level: float = parameter(0.0, unit="N.m", bounds=(0, 0.2), neutral=0.0, typical=0.005, doc="dry friction T")
 
     def pivot(self, m: Namespace, rate: Number) -> Number:
-        """Return −T·tanh(ω/0.1)."""
         return -self.level * m.tanh(rate / TURN)
 
 
@@ -179,13 +164,11 @@ class BobDrag(CartEffect):
 
     name = "bob_drag"
     equation = "moment −k·|ω|·ω about the pivot"
-
     coefficient: float = parameter(
         0.0, unit="N.m.s2/rad2", bounds=(0, 0.2), neutral=0.0, typical=0.003, doc="drag coefficient k"
     )
 
     def pivot(self, m: Namespace, rate: Number) -> Number:
-        """Return −k·|ω|·ω."""
         return -self.coefficient * m.where(rate >= 0.0, rate, -rate) * rate
 
 
@@ -195,11 +178,9 @@ class TrackTilt(CartEffect):
 
     name = "track_tilt"
     equation = "gravity turned by α about the rail"
-
     angle: float = parameter(0.0, unit="rad", bounds=(-0.2, 0.2), neutral=0.0, typical=0.01, doc="tilt α, uphill in +x")
 
     def slope(self, m: Namespace) -> Number:
-        """Return tilt α."""
         return self.angle
 
 
@@ -209,7 +190,6 @@ class PositionScale(Scale):
 
     name = "position_scale"
     output = "position"
-
     value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.03, doc="scale s")
 
 
@@ -219,7 +199,6 @@ class GyroBias(Bias):
 
     name = "gyro_bias"
     output = "rate"
-
     value: float = parameter(0.0, unit="rad/s", bounds=(-1, 1), neutral=0.0, typical=0.01, doc="bias b")
 
 

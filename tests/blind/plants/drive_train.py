@@ -62,11 +62,9 @@ class LoadCoulomb(DriveTrainEffect):
 
     name = "load_coulomb"
     equation = "torque −F·tanh(ω_l/0.3) on the load"
-
     level: float = parameter(0.0, unit="N.m", bounds=(0, 1), neutral=0.0, typical=0.05, doc="dry friction F")
 
     def load(self, m: Namespace, speed: Number) -> Number:
-        """Return −F·tanh(ω/0.3)."""
         return -self.level * m.tanh(speed / REVERSAL)
 
 
@@ -76,12 +74,10 @@ class LoadStribeck(DriveTrainEffect):
 
     name = "load_stribeck"
     equation = "torque −B·e^(−(ω_l/ω_s)²)·tanh(ω_l/0.3) on the load"
-
     breakaway: float = parameter(0.0, unit="N.m", bounds=(0, 1), neutral=0.0, typical=0.05, doc="breakaway torque B")
     speed: float = parameter(4.0, unit="rad/s", bounds=(1.5, 20), doc="Stribeck speed ω_s, well above the smoothing")
 
     def load(self, m: Namespace, speed: Number) -> Number:
-        """Return −B·e^(−(ω/ω_s)²)·tanh(ω/0.3)."""
         return -self.breakaway * m.exp(-((speed / self.speed) ** 2)) * m.tanh(speed / REVERSAL)
 
 
@@ -91,13 +87,11 @@ class FanDrag(DriveTrainEffect):
 
     name = "fan_drag"
     equation = "torque −c·|ω_l|·ω_l on the load"
-
     coefficient: float = parameter(
         0.0, unit="N.m.s2/rad2", bounds=(0, 0.02), neutral=0.0, typical=2e-4, doc="drag coefficient c"
     )
 
     def load(self, m: Namespace, speed: Number) -> Number:
-        """Return −c·|ω|·ω."""
         return -self.coefficient * m.where(speed >= 0.0, speed, -speed) * speed
 
 
@@ -107,13 +101,11 @@ class CubicBelt(DriveTrainEffect):
 
     name = "cubic_belt"
     equation = "belt torque k₃·twist³ beside k·twist"
-
     stiffness: float = parameter(
         0.0, unit="N.m/rad3", bounds=(0, 1e5), neutral=0.0, typical=1000.0, doc="cubic stiffness k₃"
     )
 
     def belt(self, m: Namespace, stiffness: Number, twist: Number) -> Number:
-        """Return k₃·twist³."""
         return self.stiffness * twist * twist * twist
 
 
@@ -123,13 +115,11 @@ class BeltPlay(DriveTrainEffect):
 
     name = "belt_play"
     equation = "belt torque −k·w·tanh(twist/(w + 0.001)) beside k·twist"
-
     width: float = parameter(
         0.0, unit="rad", bounds=(0, 0.1), neutral=0.0, typical=0.01, doc="half width w of the play"
     )
 
     def belt(self, m: Namespace, stiffness: Number, twist: Number) -> Number:
-        """Return −k·w·tanh(twist/(w + 0.001))."""
         return -stiffness * self.width * m.tanh(twist / (self.width + 1e-3))
 
 
@@ -139,12 +129,10 @@ class Cogging(DriveTrainEffect):
 
     name = "cogging"
     equation = "torque s·sin(4·θ_m) + c·cos(4·θ_m) on the motor"
-
     sine: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="amplitude s")
     cosine: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="amplitude c")
 
     def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
-        """Return s·sin 4θ + c·cos 4θ."""
         return self.sine * m.sin(TEETH * angle) + self.cosine * m.cos(TEETH * angle)
 
 
@@ -154,11 +142,9 @@ class TorqueAsymmetry(DriveTrainEffect):
 
     name = "torque_asymmetry"
     equation = "torque a·|u| beside u"
-
     ratio: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.05, doc="asymmetry a")
 
     def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
-        """Return a·|u|."""
         return self.ratio * m.where(torque >= 0.0, torque, -torque)
 
 
@@ -168,11 +154,9 @@ class TorqueOffset(DriveTrainEffect):
 
     name = "torque_offset"
     equation = "torque b on the motor"
-
     value: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="offset b")
 
     def motor(self, m: Namespace, torque: Number, angle: Number) -> Number:
-        """Return offset b."""
         return self.value
 
 
@@ -182,7 +166,6 @@ class TachoScale(Scale):
 
     name = "tacho_scale"
     output = "motor_speed"
-
     value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.03, doc="scale s")
 
 
@@ -192,7 +175,6 @@ class TachoBias(Bias):
 
     name = "tacho_bias"
     output = "motor_speed"
-
     value: float = parameter(0.0, unit="rad/s", bounds=(-5, 5), neutral=0.0, typical=0.1, doc="bias b")
 
 

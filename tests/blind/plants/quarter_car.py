@@ -80,11 +80,9 @@ class RoadGain(QuarterCarEffect):
 
     name = "road_gain"
     equation = "(1 + g)·u in place of u"
-
     gain: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.03, doc="excess gain g")
 
     def table(self, m: Namespace, height: Number) -> Number:
-        """Return (1 + g)·u."""
         return (1.0 + self.gain) * height
 
 
@@ -94,13 +92,11 @@ class DamperAsymmetry(QuarterCarEffect):
 
     name = "damper_asymmetry"
     equation = "damper force −a·|v| beside c·v"
-
     coefficient: float = parameter(
         0.0, unit="N.s/m", bounds=(-1000, 1000), neutral=0.0, typical=100.0, doc="asymmetry a"
     )
 
     def damper(self, m: Namespace, speed: Number) -> Number:
-        """Return −a·|v|."""
         return -self.coefficient * m.where(speed >= 0.0, speed, -speed)
 
 
@@ -110,11 +106,9 @@ class DamperCoulomb(QuarterCarEffect):
 
     name = "damper_coulomb"
     equation = "damper force F·tanh(v/0.02) beside c·v"
-
     level: float = parameter(0.0, unit="N", bounds=(0, 300), neutral=0.0, typical=20.0, doc="dry friction F")
 
     def damper(self, m: Namespace, speed: Number) -> Number:
-        """Return F·tanh(v/0.02)."""
         return self.level * m.tanh(speed / CREEP)
 
 
@@ -124,13 +118,11 @@ class DamperProgression(QuarterCarEffect):
 
     name = "damper_progression"
     equation = "damper force p·|v|·v beside c·v"
-
     coefficient: float = parameter(
         0.0, unit="N.s2/m2", bounds=(0, 3000), neutral=0.0, typical=200.0, doc="progression p"
     )
 
     def damper(self, m: Namespace, speed: Number) -> Number:
-        """Return p·|v|·v."""
         return self.coefficient * m.where(speed >= 0.0, speed, -speed) * speed
 
 
@@ -141,7 +133,6 @@ class DamperMount(QuarterCarEffect):
     name = "damper_mount"
     equation = "τ·ḟ = damper force − f, f in place of it"
     states = (Quantity("force", "N", "force of the damper after its mount"),)
-
     time: float = parameter(0.0, unit="s", bounds=(0, 0.2), neutral=0.0, typical=0.008, doc="time constant τ; 0 = off")
 
     def mount(self, m: Namespace, force: Number, states: Values) -> tuple[Number, Number]:
@@ -155,11 +146,9 @@ class CubicSpring(QuarterCarEffect):
 
     name = "cubic_spring"
     equation = "spring force k₃·z³ beside k·z"
-
     stiffness: float = parameter(0.0, unit="N/m3", bounds=(0, 1e8), neutral=0.0, typical=2e6, doc="cubic stiffness k₃")
 
     def spring(self, m: Namespace, travel: Number) -> Number:
-        """Return k₃·z³."""
         return self.stiffness * travel * travel * travel
 
 
@@ -169,11 +158,9 @@ class BumpStop(QuarterCarEffect):
 
     name = "bump_stop"
     equation = "spring force k·max(z − 0.025, 0)² beside k·z"
-
     stiffness: float = parameter(0.0, unit="N/m2", bounds=(0, 1e8), neutral=0.0, typical=5e5, doc="stiffness k")
 
     def spring(self, m: Namespace, travel: Number) -> Number:
-        """Return k·max(z − 0.025, 0)²."""
         pressed = m.maximum(travel - STOP, 0.0)
         return self.stiffness * pressed * pressed
 
@@ -184,11 +171,9 @@ class TyreDamping(QuarterCarEffect):
 
     name = "tyre_damping"
     equation = "tyre force d·v beside k·deflection"
-
     coefficient: float = parameter(0.0, unit="N.s/m", bounds=(0, 2000), neutral=0.0, typical=80.0, doc="damping d")
 
     def tyre(self, m: Namespace, speed: Number) -> Number:
-        """Return d·v."""
         return self.coefficient * speed
 
 
@@ -198,11 +183,9 @@ class Preload(QuarterCarEffect):
 
     name = "preload"
     equation = "force f on the body"
-
     force: float = parameter(0.0, unit="N", bounds=(-500, 500), neutral=0.0, typical=20.0, doc="force f, upward")
 
     def body(self, m: Namespace) -> Number:
-        """Return force f."""
         return self.force
 
 
@@ -212,7 +195,6 @@ class AccelerometerBias(Bias):
 
     name = "accelerometer_bias"
     output = "body_acceleration"
-
     value: float = parameter(0.0, unit="m/s2", bounds=(-2, 2), neutral=0.0, typical=0.05, doc="bias b")
 
 
@@ -222,7 +204,6 @@ class TravelScale(Scale):
 
     name = "travel_scale"
     output = "travel"
-
     value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.03, doc="scale s")
 
 

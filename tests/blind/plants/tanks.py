@@ -64,11 +64,9 @@ class PumpDeadBand(TankEffect):
 
     name = "pump_dead_band"
     equation = "max(u − w, 0) in place of u, both pumps"
-
     width: float = parameter(0.0, unit="V", bounds=(0, 3), neutral=0.0, typical=0.3, doc="dead band w")
 
     def voltage(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Return max(u − w, 0) of both pumps."""
         return m.maximum(left - self.width, 0.0), m.maximum(right - self.width, 0.0)
 
 
@@ -82,7 +80,6 @@ class PumpLag(TankEffect):
         Quantity("left", "V", "left voltage after the lag", USUAL),
         Quantity("right", "V", "right voltage after the lag", USUAL),
     )
-
     time: float = parameter(0.0, unit="s", bounds=(0, 60), neutral=0.0, typical=4.0, doc="time constant τ; 0 = off")
 
     def lag(
@@ -100,11 +97,9 @@ class PumpCurve(TankEffect):
 
     name = "pump_curve"
     equation = "flow of each pump · (1 + p·(u − 5)/5)"
-
     curvature: float = parameter(0.0, unit="1", bounds=(-0.5, 0.5), neutral=0.0, typical=0.1, doc="curvature p")
 
     def factor(self, m: Namespace, voltage: Number, level: Number) -> Number:
-        """Return 1 + p·(u − 5)/5."""
         return 1.0 + self.curvature * (voltage - USUAL) / USUAL
 
 
@@ -114,11 +109,9 @@ class HeadLoss(TankEffect):
 
     name = "head_loss"
     equation = "flow of each pump · (1 − k·h)"
-
     slope: float = parameter(0.0, unit="1/m", bounds=(0, 1.5), neutral=0.0, typical=0.2, doc="loss k per level")
 
     def factor(self, m: Namespace, voltage: Number, level: Number) -> Number:
-        """Return 1 − k·h."""
         return 1.0 - self.slope * level
 
 
@@ -128,11 +121,9 @@ class OutletExponent(TankEffect):
 
     name = "outlet_exponent"
     equation = "flow through the outlet · (h/0.25)^e"
-
     excess: float = parameter(0.0, unit="1", bounds=(-0.4, 0.6), neutral=0.0, typical=0.1, doc="e beside one half")
 
     def outlet(self, m: Namespace, level: Number) -> Number:
-        """Return (h/0.25)^e."""
         return (m.maximum(level, SHALLOW) / DEEP) ** self.excess
 
 
@@ -142,13 +133,11 @@ class LeftLeak(TankEffect):
 
     name = "left_leak"
     equation = "flow k·√h out of the left tank"
-
     coefficient: float = parameter(
         0.0, unit="m3/s", bounds=(0, 1e-4), neutral=0.0, typical=5e-6, doc="flow k at a level of 1 m"
     )
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Return k·√h."""
         return self.coefficient * m.sqrt(m.maximum(left, SHALLOW)), 0.0
 
 
@@ -158,11 +147,9 @@ class ConstantDraw(TankEffect):
 
     name = "constant_draw"
     equation = "flow q out of the right tank"
-
     flow: float = parameter(0.0, unit="m3/s", bounds=(-3e-5, 3e-5), neutral=0.0, typical=2e-6, doc="flow q")
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Return flow q."""
         return 0.0, self.flow
 
 
@@ -172,13 +159,11 @@ class Overflow(TankEffect):
 
     name = "overflow"
     equation = "flow k·max(h − 0.42, 0)^1.5 out of the left tank"
-
     coefficient: float = parameter(
         0.0, unit="m3/s", bounds=(0, 0.02), neutral=0.0, typical=3e-4, doc="flow k at 1 m above the notch"
     )
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Return k·max(h − 0.42, 0)^1.5."""
         above = m.maximum(left - EDGE, 0.0)
         return self.coefficient * above * m.sqrt(above + 1e-9), 0.0
 
@@ -189,13 +174,11 @@ class CrossFlow(TankEffect):
 
     name = "cross_flow"
     equation = "flow k·(h_l − h_r) from left to right"
-
     coefficient: float = parameter(
         0.0, unit="m2/s", bounds=(0, 1e-3), neutral=0.0, typical=2e-5, doc="flow k per level"
     )
 
     def loss(self, m: Namespace, left: Number, right: Number) -> tuple[Number, Number]:
-        """Return k·(h_l − h_r)."""
         flow = self.coefficient * (left - right)
         return flow, -flow
 
@@ -206,7 +189,6 @@ class LeftGaugeBias(Bias):
 
     name = "left_gauge_bias"
     output = "level_left"
-
     value: float = parameter(0.0, unit="m", bounds=(-0.1, 0.1), neutral=0.0, typical=0.01, doc="bias b")
 
 
@@ -216,7 +198,6 @@ class MeterScale(Scale):
 
     name = "meter_scale"
     output = "outflow"
-
     value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.05, doc="scale s")
 
 
@@ -226,7 +207,6 @@ class MeterBias(Bias):
 
     name = "meter_bias"
     output = "outflow"
-
     value: float = parameter(0.0, unit="m3/s", bounds=(-3e-5, 3e-5), neutral=0.0, typical=2e-6, doc="bias b")
 
 
@@ -237,7 +217,6 @@ class LeftGaugeLatency(Latency):
     name = "left_gauge_latency"
     output = "level_left"
     outputs = ("level_left",)
-
     value: float = parameter(0.0, unit="s", bounds=(0, 25), neutral=0.0, typical=3.0, doc="latency T of the readings")
 
 
