@@ -1,4 +1,8 @@
-"""Evaluation of a scenario's criteria on its results, and the figures of merit behind them."""
+"""Evaluation of a scenario's criteria on its results, and the figures of merit behind them.
+
+Each figure of merit takes time `t` [s], a signal and its target as arrays of shape (samples,). It returns a float in
+the signal's own unit, or in seconds.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +31,18 @@ def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
         t, signal = results.time[window], results[criterion.of][window]
         target = results[criterion.to][window] if isinstance(criterion.to, str) else np.full_like(signal, criterion.to)
         unit = results.units.get(criterion.of, "")
-        value = math.inf  # An FMU ended the simulation before the window.
-        if signal.size:
-            unit = {"settling_time": "s", "effort": f"{unit}.s".lstrip(".")}.get(kind, unit)
-            value = figure(kind, t, signal, target, criterion.band or 0.0)
+        match kind:
+            case _ if not signal.size:  # An FMU ended the simulation before the window.
+                value = math.inf
+            case "settling_time":
+                value, unit = settling_time(t, signal, target, criterion.band or 0.0), "s"
+            case "effort":
+                value, unit = effort(t, signal - target), f"{unit}.s".lstrip(".")
+            case "peak":
+                value = peak(signal - target)
+            case _:
+                figures = {"overshoot": overshoot, "rms_error": rms_error, "final_error": final_error}
+                value = figures[kind](signal, target)
         outcomes.append(
             {
                 "kind": kind,
@@ -62,28 +74,41 @@ def sentence(outcome: dict[str, Any]) -> str:
     )
 
 
-def figure(kind: str, t: Array, signal: Array, target: Array, band: float) -> float:
-    """Return a figure of merit of a signal at times `t` [s], in the signal's own unit, or in seconds.
+def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:
+    """Return the time [s] to the last sample outside `target ± band`.
 
-    settling_time  time to the last sample outside target ± band: 0 if none is outside, inf if the signal ends outside
-    overshoot      largest excursion beyond the final target, in the direction from the first sample to the target
-    effort         time integral of the magnitude of the error [unit s]; the signal is held between samples
+    The time is 0 if no sample is outside, and inf if the signal ends outside.
     """
-    error = signal - target
-    match kind:
-        case "settling_time":
-            outside = np.flatnonzero(np.abs(error) > band)
-            if outside.size == 0:
-                return 0.0
-            return math.inf if outside[-1] == signal.size - 1 else float(t[outside[-1]] - t[0])
-        case "overshoot":
-            beyond = signal - target[-1]
-            direction = -np.sign(beyond[0])
-            return max(0.0, float(np.max(direction * beyond))) if direction else float(np.max(np.abs(beyond)))
-        case "rms_error":
-            return float(np.sqrt(np.mean(error**2)))
-        case "final_error":
-            return float(np.abs(error)[-1])
-        case "effort":
-            return float(np.sum(np.abs(error[:-1]) * np.diff(t)))
-    return float(np.max(np.abs(error)))  # peak
+    outside = np.flatnonzero(np.abs(signal - target) > band)
+    if outside.size == 0:
+        return 0.0
+    if outside[-1] == signal.size - 1:
+        return float("inf")
+    return float(t[outside[-1]] - t[0])
+
+
+def overshoot(signal: Array, target: Array | float) -> float:
+    """Return the largest excursion beyond the final target, in the direction from the first sample to the target."""
+    final = float(np.broadcast_to(target, signal.shape)[-1])
+    direction = np.sign(final - signal[0])
+    return max(0.0, float(np.max(direction * (signal - final)))) if direction else float(np.max(np.abs(signal - final)))
+
+
+def rms_error(signal: Array, target: Array | float) -> float:
+    """Return the root mean square of `signal - target`."""
+    return float(np.sqrt(np.mean((signal - target) ** 2)))
+
+
+def final_error(signal: Array, target: Array | float) -> float:
+    """Return the absolute error at the last sample."""
+    return float(np.abs(signal - target)[-1])
+
+
+def peak(signal: Array) -> float:
+    """Return the largest magnitude."""
+    return float(np.max(np.abs(signal)))
+
+
+def effort(t: Array, signal: Array) -> float:
+    """Return the time integral of the magnitude [unit s]. The signal is held between samples."""
+    return float(np.sum(np.abs(signal[:-1]) * np.diff(t)))

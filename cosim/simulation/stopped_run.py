@@ -105,7 +105,7 @@ class StoppedRun:
         """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
         start = self._first.start_time
         stop = start + self._first.step * self._first.steps  # as the master computes it
-        exchanged = [stage.component for stage in system.stages if is_exchange(stage.component)]
+        exchanged: list[Any] = [stage.component for stage in system.stages if is_exchange(stage.component)]
         return {c.name: (stop - start) / LONGEST for c in exchanged if c.instance.longest is None}
 
     def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
