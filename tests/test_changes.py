@@ -15,8 +15,7 @@ import cosim
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError, SimulationError
 from cosim.core.times import first_point
-from cosim.master.inbox import Control
-from cosim.master.observer import ObservedRun, Observer
+from cosim.master.observer import Control, ObservedRun, Observer
 from cosim.simulation.run_signals import Run
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.typed import typed_fmu

@@ -12,9 +12,9 @@ import pytest
 
 from cosim.core.errors import InputError, SimulationError
 from cosim.core.messages import CheckNote, CheckWarning, Note
+from cosim.master import beforehand
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import undeclared
 from cosim.simulation.workflow import run
 from cosim.system.system import build_system
 from cosim.verbs.checks import check
@@ -188,7 +188,7 @@ def test_feedthrough_stated_in_the_scenario_is_not_measured(tmp_path: Path) -> N
 def test_a_hang_in_the_measurement_is_limited_told_and_no_end_of_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(undeclared, "SILENT", 0.0)
+    monkeypatch.setattr(beforehand, "SILENT", 0.0)
     file = deeds_scenario(tmp_path, "GetReal", "sleep", 20, limits="{total: 0.5 s}")
     for name in ("good.fmu", "bad.fmu"):
         without_dependencies(tmp_path / name)
@@ -264,5 +264,6 @@ def test_a_newton_step_that_leaves_the_domain_is_shortened() -> None:
         np.array([0.999]),
         lambda z, value, fresh: np.array([-0.25 / np.sqrt(1.0 - z)]),
     )
+    assert outcome is not None
     assert outcome.converged
     assert outcome.z[0] == pytest.approx(0.5 * math.sqrt(1.0 - outcome.z[0]), rel=1e-9)

@@ -35,7 +35,6 @@ from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
 from cosim.system.system import System, build_system
-from cosim.system.wiring import assumed_conversion
 
 IDENTITY = (1.0, 0.0)  # factor and offset
 TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
@@ -94,10 +93,10 @@ def export_ssp(
             for name, component in s.components.items()
         ]
         ends = list[tuple[tuple[str, str], tuple[str, str], tuple[float, float]]]()
-        converted = list[str]()
+        converted, conversions = list[str](), {t.name: (t.factor, t.offset) for t in system.transfers}
         for c in s.connections:
-            (source, _, output), (component, _, input_) = c.source.partition("."), c.target.partition(".")
-            first, last, linear = (source, output), (component, input_), _conversion(file, system, c)
+            source, output, component, input_ = c.ends
+            first, last, linear = (source, output), (component, input_), conversions[c.target]
             if linear != IDENTITY:
                 converted.append(c.target)
             if linear != IDENTITY and insert_gains:
@@ -191,14 +190,6 @@ def _objections(file: ScenarioFile, system: System, connection: Connection) -> I
         yield f"{text}; give both one type"
 
 
-def _conversion(file: ScenarioFile, system: System, connection: Connection) -> tuple[float, float]:
-    """Return factor and offset of a connection."""
-    source, target = system.signals[connection.source], system.signals[connection.target]
-    if (assumed := assumed_conversion(file, connection, source, target)) is not None:
-        return assumed.factor, assumed.offset
-    return connection.conversion or source.conversion(target) or IDENTITY
-
-
 # -- models ---------------------------------------------------------------------------------------
 
 
@@ -240,7 +231,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
                 changes.append(SignalChange(change.at, factor * before, factor * change.to, rate))
             signals[signal] = TimeSignal(unit, factor * profile.start, changes)
     else:
-        columns = {s.partition(".")[2] for c in file.scenario.connections if (s := c.source).startswith(f"{name}.")}
+        columns = {output for owner, output, _, _ in (c.ends for c in file.scenario.connections) if owner == name}
         table, is_linear = read_columns(file.resolve(component.file), columns), component.interpolation == "linear"
         for column in (c for c in table.columns if c.name in columns):
             unit, factor = computed_in(column.unit)
@@ -254,8 +245,9 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
     try:
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
-        text = f"becomes an FMU of C, which cannot be compiled: {error}"
-        raise InputError([file.fault(("components", name), text)]) from None
+        raise InputError(
+            [file.fault(("components", name), f"becomes an FMU of C, which cannot be compiled: {error}")]
+        ) from None
     return SspFmu(name, fmu, [SspConnector(n, "output", "Real", s.unit) for n, s in signals.items()])
 
 
@@ -264,7 +256,8 @@ def _gain(file: ScenarioFile, name: str, linear: tuple[float, float], units: tup
     try:
         fmu = build_gain(name, linear, units, folder / f"{name}.fmu", file.scenario.step)
     except (NoCompiler, CompilerFailed) as error:
-        text = f"a gain becomes an FMU of C, which cannot be compiled: {error}"
-        raise InputError([file.fault(("connections",), text)]) from None
+        raise InputError(
+            [file.fault(("connections",), f"a gain becomes an FMU of C, which cannot be compiled: {error}")]
+        ) from None
     ports = zip(("u", "y"), ("input", "output"), units, strict=True)
     return SspFmu(name, fmu, [SspConnector(port, kind, "Real", unit) for port, kind, unit in ports])

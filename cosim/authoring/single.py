@@ -11,9 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from cosim.authoring.draft import scenario_text, write_sound
+from cosim.authoring.draft import (
+    SLACK,
+    STEPS,
+    STOP,
+    DraftPart,
+    parts_of,
+    scenario_text,
+    times_of,
+    write_sound,
+)
 from cosim.authoring.matching import Match, Matches, text
-from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, parts_of, times_of
 from cosim.blocks.compiling import compiling
 from cosim.blocks.component import Signal
 from cosim.blocks.coupling import DEFAULT

@@ -9,7 +9,7 @@ import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from itertools import islice
+from itertools import chain, count, islice
 from types import MappingProxyType
 from typing import Any
 
@@ -109,6 +109,11 @@ def join_names(names: Sequence[str]) -> str:
 def some(names: Sequence[str], most: int) -> str:
     """Return the first `most` names as a list, with an ellipsis for omitted names."""
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
+
+
+def unique_name(name: str, taken: Container[str], ending: str = "") -> str:
+    """Return a name that is not taken, with a number behind it if necessary: `a`, `a_2`, `a_3`."""
+    return next(n for n in chain([f"{name}{ending}"], (f"{name}_{k}{ending}" for k in count(2))) if n not in taken)
 
 
 def split_assignment(text: str, names: Container[str]) -> tuple[str, str, str]:

@@ -3,7 +3,7 @@
 **Direct feedthrough** where FMUs declare no dependencies. An order of components may assume that an undeclared input
 has none. Each such input is displaced, by small and large amounts about two points, in initialization and after it, and
 the outputs that follow are noted: integers by one, Booleans to their other value, enumerations to other items. FMUs in
-event mode stay in the event mode after initialization.
+event mode stay in the event mode after initialization. The order is then planned again.
 
 **States beyond the end of the run that saved them.** An FMU may save the end of the run, which it was told, with its
 state, and then refuses to step beyond it. Such a state is of no use to a longer run. Each state is restored, and the
@@ -12,37 +12,48 @@ FMU steps over that end with the inputs of the last row.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from threading import Timer
 from typing import Any
 
 import numpy as np
 
+from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.coupling import Assumption
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import far_beyond
-from cosim.core.errors import Interrupted, Signalled, SimulationError
+from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, SimulationError, TimedOut
+from cosim.core.messages import CheckWarning, Note
+from cosim.core.text import join_names
 from cosim.files.state_file import pack, unpack
 from cosim.isolation import worker as here
-from cosim.isolation.limits import Limits
+from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import Rows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.master.checkpoint import Continuation
 from cosim.master.initialization import Initialization
-from cosim.master.loops import PROBES, Member, members_of
+from cosim.master.loops import Member, members_of
 from cosim.master.master import Master
 from cosim.master.own_process import in_own_processes
-from cosim.system.system import System
+from cosim.master.remote import simulate_in
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.system.schedule import Loop
+from cosim.system.system import System, build_system
 
 SWEEPS = 3  # exchanges of values before the measurement
 LEAST = 1e-7  # change of an output that counts, relative to its value
 NOISE = 10.0  # the same relative to differences between equal calls
 IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
 OTHERS = -0.37, -0.9, 0.9  # displacements of further points, for a component that refuses the first two
-MOST_ITEMS = 4  # tried items of an enumeration
 BEYOND = 2  # steps beyond the end of the run that saved a state
+MOST_NAMED = 6  # signals of a message
+LONGEST_MEASUREMENT = 20.0  # [s] with the first step, without loading; less with a shorter `limits: total`
+LEAST_FIRST_STEP = 0.1  # [s] that is left for the first step
+SILENT = 2.0  # [s] before a note tells of the measurement
 
 Pair = tuple[str, str]  # output, input
 
@@ -226,13 +237,8 @@ def measure_feedthrough(master: Master) -> Feedthrough:
 def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> tuple[list[Pair], set[str]]:
     """Return the pairs of outputs and inputs of which the output follows the input now, and the measured inputs."""
     names, row = master.system.columns, master.row
-    signals = [master.system.signals[name] for name in names]
     pairs: list[Pair] = []
     measured: set[str] = set()
-
-    def size(member: Member, place: int) -> float:
-        return max(abs(row[place]), member.nominal[place])
-
     for member, places in asked:
         before = list(row)
         follows = np.zeros((len(member.outputs), len(places)), bool)
@@ -241,32 +247,157 @@ def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> tuple
             if k > 1 and accepts.any():
                 break
             for j, place in enumerate(places):
-                if not signals[place].is_whole:
-                    row[place] = before[place] + share * (1.0 + 0.1 * j) * size(member, place)
+                if not member.declarations[place].is_whole:
+                    row[place] = before[place] + share * (1.0 + 0.1 * j) * member.size(place)
             with suppress(SimulationError):
                 member.evaluate()
-                base = member.values()
+                base = master.values[member.outputs]
                 member.evaluate()
-                noise = NOISE * np.abs(member.values() - base)
-                for j, place in enumerate(places):
-                    value, signal = row[place], signals[place]
-                    if signal.kind == "Boolean":
-                        others = [1.0 - value]
-                    elif signal.items:
-                        others = [float(item) for item in signal.items.values() if item != value][:MOST_ITEMS]
-                    elif signal.is_whole:
-                        others = [value + 1.0, value - 1.0]
-                    else:
-                        others = [value + share * size(member, place) for share in PROBES]
-                    for other in others:
-                        values = member.try_at(place, other)
-                        if values is not None:
-                            accepts[j] = True
-                            least = np.maximum(noise, LEAST * np.maximum(np.abs(base), np.abs(values)))
-                            follows[:, j] |= np.abs(values - base) > least
+                noise = NOISE * np.abs(master.values[member.outputs] - base)
+                reactions = member.reactions(places, LEAST, noise)
+                follows, accepts = follows | reactions[0], accepts | reactions[1]
         measured |= {names[places[j]] for j in np.flatnonzero(accepts)}
         row[:] = before
         with suppress(SimulationError):
             member.evaluate()
         pairs += [(names[member.outputs[i]], names[places[j]]) for i, j in zip(*np.nonzero(follows), strict=True)]
     return pairs, measured
+
+
+# -- plan by measured feedthrough ----------------------------------------------------------------------
+
+
+def with_feedthrough(
+    file: ScenarioFile,
+    system: System,
+    worker: Worker | None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> System:
+    """Return the system, planned by measured feedthrough where its order had to assume that there is none.
+
+    The scenario of the file gets the measured inputs as `feedthrough`. A loop is solved if its first step succeeds;
+    otherwise it is left open, with a warning of the measured facts.
+
+    Args:
+        worker: Process for the FMUs; None for this one.
+        tell: Function that shows a note if it takes long.
+    """
+    undeclared = undeclared_inputs(system) if system.assumed else {}
+    planned, opened = system, list[Loop]()
+    if undeclared:
+        given = file.scenario.limits or Limits()
+        total = min(given.total or LONGEST_MEASUREMENT, LONGEST_MEASUREMENT)
+        load = given.load or LOADING + (LIMIT if permission.get() else 0.0)
+        limits, spent = given.model_copy(update={"total": max(total, LEAST_FIRST_STEP), "load": load}), [0.0]
+        note = Note(
+            f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
+            f"do not declare: at most {limits.total:g} s"
+        )
+        timer = Timer(SILENT, tell, (note,))
+        timer.daemon = True
+        timer.start()
+        try:
+            try:
+                measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
+            except (Interrupted, Signalled):
+                raise
+            except CosimError as error:
+                reason = str(error)
+                if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST_MEASUREMENT):
+                    reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
+                measured = Feedthrough(failure=f": {reason}")
+            followed = {n: sorted({i for _, i in measured.pairs if i in inputs}) for n, inputs in undeclared.items()}
+            known = measured.inputs - {entry for _, entry in measured.at_start}
+            declared = {  # where all inputs are known or some of them followed
+                n: [i.partition(".")[2] for i in followed[n]]
+                for n, inputs in undeclared.items()
+                if followed[n] or inputs <= known
+            }
+            failure, scenario = "", file.scenario
+            if declared:
+                components: dict[str, Any] = dict(scenario.components)
+                for name, followed_inputs in declared.items():
+                    components[name] = components[name].model_copy(update={"feedthrough": followed_inputs})
+                file.scenario = scenario.model_copy(update={"components": components})
+                first_step = limits.model_copy(update={"total": max(total - spent[0], LEAST_FIRST_STEP)})
+                try:
+                    planned = build_system(file)
+                    if planned.loops != system.loops:
+                        stepped = simulate_in(worker, planned, 1, scenario.step, first_step)
+                        if isinstance(stepped.failure, (Interrupted, Signalled)):
+                            raise stepped.failure
+                        failure = "" if stepped.failure is None else str(stepped.failure)
+                except InputError as fault:
+                    failure = fault.faults[0].message
+                if failure:
+                    planned, file.scenario = system, scenario
+        finally:
+            timer.cancel()
+        held = {transfer.name for transfer in planned.held}
+        unknown = (frozenset[str]().union(*undeclared.values()) - measured.inputs) & held
+        facts = measured, unknown, failure, held
+        loops = (replace(loop, left_open=_note(system, loop, *facts)) for loop in system.opened)
+        opened = [loop for loop in loops if loop.left_open]
+    names = [loop.name for loop in opened]
+    others = [loop for loop in planned.opened if loop.name not in names]
+    warnings = [warning for warning in planned.warnings if not isinstance(warning, Assumption)]
+    notes = [CheckWarning(loop.left_open) for loop in opened]
+    return replace(planned, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
+
+
+def _note(
+    system: System,
+    loop: Loop,
+    measured: Feedthrough,
+    unknown: Collection[str],
+    failure: str,
+    held: Collection[str],
+) -> str:
+    """Return the warning of a loop that is left open, "" if it is none.
+
+    Args:
+        unknown: Inputs with the value of the step before that were not measured.
+        failure: Why the measured loops cannot be solved.
+        held: Inputs with the value of the step before.
+    """
+
+    def is_part(name: str) -> bool:
+        return name.partition(".")[0] in loop.members
+
+    def facts(pairs: Sequence[Pair]) -> str:
+        more = f" and {len(pairs) - MOST_NAMED} more" if len(pairs) > MOST_NAMED else ""
+        return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:MOST_NAMED]) + more
+
+    if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
+        return (
+            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {facts(pairs)}. "
+            "It is left open, so that some inputs have the values of the step before, because solving it fails: "
+            f"{failure}"
+        )
+    if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
+        members = [stage.component for stage in system.stages if stage.component.name in loop.members]
+        is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
+        can_repeat = is_real and all(
+            isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.rolls_back for m in members
+        )
+        cure = (
+            Note("loops: {} solves it by repeated steps")
+            if can_repeat
+            else Note(
+                "an FMU that saves and restores its state, or one without direct feedthrough, would be a cure; "
+                "order: [...] states that it is open, without this warning"
+            )
+        )
+        return (
+            f"{loop.name} may be an algebraic loop that no FMU declares: in initialization {facts(pairs)}, "
+            "later only with a step. It is left open, so that some inputs may have the values of the step "
+            f"before; {cure}"
+        )
+    if names := sorted(filter(is_part, unknown)):
+        return (
+            f"{loop.name} may be an algebraic loop: whether outputs follow {join_names(names)} at once is not "
+            f"declared, nor measured{measured.failure}; cosim assumes that none does; feedthrough: [...] of the "
+            f"component names the inputs that an output follows, [] for none; loops: {{}} solves it; order: "
+            "[...] states the order instead"
+        )
+    return ""

@@ -18,7 +18,7 @@ from cosim.blocks.sources import SourceBlock
 from cosim.blocks.stepping import ConvertedLink, NotCompiled, Plan, Slot, StopReason, address_of, library
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
-from cosim.master.inbox import MOST_IN_C
+from cosim.master.observer import MOST_IN_C
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 

@@ -24,7 +24,7 @@ from cosim.core.messages import Note
 from cosim.files.state_file import pack, sync, unpack, write_durable
 from cosim.isolation import worker as here
 from cosim.isolation.rows import GET, NOTHING, exact_line, read_exact
-from cosim.master.inbox import Change
+from cosim.master.observer import Change
 from cosim.system.system import System
 
 if TYPE_CHECKING:
@@ -126,11 +126,12 @@ class Keeper:
         """Go on from `start`, and begin to keep checkpoints."""
         if self.start is not None:
             if _first_difference(master.table[:1], self.start.values[:1]) is not None:
-                reason = (
+                raise SimulationError(
+                    "the run",
+                    float(master.time[0]),
                     "the components begin with other values than in the run that was to go on; run the scenario again "
-                    "from its start"
+                    "from its start",
                 )
-                raise SimulationError("the run", float(master.time[0]), reason)
             if self.start.unsaved(master.system):
                 self.repeated = self.start.count
             else:
@@ -168,9 +169,12 @@ class Keeper:
                 if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:
                     raise SimulationError(component.name, float(master.time[last]), NOT_RESTORED)
         except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # of another system
-            reason = f"the checkpoint has no state of these components ({error}); run the scenario again from its start"
-            raise SimulationError("the run", float(master.time[last]), reason) from None
-        master.view[:] = start.values[last]
+            raise SimulationError(
+                "the run",
+                float(master.time[last]),
+                f"the checkpoint has no state of these components ({error}); run the scenario again from its start",
+            ) from None
+        master.values[:] = start.values[last]
         if start.exact:
             master.beside[:] = start.exact[last]
         master.row_count[0], self.elapsed = start.count, float(state.get("elapsed", 0.0))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+
+import numpy as np
 
 from cosim.blocks.faults import LinkFunction
 from cosim.system.system import System
@@ -23,13 +24,13 @@ class Copying:
 
     def __init__(self, system: System, row: Any, beside: list[Any], steps: int, h: float) -> None:
         self.system, self.row, self.beside, self.steps, self.h = system, row, beside, steps, h
+        self.values = np.ctypeslib.as_array(row)
         self.links: dict[str, Sequence[LinkFunction]] = {}
-        self._view = doubles(row)
         self.functions: dict[str, Callable[[int, Any], Any]] = {}
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
-        """Return a function that makes transfers: plain copies by contiguous parts of the row, then all others."""
-        parts: list[tuple[int, int, int]] = []  # first source, first target, length
+        """Return a function that makes transfers: all plain copies within the row at once, then all others."""
+        sources, targets = list[int](), list[int]()  # of plain copies
         others: list[tuple[Any, int, Any, int, Callable[[int, Any], Any]]] = []  # from a place to a place by a function
         for transfer in transfers:
             if transfer.name not in self.links:
@@ -39,22 +40,15 @@ class Copying:
             if self.links[transfer.name] or any(transfer.beside):
                 origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
                 others.append((origin, source, goal, target, self.functions[transfer.name]))
-            elif parts and (source, target) == (parts[-1][0] + parts[-1][2], parts[-1][1] + parts[-1][2]):
-                parts[-1] = *parts[-1][:2], parts[-1][2] + 1
             else:
-                parts.append((source, target, 1))
-        plain = [(self._view[target : target + n], self._view[source : source + n]) for source, target, n in parts]
+                sources.append(source)
+                targets.append(target)
+        values, from_, to = self.values, np.array(sources, np.intp), np.array(targets, np.intp)
 
         def copy(k: int) -> None:
-            for target_places, places in plain:
-                target_places[:] = places
+            if sources:
+                values[to] = values[from_]
             for origin, source, goal, target, function in others:
                 goal[target] = function(k, origin[source])
 
         return copy
-
-
-def doubles(buffer: Any) -> memoryview[float]:
-    """Return a buffer of doubles as a flat memory view."""
-    flat = memoryview(buffer)
-    return flat.cast("B").cast("d") if flat.nbytes else memoryview(array("d"))

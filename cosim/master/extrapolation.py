@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
@@ -58,7 +57,7 @@ class Polynomial:
         return (self(t) + 4.0 * self(t + 0.5 * h) + self(t + h)) / 6.0
 
 
-def with_courses(step: StepFunction, system: System, stage: Stage, row: Any) -> StepFunction:
+def with_courses(step: StepFunction, system: System, stage: Stage, row: Array) -> StepFunction:
     """Return a step in which real inputs follow polynomials, which are absent from the row.
 
     Those with the value of the step's start are extrapolated, those with the value of its end interpolated. Afterwards
@@ -82,11 +81,11 @@ def with_courses(step: StepFunction, system: System, stage: Stage, row: Any) -> 
     if new:  # Does an output follow an input without a step?
         own = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
         outputs = own[len(component.inputs) :]
-        before = list(row)
+        before = row.copy()
         for place in new:
             row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
             read_again()
-            answers |= any(row[k] != before[k] for k in outputs)
+            answers |= bool((row[outputs] != before[outputs]).any())
             row[place] = before[place]
         read_again()
         description = getattr(component, "description", None)
@@ -95,16 +94,11 @@ def with_courses(step: StepFunction, system: System, stage: Stage, row: Any) -> 
     if not old + new:
         return step
     past, course, is_first = Polynomial(old_degree), Polynomial(new_degree), True
-    start = np.array([row[k] for k in new])
-
-    def set_inputs(values_old: Array, values_new: Array) -> None:
-        for places, values in ((old, values_old), (new, values_new)):
-            for place, value in zip(places, values.tolist(), strict=True):
-                row[place] = value
+    start = row[new]
 
     def stepped(t: float, h: float) -> None:
         nonlocal is_first
-        held, given = np.array([row[k] for k in old]), np.array([row[k] for k in new])
+        held, given = row[old], row[new]
         if is_first:  # Before the first step, only the values of its end are in the row.
             course.add(t, start)
             is_first = False
@@ -112,15 +106,14 @@ def with_courses(step: StepFunction, system: System, stage: Stage, row: Any) -> 
         course.add(t + h, given)
         tail = TAIL * h if new and not answers else 0.0
         mean = (course.mean(t, h) - tail / h * given) / (1.0 - tail / h)
-        before = past.mean(t, h)
-        set_inputs(before, mean)
+        row[old], row[new] = past.mean(t, h), mean
         try:
             step(t, h - tail)
             if tail:
-                set_inputs(before, given)
+                row[new] = given
                 step(t + h - tail, tail)
         finally:
-            set_inputs(held, given)
+            row[old], row[new] = held, given
         if answers:
             read_again()
 

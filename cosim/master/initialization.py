@@ -17,7 +17,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.isolation.rows import GET, PUT
 from cosim.master.loops import MOST_DIFFERENCES, SHIFT, LoopSolver, is_lost
-from cosim.master.root_finding import NotDefined, RootFinding
+from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario import LoopSettings
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Initialization:
 
     def __init__(self, master: Master, solvers: Sequence[LoopSolver] = ()) -> None:
         self.system, self.components, self.announce = master.system, master.components, master.announce
-        self.row, self.beside = master.row, master.beside
+        self.row, self.beside, self.signals = master.row, master.beside, master.values
         self.pulls = {stage.component.name: master.copying.of(stage.transfers) for stage in self.system.stages}
         self.held = master.copying.of(self.system.held)
         self.solver_of = {name: solver for solver in solvers for name in solver.names}
@@ -64,11 +64,12 @@ class Initialization:
             raise self._not_settled(self.system.columns[self.places[0]], 1)
 
     def _not_settled(self, name: str, count: int) -> SimulationError:
-        reason = (
+        return NotFinite(
+            name,
+            self.system.start,
             f"it still changes after {count} exchanges of initialization: an algebraic loop that exchanging values "
-            "does not settle; an FMU without direct feedthrough in the loop breaks it"
+            "does not settle; an FMU without direct feedthrough in the loop breaks it",
         )
-        return NotFinite(name, self.system.start, reason)
 
     def _settle(self) -> bool:
         """Exchange values until they settle; solve for them if their changes do not shrink, and return whether so."""
@@ -82,7 +83,7 @@ class Initialization:
                     raise
                 break  # The values of a loop grew from exchange to exchange.
             if sweep == 1:
-                first = np.array([self.row[k] for k in self.places])
+                first = self.signals[self.places]
             if self._values() == before or (sweep > EXACT_SWEEPS and is_settled(row, self.row)):
                 return False
             if sweep % period == 0:
@@ -100,27 +101,25 @@ class Initialization:
         """Solve for the held values from a start; return whether there is a solution."""
         settings = self.system.solving or LoopSettings()
         roots = RootFinding(settings.tolerance, settings.iterations, np.ones(start.size), np.full(start.size, True))
-        try:
-            if start.size <= MOST_DIFFERENCES:
-                outcome = roots.newton(self._exchanged, start, self._slopes)
-            else:
-                outcome = roots.anderson(self._exchanged, start)
-        except NotDefined:
+        if start.size <= MOST_DIFFERENCES:
+            outcome = roots.newton(self._exchanged, start, self._slopes)
+        else:
+            outcome = roots.anderson(self._exchanged, start)
+        if outcome is None:
             return False
         is_finite = (np.abs(outcome.z) <= np.maximum(1.0, np.abs(start)) / settings.tolerance).all()
         return bool(outcome.converged and is_finite and self._exchanged(outcome.z) is not None)
 
     def _exchanged(self, z: Array) -> Array | None:
         """Return the held values after an exchange that begins with z; None where it is refused."""
-        for place, value in zip(self.places, z.tolist(), strict=True):
-            self.row[place] = value
+        self.signals[self.places] = z
         try:
             self.sweep()
         except SimulationError as error:
             if self.ends_run(error):
                 raise
             return None
-        return np.array([self.row[k] for k in self.places])
+        return self.signals[self.places]
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool = True) -> Array:
         """Return the slopes of an exchange by differences."""
@@ -131,7 +130,7 @@ class Initialization:
 
     def _grows(self) -> bool:
         """Return whether deviations of held values grow from exchange to exchange after initialization."""
-        z = np.array([self.row[k] for k in self.places])
+        z = self.signals[self.places]
         g = self._exchanged(z)
         if g is None or z.size > MOST_DIFFERENCES:
             return False

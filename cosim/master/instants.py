@@ -17,7 +17,7 @@ an event, which a note tells. A component that makes only whole steps gets an ev
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +51,9 @@ class Part:
         rank: SOURCES, REPEATABLE, EARLY (may return early, cannot go back), LAST, or WHOLE (makes whole steps only).
         lead: Longest time [s] by which it was ahead of an event.
         ahead: Number of such events.
+        wires: Clock → connected input clocks, each with its component.
+        ticked: Clocks that tick others as soon as outputs are read.
+        pending: Clocks to tick when it has come to the time.
     """
 
     def __init__(self, master: Master, stage: Stage) -> None:
@@ -61,6 +64,9 @@ class Part:
         first = master.first_places[0].get(component.name, 0)
         self.row, self.inputs = master.row, slice(first, first + len(component.inputs))
         self.time, self.lead, self.ahead = master.system.start, 0.0, 0
+        self.wires: dict[str, list[tuple[Part, str]]] = {}
+        self.ticked: list[str] = []
+        self.pending: list[str] = []
         self.has_events = isinstance(component, EventFmu)
         self.exchange: ModelExchange | None = component.instance if takes_parts and is_exchange(component) else None
         self.state_owner = component if self.exchange is None else self.exchange
@@ -102,12 +108,10 @@ class Instants(Policy):
     """The stepping of a run with event mode.
 
     Attributes:
-        ticked: Component → clocks that tick others as soon as outputs are read.
-        pending: Component → clocks to tick when it has come to the time.
         copies: Copies to the components that take part in the present instant, those of communication point `point`.
         here: FMUs with event mode that have come to it; those in `joined` are in event mode.
         events: First MOST_RECORDED handled events and ticks: time [s], component, cause.
-        counts: (component, cause) → number of all.
+        counts: Component → number of all by cause.
     """
 
     reason = "event mode"
@@ -115,10 +119,8 @@ class Instants(Policy):
     def __init__(self, master: Master) -> None:
         self.master, self.begin, self.h, self.call = master, master.system.start, master.h, master.announce
         self.close = CLOSE * self.h
-        self.ticked: dict[str, list[str]] = {}
-        self.pending: dict[str, list[str]] = {}
         self.events: list[tuple[float, str, str]] = []
-        self.counts: dict[tuple[str, str], int] = {}
+        self.counts: dict[str, Counter[str]] = {}
         self.time, self.point, self.copies = self.begin, 0, master.copying.of(())
         self.here: Sequence[Part] = ()
         self.joined: list[Part] = []
@@ -127,12 +129,11 @@ class Instants(Policy):
         self.parts = [Part(master, stage) for stage in master.system.stages]
         self.fmus = [part for part in self.parts if part.has_events]
         self.exchanges = [part for part in self.parts if part.exchange is not None]
-        self.by_name = {part.component.name: part for part in self.fmus}
-        self.wires: dict[tuple[str, str], list[tuple[str, str]]] = {}  # clock → connected input clocks
+        by_name = {part.component.name: part for part in self.parts}
         for origin, target in master.system.clock_wires:
             owner, _, clock = origin.partition(".")
             goal, _, name = target.partition(".")
-            self.wires.setdefault((owner, clock), []).append((goal, name))
+            by_name[owner].wires.setdefault(clock, []).append((by_name[goal], name))
         returning = [part for part in self.parts if part.rank != WHOLE and part.may_return]
         if returning:
             last = set[str]()  # components that step after all that may return early, and those that follow them
@@ -263,7 +264,7 @@ class Instants(Policy):
         asked = []
         for part in here:
             fmu = part.component
-            is_due = fmu.asks or fmu.due <= t + self.close or fmu.name in self.pending
+            is_due = fmu.asks or fmu.due <= t + self.close or part.pending
             if is_due or fmu.has_jumped or fmu.is_stirred:
                 asked.append(part)
         if not asked:
@@ -271,8 +272,11 @@ class Instants(Policy):
         self._times.append(t)
         if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
             names = ", ".join(sorted({part.component.name for part in self.fmus if part.component.asks}))
-            message = f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so that time stands still"
-            raise SimulationError(names or "the run", t, message)
+            raise SimulationError(
+                names or "the run",
+                t,
+                f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so that time stands still",
+            )
         self._handle(asked)
 
     def _begin_instant(self, t: float, k: int, parts: Iterable[Part], here: Sequence[Part]) -> None:
@@ -316,8 +320,11 @@ class Instants(Policy):
                     self.call(part.component).leave()
                 return
         names = ", ".join(part.component.name for part in asked)
-        reason = f"{MOST_EVENTS} updates of discrete states at one time; these FMUs ask for another one: {names}"
-        raise self._unsettled(before, asked[0], reason)
+        raise self._unsettled(
+            before,
+            asked[0],
+            f"{MOST_EVENTS} updates of discrete states at one time; these FMUs ask for another one: {names}",
+        )
 
     def _settle(self) -> None:
         """Exchange values and clocks until they settle."""
@@ -326,17 +333,16 @@ class Instants(Policy):
             before, row, beside = bytes(master.row), list(master.row), list(master.beside)
             is_quiet = True
             for part in tuple(self.joined):
-                name = part.component.name
                 self.call(part.component, PUT).put()
                 part.component.look()
                 self.call(part.component, GET).get()
                 fired = part.component.fired()
                 for clock in fired:
                     self._record(part, f"clock {clock}")
-                    self._trigger(name, clock)
-                ticked = self.ticked.pop(name, ())
+                    self._trigger(part, clock)
+                ticked, part.ticked = part.ticked, []
                 for clock in ticked:
-                    self._trigger(name, clock)
+                    self._trigger(part, clock)
                 is_quiet = is_quiet and not (fired or ticked)
                 self.copies(self.point)
             self._propagate()
@@ -348,11 +354,12 @@ class Instants(Policy):
             settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
             if is_quiet and settled and list(master.beside) == beside:
                 return
-        reason = (
+        raise self._unsettled(
+            before,
+            self.joined[-1],
             f"{MOST_SWEEPS} exchanges of values at one event: an algebraic loop between FMUs in event mode that "
-            "exchanging values does not settle"
+            "exchanging values does not settle",
         )
-        raise self._unsettled(before, self.joined[-1], reason)
 
     def _unsettled(self, before: bytes, part: Part, reason: str) -> SimulationError:
         """Return the error of values that do not settle, about the first changed signal or a component."""
@@ -378,40 +385,38 @@ class Instants(Policy):
 
     def _ticks(self, part: Part) -> list[str]:
         """Return the clocks of a component that are due."""
-        return [*part.component.due_clocks(self.time, self.close), *self.pending.get(part.component.name, ())]
+        return [*part.component.due_clocks(self.time, self.close), *part.pending]
 
     def _tick(self, part: Part) -> None:
         """Tick the clocks of a component that are due; raise SimulationError for one that is too fast."""
-        names, owner = self._ticks(part), part.component.name
-        if not names:
+        if not (names := self._ticks(part)):
             return
-        self.pending.pop(owner, None)
+        part.pending = []
         self.call(part.component).tick(names)
-        if wired := [name for name in names if (owner, name) in self.wires]:
-            self.ticked[owner] = wired
+        part.ticked = [name for name in names if name in part.wires] or part.ticked
         for name in names:
             self._record(part, f"clock {name}")
             timer = part.component.timers.get(name)
             if timer is not None and timer.interval is not None and timer.next <= self.time + self.close:
-                message = (
+                raise SimulationError(
+                    f"{part.component.name}.{name}",
+                    self.time,
                     f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} s; "
-                    "shorten the step of the scenario"
+                    "shorten the step of the scenario",
                 )
-                raise SimulationError(f"{owner}.{name}", self.time, message)
 
-    def _trigger(self, owner: str, clock: str) -> None:
+    def _trigger(self, part: Part, clock: str) -> None:
         """Tick the clocks connected to a clock."""
-        for name, target in self.wires.get((owner, clock), ()):
-            part = self.by_name[name]
-            if part in self.here:
-                self._join(part)
-                self.call(part.component).tick([target])
-                self._record(part, f"clock {target}")
+        for other, target in part.wires.get(clock, ()):
+            if other in self.here:
+                self._join(other)
+                self.call(other.component).tick([target])
+                self._record(other, f"clock {target}")
             else:
-                self.pending.setdefault(name, []).append(target)
+                other.pending.append(target)
 
     def _record(self, part: Part, cause: str) -> None:
         event = self.time, part.component.name, cause
-        self.counts[event[1:]] = self.counts.get(event[1:], 0) + 1
+        self.counts.setdefault(part.component.name, Counter())[cause] += 1
         if len(self.events) < MOST_RECORDED:
             self.events.append(event)

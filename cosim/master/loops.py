@@ -24,11 +24,11 @@ import numpy as np
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, Flags
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
 from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.root_finding import NotDefined, Outcome, RootFinding
+from cosim.master.root_finding import Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.wiring import Transfer
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
+MOST_ITEMS = 4  # tried items of an enumeration
 REACTION = 1e-9  # smallest relative change of an output that counts
 ROUNDED = 1e-13  # residual of rounding, relative to the magnitude
 PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
@@ -113,9 +114,13 @@ class Member:
         promised: Whether its last slopes were its own directional derivatives.
     """
 
-    def __init__(self, master: Master, component: Any, inputs: Sequence[int], outputs: Sequence[int]) -> None:
-        self.component, self.row, self.inputs, self.outputs = component, master.row, inputs, outputs
+    def __init__(self, master: Master, component: Any, loop: Loop) -> None:
+        self.component, self.row, self.signals = component, master.row, master.values
+        own = {k for k, column in enumerate(master.system.columns) if column.partition(".")[0] == component.name}
+        self.inputs = inputs = sorted({t.target for t in loop.transfers if not t.beside[1]} & own)
+        self.outputs = outputs = sorted({t.source for t in loop.transfers if not t.beside[0]} & own)
         self.call = partial(master.announce, component)
+        self.declarations = [master.system.signals[column] for column in master.system.columns]
         self.variables = [[master.system.columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
         self.nominal, self.declared = dict.fromkeys(inputs, 1.0), set[int]()
         for k, name in zip(inputs, self.variables[1], strict=True):
@@ -168,24 +173,40 @@ class Member:
             return None
         finally:
             self.row[place] = before
-        return self.values()
+        return self.signals[self.outputs]
 
-    def values(self) -> Array:
-        """Return the current outputs."""
-        return np.array([self.row[k] for k in self.outputs])
+    def size(self, place: int) -> float:
+        """Return the size of an input: its magnitude, at least its nominal value."""
+        return max(abs(self.row[place]), self.nominal[place])
 
-    def reactions(self) -> Any:
-        """Return whether outputs follow inputs without a step."""
-        base = self.values()
-        reacts = np.zeros((len(self.outputs), len(self.inputs)), bool)
-        least = REACTION * np.maximum(np.abs(base), 1e-300)
-        for j, place in enumerate(self.inputs):
-            size = max(abs(self.row[place]), self.nominal[place])
-            for share in PROBES:
-                values = self.try_at(place, self.row[place] + share * size)
-                if values is not None:
-                    reacts[:, j] |= np.abs(values - base) > least
-        return reacts
+    def reactions(
+        self, places: Sequence[int], least: float = REACTION, noise: Array | float = 0.0
+    ) -> tuple[Flags, Flags]:
+        """Return whether outputs (rows) follow inputs (columns) without a step, and whether inputs take other values.
+
+        Args:
+            places: Inputs.
+            least: Smallest change of an output that counts, relative to its value.
+            noise: The same for each output, absolute.
+        """
+        base = self.signals[self.outputs]
+        follows, accepts = np.zeros((len(self.outputs), len(places)), bool), np.zeros(len(places), bool)
+        for j, place in enumerate(places):
+            value, signal = self.row[place], self.declarations[place]
+            if signal.kind == "Boolean":
+                others = [1.0 - value]
+            elif signal.items:
+                others = [float(item) for item in signal.items.values() if item != value][:MOST_ITEMS]
+            elif signal.is_whole:
+                others = [value + 1.0, value - 1.0]
+            else:
+                others = [value + share * self.size(place) for share in PROBES]
+            for other in others:
+                if (values := self.try_at(place, other)) is not None:
+                    accepts[j] = True
+                    size = np.maximum(np.abs(base), np.abs(values))
+                    follows[:, j] |= np.abs(values - base) > np.maximum(noise, least * size)
+        return follows, accepts
 
 
 class LoopSolver:
@@ -198,7 +219,7 @@ class LoopSolver:
 
     def __init__(self, loop: Loop, master: Master) -> None:
         system, copying = master.system, master.copying
-        self.row, self.start, self._h = master.row, system.start, master.h
+        self.row, self.signals, self.start, self._h = master.row, master.values, system.start, master.h
         self.settings = system.solving or LoopSettings()
         self.name, self.names, self.last = loop.name, loop.members, loop.members[-1]
         self._transfers, self._columns = loop.transfers, system.columns
@@ -231,7 +252,7 @@ class LoopSolver:
     def solve_start(self) -> None:
         """Solve the loop in initialization."""
         if not self._guesses:
-            before = list(self.row)
+            before = self.signals[self.unknowns]
             for member in self.members:
                 try:
                     member.evaluate()
@@ -239,10 +260,10 @@ class LoopSolver:
                     raise
                 except SimulationError:
                     continue
-                member.reacts = member.reactions()
+                member.reacts, _ = member.reactions(member.inputs)
             self._to_back(0)
-            self._guesses = [self._values(self.unknowns)]
-            self._write(self.unknowns, np.array([before[k] for k in self.unknowns]))
+            self._guesses = [self.signals[self.unknowns]]
+            self.signals[self.unknowns] = before
         self._at_start += self._solve(self.start)
 
     def begin(self) -> list[str]:
@@ -254,7 +275,7 @@ class LoopSolver:
         Raises:
             SimulationError: The steps of such a component cannot be repeated.
         """
-        z = self._values(self.unknowns)
+        z = self.signals[self.unknowns]
         slopes = self._roots.slopes if self._roots.slopes is not None else self._slopes(z, z, fresh=False)
         is_finite = np.isfinite(slopes).all()
         gain = float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if is_finite else math.inf
@@ -276,7 +297,7 @@ class LoopSolver:
         """
         self._point = first_point(t + h, self.start, self._h)
         delayed = self._delayed
-        assumed = None if delayed is None else self._values(delayed.places)
+        assumed = None if delayed is None else self.signals[delayed.places]
         try:
             for member in self.members:
                 member.begin_step(t, h)
@@ -295,7 +316,7 @@ class LoopSolver:
                 f"{last['residual']:+.3g} more"
             )
             raise SimulationError(error.component, error.time, message) from None
-        if delayed is not None and assumed is not None and delayed.note(t + h, assumed, self._values(delayed.places)):
+        if delayed is not None and assumed is not None and delayed.note(t + h, assumed, self.signals[delayed.places]):
             last = delayed.last
             message = (
                 f"{self.name} is not solved ({delayed.reason}) and grows without bound: {last['signal']} is "
@@ -311,13 +332,6 @@ class LoopSolver:
         for member in self.members:
             if member.repeats == repeats:
                 self._known_into[member.component.name](self._point)
-
-    def _values(self, places: Sequence[int]) -> Array:
-        return np.array([self.row[k] for k in places])
-
-    def _write(self, places: Sequence[int], values: Array) -> None:
-        for place, value in zip(places, values.tolist(), strict=True):
-            self.row[place] = value
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the loop in the manifest."""
@@ -375,13 +389,13 @@ class LoopSolver:
         Raises:
             SimulationError: The iterations do not converge.
         """
-        start, roots, tolerance = self._values(self.unknowns), self._roots, self.settings.tolerance
+        start, roots, tolerance = self.signals[self.unknowns], self._roots, self.settings.tolerance
         outcome = self._outcome(start)
         worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), roots.scale)))
         value, residual = float(outcome.z[worst]), float(outcome.residual[worst])
         signal, count = self.back[worst].name, outcome.iterations
         if outcome.converged:
-            self._write(self.unknowns, outcome.z)
+            self.signals[self.unknowns] = outcome.z
             if outcome.is_rough:
                 self._rough.append((t, residual, value, signal))
             return count
@@ -424,18 +438,19 @@ class LoopSolver:
         """Return the end of the iterations from z."""
         shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
         for start in (z, *self._guesses, *shifts):
-            try:
-                if self.method == "newton":
-                    return self._roots.newton(self._sweep, start, self._slopes)
-                return self._roots.anderson(self._sweep, start)
-            except NotDefined:
-                self._roots.slopes = None
+            if self.method == "newton":
+                outcome = self._roots.newton(self._sweep, start, self._slopes)
+            else:
+                outcome = self._roots.anderson(self._sweep, start)
+            if outcome is not None:
+                return outcome
+            self._roots.slopes = None
         assert self._refusal is not None
         raise self._refusal
 
     def _sweep(self, z: Array) -> Array | None:
         """Return g(z), None where a component refuses its inputs."""
-        self._write(self.unknowns, z)
+        self.signals[self.unknowns] = z
         try:
             for member in self.members:
                 self._into[member.component.name](self._point)
@@ -452,13 +467,13 @@ class LoopSolver:
             for place in (transfer.source, transfer.target):
                 self._seen[place] = max(self._seen.get(place, 0.0), abs(self.row[place]))
         self._roots.largest = max(self._seen.values())
-        returned = self._values(self.unknowns)
-        self._write(self.unknowns, z)
+        returned = self.signals[self.unknowns]
+        self.signals[self.unknowns] = z
         return returned
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool) -> Array:
         """Return ∂g/∂z, chained from components and transfers."""
-        self._write(self.unknowns, z)
+        self.signals[self.unknowns] = z
         along = dict(zip(self.unknowns, np.eye(z.size), strict=True))
         for member in self.members:
             for t in self._forward[member.component.name]:
@@ -479,9 +494,9 @@ class LoopSolver:
                 if promised is not None and np.isfinite(promised).all():
                     member.promised = True
                     return np.array(promised).reshape(shape)
-        base, slopes = member.values(), np.zeros(shape)
+        base, slopes = self.signals[member.outputs], np.zeros(shape)
         for j, place in enumerate(member.inputs):
-            shift, seen = SHIFT * max(abs(self.row[place]), member.nominal[place]), self._seen.get(place, 0.0)
+            shift, seen = SHIFT * member.size(place), self._seen.get(place, 0.0)
             if fresh and seen > 0.0 and place not in member.declared:
                 shift = min(shift, SHIFT * seen)
             for step in (shift, -shift):
@@ -489,7 +504,7 @@ class LoopSolver:
                 if values is not None:
                     slopes[:, j] = (values - base) / step
                     break
-        self._write(member.outputs, base)
+        self.signals[member.outputs] = base
         return slopes
 
     def _gain(self, transfer: Transfer) -> float:
@@ -505,7 +520,7 @@ class LoopSolver:
             gain: Loop gain in initialization: the largest growth of a deviation around the loop.
         """
         member.evaluate()
-        reacts = member.reactions()
+        reacts, _ = member.reactions(member.inputs)
         member.evaluate()
         name, inputs, fmu = member.component.name, member.variables[1], member.component
         missing = member.reacts & ~reacts
@@ -529,12 +544,13 @@ class LoopSolver:
             more = ". The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
             if gain < 1.0:
                 cure, more = "a cure: they leave it open, with values of the step before, which settle", ""
-            message = (
+            raise SimulationError(
+                name,
+                self.start,
                 f"{self._columns[member.outputs[j]]} follows {self._columns[member.inputs[k]]} only after a step, "
                 f"which cannot be repeated, because the FMU saves no state; so the algebraic loop {self.name} cannot "
-                f"be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}){more}"
+                f"be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}){more}",
             )
-            raise SimulationError(name, self.start, message)
         return []
 
 
@@ -545,11 +561,4 @@ def is_lost(component: Any) -> bool:
 
 def members_of(loop: Loop, master: Master) -> list[Member]:
     """Return the components of a loop in their order."""
-    owners = [column.partition(".")[0] for column in master.system.columns]
-    members = []
-    for component in master.components:
-        if (name := component.name) in loop.members:
-            inputs = sorted({t.target for t in loop.transfers if not t.beside[1] and owners[t.target] == name})
-            outputs = sorted({t.source for t in loop.transfers if not t.beside[0] and owners[t.source] == name})
-            members.append(Member(master, component, inputs, outputs))
-    return members
+    return [Member(master, component, loop) for component in master.components if component.name in loop.members]

@@ -37,12 +37,12 @@ from cosim.files.results import Results
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
-from cosim.master.copying import Copying, doubles
+from cosim.master.copying import Copying
 from cosim.master.extrapolation import with_courses
-from cosim.master.inbox import Inbox
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import LoopSolver
+from cosim.master.observer import Inbox
 from cosim.master.pacing import Pacer
 from cosim.master.policies import Active, ControlledSteps, EqualSteps, HalvedSteps, Policy, Round
 from cosim.system.schedule import Stage
@@ -84,17 +84,25 @@ def simulate(
         StoppedRun: A component failed.
     """
     room = rows or Rows.in_memory(steps + 1, len(system.columns))
-    return Master(system, steps, h, progress, room, in_c=in_c, inbox=inbox).results()
+    master = Master(system, steps, h, progress, room, in_c=in_c, inbox=inbox)
+    results = master.results()
+    if master.failure is not None:
+        raise StoppedRun(master.failure, results)
+    return results
 
 
 class Master:
     """The master: a run from the opening to the closing of its components, with its signals and its table of rows.
 
     Attributes:
-        row: Signals of the run as an array of C; `view` are the same, `beside` the values that no double holds.
+        row: Signals of the run as an array of C; `values` are the same memory.
+        beside: Values that no double holds.
         last: Last communication point for which the table has a row.
         done: Number of complete rows.
+        failure: Why the run stopped early, if it failed.
     """
+
+    failure: SimulationError | None = None
 
     def __init__(
         self,
@@ -111,7 +119,7 @@ class Master:
         self.components: list[Any] = [stage.component for stage in system.stages]
         self.numbers = {component.name: CALLS * k for k, component in enumerate(self.components)}
         self.row = (ctypes.c_double * len(system.columns))()
-        self.view = doubles(self.row)
+        self.values = np.ctypeslib.as_array(self.row)
         self.beside: list[Any] = [None] * len(system.beside)
         self.first_places: tuple[dict[str, int], dict[str, int]] = {}, {}  # of each component, in the row and beside it
         for columns, first_places in zip((system.columns, system.beside), self.first_places, strict=True):
@@ -141,7 +149,7 @@ class Master:
     # -- call sequence -----------------------------------------------------------------------------
 
     def results(self) -> Results:
-        """Run from beginning to end."""
+        """Run from beginning to end; return the rows, after a failure those so far."""
         try:
             self.open()
             Initialization(self, self.solvers).run()
@@ -151,11 +159,11 @@ class Master:
             if any(isinstance(component, EventFmu) for component in self.components):
                 self.instants = Instants(self)
                 self.instants.settle(0)
-            for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.transfers)):
+            for transfer in self.system.transfers:
                 values = self.beside if transfer.beside[1] else self.row
                 transfer.check_item(values[transfer.target], self.system.start)
             self.tell(0)
-            ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))
+            self.table[0] = self.values
             self.done = self.row_count[0] = 1
             if self.keeper is not None:
                 self.keeper.begin(self)
@@ -166,8 +174,9 @@ class Master:
                     self.keeper.save(self, self.done - 1)
             hold_stops()  # The rows must be saved.
         except EarlyEnd as end:
-            if not self.done:
-                raise StoppedRun(end, self._rows_so_far()) from None  # before the first row
+            if not self.done:  # before the first row
+                self.failure = end
+                return self._rows_so_far()
             self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
             # A run of a single FMU gets a last row at that time; with several, the others would have no state then.
             alone = len(self.system.fmus) == 1
@@ -179,17 +188,15 @@ class Master:
                     self.change(k)
                 self.tell(k)
                 self.time[k] = end.reached
-                self.table[k] = self.row[:]
+                self.table[k] = self.values
                 self.done = self.row_count[0] = k + 1
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            error = self._explain(stop_error(stop, float(self.time[max(0, self.done - 1)])))
-            raise StoppedRun(error, self._rows_so_far()) from None
+            self.failure = self._explain(stop_error(stop, float(self.time[max(0, self.done - 1)])))
         except OSError as error:
             if not is_full(error):
                 raise
             reason = f"the disk is full: it has room for {self.done} of {self.steps + 1} rows while the run lasts"
-            full = DiskFull("the run", float(self.time[max(0, self.done - 1)]), reason)
-            raise StoppedRun(full, self._rows_so_far()) from None
+            self.failure = DiskFull("the run", float(self.time[max(0, self.done - 1)]), reason)
         finally:
             if self.keeper is not None:
                 self.keeper.is_over.set()
@@ -226,8 +233,7 @@ class Master:
                 policy.make_all()
             else:
                 # The calls in this loop and in `advance` determine the run time.
-                row, table, width = self.view, doubles(self.table), len(self.view)
-                row_count, asked = self.row_count, self.asked
+                values, table, row_count, asked = self.values, self.table, self.row_count, self.asked
                 advance_to, settle = policy.advance_to, None if self.instants is None else self.instants.settle
                 call_point = self.next_call(self.done)
                 for k in range(self.done, self.last + 1):
@@ -239,7 +245,7 @@ class Master:
                     if k == call_point:
                         self.tell(k)
                         call_point = self.next_call(k + 1)
-                    table[k * width : k * width + width] = row
+                    table[k] = values
                     row_count[0] = k + 1
                     if asked[0] and self.keeper is not None:
                         self.keeper.look(self, k)
@@ -355,7 +361,7 @@ class Master:
             return Active(pulls, solver.step if name == solver.last else lambda t, h: None)
         step, late = component.stepping(self.doing, self.numbers[name]), None
         if any(self.system.courses):
-            step = with_courses(step, self.system, stage, self.view)
+            step = with_courses(step, self.system, stage, self.values)
         if stage.late:
             copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
 
@@ -380,9 +386,7 @@ class Master:
         results = results_of(self.system, time, table, beside, notes, self.loop, details=details)
         if self.instants is None:
             return results
-        counts: dict[str, dict[str, int]] = {}
-        for (component, cause), count in sorted(self.instants.counts.items()):
-            counts.setdefault(component, {})[cause] = count
+        counts = {name: dict(sorted(causes.items())) for name, causes in sorted(self.instants.counts.items())}
         return replace(results, events=tuple(self.instants.events), event_counts=counts)
 
 

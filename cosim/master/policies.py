@@ -21,9 +21,9 @@ p is one more than the degree of the inputs' courses; s and P are the largest ma
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -41,7 +41,6 @@ from cosim.system.control import Control
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-LONGEST_CYCLE = 10_000  # communication points until components of several rates are in step again
 SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
 SMALLEST, LARGEST = 0.2, 4.0  # change of a step
 MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
@@ -93,21 +92,21 @@ class EqualSteps(Policy):
 
     def __init__(self, master: Master, reason: str) -> None:
         self.reason, stages = reason, master.system.stages
-        period = math.lcm(*(stage.every for stage in stages), 1)
-        self._cycle = [master.round(stages, k) for k in range(period if period <= LONGEST_CYCLE else master.steps + 1)]
+        self._period = math.lcm(*(stage.every for stage in stages), 1)
+        self._round = cache(partial(master.round, stages))
         self._advance, self._begin, self._h = master.advance, master.system.start, master.h
 
     def advance_to(self, k: int) -> None:
         """Step each component once that is due."""
-        begin, h, cycle = self._begin, self._h, self._cycle
-        self._advance(cycle[k % len(cycle)], k, begin + (k - 1) * h, begin + k * h)
+        begin, h = self._begin, self._h
+        self._advance(self._round(k % self._period), k, begin + (k - 1) * h, begin + k * h)
 
 
 class SavedPoint:
     """The states of FMUs, and all signals, to which steps go back."""
 
     def __init__(self, master: Master, fmus: Sequence[FmuBlock]) -> None:
-        self.master, self._row, self._beside = master, bytes(master.row), list(master.beside)
+        self.master, self._signals, self._beside = master, master.values.copy(), list(master.beside)
         self.states = [(fmu, master.announce(fmu).save_state()) for fmu in fmus]
 
     def restore(self, *, keep: bool = False) -> None:
@@ -118,7 +117,7 @@ class SavedPoint:
 
     def restore_signals(self) -> None:
         """Take back the signals only."""
-        ctypes.memmove(self.master.row, self._row, len(self._row))
+        self.master.values[:] = self._signals
         self.master.beside[:] = self._beside
 
     def check_outputs(self, t: float) -> None:
@@ -155,14 +154,14 @@ class HalvedSteps(Policy):
         t, end = (master.system.start + j * master.h for j in (k - 1, k))
         before, middle = SavedPoint(master, self._fmus), 0.5 * (t + end)
         master.advance(self._round, k, t, end)
-        values, self._whole = list(master.row), SavedPoint(master, self._fmus)
+        values, self._whole = master.values.copy(), SavedPoint(master, self._fmus)
         before.restore()
         before.check_outputs(t)
         for since, until in ((t, middle), (middle, end)):
             master.advance(self._round, k, since, until)
-        differences = [abs(a - b) for a, b in zip(values, master.row, strict=True)]
+        differences = np.abs(values - master.values)
         self._whole.restore()
-        master.row[:] = differences
+        master.values[:] = differences
 
 
 class ControlledSteps(Policy):
@@ -188,6 +187,7 @@ class ControlledSteps(Policy):
         held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}
         self.received, self.sources = {target: k for k, target in enumerate(received)}, list(received.values())
+        self.signals, self.outputs = master.values, [*control.outputs]
         self.past = Polynomial(system.courses[0])
         self.scale, self.power = np.array(control.nominal), [b.nominal for b in control.bonds]
         self.largest = np.zeros(len(control.nominal))  # magnitude of each judged signal
@@ -211,7 +211,7 @@ class ControlledSteps(Policy):
                 if math.isnan(error):  # taken back
                     continue
             else:
-                self.past.add(t, self._values(self.sources))
+                self.past.add(t, self.signals[self.sources])
                 self._step(k, t, until)
                 error, name = self._judge_inputs(until)
             self._accept(t, until - t, error, name, final=is_shortest)
@@ -288,7 +288,7 @@ class ControlledSteps(Policy):
 
     def limit(self, t: float, target: float, end: float) -> float:
         """Return the end of a step from t, at most the next event's time, and remember the held inputs."""
-        self.past.add(t, self._values(self.sources))
+        self.past.add(t, self.signals[self.sources])
         return min(target, self._next(t, end)[0])
 
     def judge_step(self, t: float, reached: float) -> None:
@@ -323,10 +323,10 @@ class ControlledSteps(Policy):
 
     def _halve(self, k: int, t: float, until: float, *, final: bool) -> Judged:
         """Step whole and by halves; return the error, NaN if the step is rejected."""
-        before, middle, outputs = SavedPoint(self.master, self.fmus), 0.5 * (t + until), self.control.outputs
-        start = self._values(outputs)
+        before, middle, outputs = SavedPoint(self.master, self.fmus), 0.5 * (t + until), self.outputs
+        start = self.signals[outputs]
         self._step(k, t, until)
-        whole = self._values(outputs)
+        whole = self.signals[outputs]
         before.restore(keep=True)
         if not self._is_checked and (whole != start).any():
             self._is_checked = True
@@ -360,14 +360,14 @@ class ControlledSteps(Policy):
             worst = max(worst, (abs(one - other) / (self.control.tolerance * self.power[number]), bond.name))
         return worst
 
-    def _judge(self, places: Sequence[int], others: Array) -> Judged:
+    def _judge(self, places: list[int], others: Array) -> Judged:
         """Return the largest difference relative to the tolerance."""
         if not len(places):
             return 0.0, ""
-        values, index = self._values(places), np.array(places)
+        values = self.signals[places]
         for sizes in (self.scale, self.largest):
-            sizes[index] = np.maximum(sizes[index], np.abs(values))
-        errors = np.abs(values - others) / (self.control.tolerance * self.scale[index])
+            sizes[places] = np.maximum(sizes[places], np.abs(values))
+        errors = np.abs(values - others) / (self.control.tolerance * self.scale[places])
         worst = int(np.argmax(errors))
         return float(errors[worst]), self.master.system.columns[places[worst]]
 
@@ -375,7 +375,3 @@ class ControlledSteps(Policy):
         """Step all controlled components."""
         self.master.advance(self._round, k, t, until)
         self.made += 1
-
-    def _values(self, places: Sequence[int]) -> Array:
-        row = self.master.row
-        return np.array([row[k] for k in places])

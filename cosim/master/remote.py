@@ -40,9 +40,8 @@ from cosim.isolation.rows import (
 from cosim.isolation.watch import Clock, ComponentTimes, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
-from cosim.master.inbox import Change, Control, Inbox
-from cosim.master.master import StoppedRun, results_of, simulate
-from cosim.master.observer import MAX_CHARACTERS, Feed, Observer
+from cosim.master.master import Master, results_of
+from cosim.master.observer import MAX_CHARACTERS, Change, Control, Feed, Inbox, Observer
 from cosim.master.own_process import in_own_processes
 from cosim.system.recording import RecordedPart, take_signals
 from cosim.system.system import System
@@ -194,14 +193,11 @@ def _simulate_here(
         if feed.stop:
             raise _early_end(system, h, done)
 
-    failure: SimulationError | None = None
     inbox = Inbox(exchange, counters) if observers else None
-    try:
-        results = simulate(system, steps, h, give if observers else None, rows, inbox=inbox)
-    except StoppedRun as run:
-        results, failure = run.results, run.error
+    master = Master(system, steps, h, give if observers else None, rows, inbox=inbox)
+    results = master.results()
     feed.end(results.values)
-    return SteppedRun(results, _log_lines(system), failure or feed.failure, control.changes)
+    return SteppedRun(results, _log_lines(system), master.failure or feed.failure, control.changes)
 
 
 def _begin_rows(
@@ -246,8 +242,9 @@ def _begin_rows(
                     (parent / BESIDE).unlink(missing_ok=True)
                 return new.replace(parent / ROWS), rows
         rows //= 2
-    reason = f"the disk is full: it has no room for the rows of the run, {8e-6 * columns * count:.3g} MB"
-    raise DiskFull("the run", 0.0, reason)
+    raise DiskFull(
+        "the run", 0.0, f"the disk is full: it has no room for the rows of the run, {8e-6 * columns * count:.3g} MB"
+    )
 
 
 def simulate_rows(
@@ -291,7 +288,6 @@ def simulate_rows(
 
     lock = lock_file(place / IN_USE, create=True) if interval is not None else None
     mapped, beside = mapped_table(table, rows, len(system.columns)), ExactFile(place / BESIDE)
-    failure: SimulationError | None = None
     keeper, start = None, None
     try:
         if keeps and given:
@@ -302,16 +298,15 @@ def simulate_rows(
         shared = progress.made, progress.doing, tell_loop, progress.asked, keeper, given
         inbox = None if channel is None else Inbox(channel, progress)
         rows_ = Rows(mapped, beside, *shared)
-        results = simulate(system, steps, h, None if channel is None else obey, rows_, inbox=inbox)
-    except StoppedRun as run:
-        results, failure = run.results, run.error
+        master = Master(system, steps, h, None if channel is None else obey, rows_, inbox=inbox)
+        results = master.results()
     finally:
         beside.close()
         if lock is not None:
             os.close(lock)
     last = float(results.time[-1]) if len(results.time) else None
     about = {name: getattr(results, name) for name in ("notes", "events", "event_counts", "details")}
-    return _log_lines(system), failure, last, about
+    return _log_lines(system), master.failure, last, about
 
 
 def _log_lines(system: System) -> list[str]:

@@ -15,8 +15,7 @@ eq. (2.2): the combination of the last m + 1 iterates with the smallest combined
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,13 +27,7 @@ MOST_FAILURES = 1  # failures of current slopes; after the first, they are compu
 DEPTH = 8  # earlier iterates used by Anderson acceleration
 ROUNDED = 1e-13  # residual of rounding, relative to the largest magnitude
 Map = Callable[[Array], "Array | None"]  # g, or None where it is not defined
-
-
-class Slopes(Protocol):
-    """Source of the slopes of g."""
-
-    def __call__(self, z: Array, g: Array, *, fresh: bool) -> Array:
-        """Return ∂g/∂z at z; `fresh` demands differences."""
+Slopes = Callable[..., Array]  # of z, g(z) and `fresh`, which demands differences: ∂g/∂z at z
 
 
 @dataclass(frozen=True)
@@ -50,10 +43,6 @@ class Outcome:
     iterations: int
     converged: bool
     is_rough: bool = False
-
-
-class NotDefined(Exception):
-    """Error: g is not defined at the first z."""
 
 
 @dataclass
@@ -88,13 +77,10 @@ class RootFinding:
         """Return the largest relative residual."""
         return float(np.max(np.abs(residual) / np.maximum(np.abs(z), self.scale), initial=0.0))
 
-    def newton(self, g: Map, z: Array, slopes: Slopes) -> Outcome:
-        """Solve by Newton's method from z.
-
-        Raises:
-            NotDefined: g is not defined at z.
-        """
-        value = _defined(g(z))
+    def newton(self, g: Map, z: Array, slopes: Slopes) -> Outcome | None:
+        """Solve by Newton's method from z; return None if g is not defined there."""
+        if (value := g(z)) is None:
+            return None
         residual = value - z
         size = self.size(z, residual)
         is_current, failures = False, 0  # whether the slopes are of this call, and how often they were of no use
@@ -139,17 +125,14 @@ class RootFinding:
         sizes = [float(np.max(np.abs(change) / first)) for change in (residual, direction)]
         close = max(sizes[0] / self.tolerance, sizes[1] / self.tolerance**0.5) <= 1.0
         is_small = is_regular and (is_small or close)
-        return self._end(Outcome(z, residual, iteration, converged), is_small=is_small, is_rough=is_rough)
+        return self._end(z, residual, iteration, converged, is_small, is_rough)
 
-    def anderson(self, g: Map, z: Array) -> Outcome:
-        """Solve by accelerated fixed-point iterations from z.
-
-        Raises:
-            NotDefined: g is not defined at z.
-        """
+    def anderson(self, g: Map, z: Array) -> Outcome | None:
+        """Solve by accelerated fixed-point iterations from z; return None if g is not defined there."""
         points: list[Array] = []
         residuals: list[Array] = []
-        value = _defined(g(z))
+        if (value := g(z)) is None:
+            return None
         before, stalls = np.inf, 0
         for iteration in range(self.most + 1):
             residual = value - z
@@ -169,7 +152,7 @@ class RootFinding:
             if moved is None:
                 break
             z, value, _ = moved
-        return self._end(Outcome(z, residual, iteration, is_small and own <= self.tolerance), is_small=is_small)
+        return self._end(z, residual, iteration, is_small and own <= self.tolerance, is_small, True)
 
     def _updated(self, z: Array, dz: Array, dg: Array) -> Array:
         """Return the slopes after Broyden's update."""
@@ -181,13 +164,11 @@ class RootFinding:
         along = dz / units / length  # without underflow
         return np.asarray(self.slopes + np.outer((dg - self.slopes @ dz) / length, along / units) / (along @ along))
 
-    def _end(self, outcome: Outcome, *, is_small: bool, is_rough: bool = True) -> Outcome:
-        """Return an outcome, accepted if its residual is small; note its magnitudes."""
-        if is_small and not outcome.converged:
-            outcome = replace(outcome, converged=True, is_rough=is_rough)
-        if outcome.converged:
-            self._solved = np.maximum(self._solved, np.abs(outcome.z))
-        return outcome
+    def _end(self, z: Array, residual: Array, count: int, converged: bool, is_small: bool, is_rough: bool) -> Outcome:
+        """Return the outcome, accepted if the residual is small; note the magnitudes of an accepted one."""
+        if converged or is_small:
+            self._solved = np.maximum(self._solved, np.abs(z))
+        return Outcome(z, residual, count, converged or is_small, is_rough and is_small and not converged)
 
     def _damped(self, g: Map, z: Array, direction: Array, size: float) -> tuple[Array, Array, float] | None:
         """Return a point with a smaller residual, the value of g at it, and the share of the step that leads to it."""
@@ -199,9 +180,3 @@ class RootFinding:
                 return ahead, value, share
             share *= 0.5
         return None
-
-
-def _defined(value: Array | None) -> Array:
-    if value is None:
-        raise NotDefined
-    return value

@@ -21,8 +21,7 @@ from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, Sw
 from cosim.core.messages import Note
 from cosim.core.scratch import process_folder
 from cosim.core.version import __version__
-from cosim.master.inbox import Control
-from cosim.master.observer import ObservedRun, Observer
+from cosim.master.observer import Control, ObservedRun, Observer
 from cosim.pages.rows import Store
 from cosim.pages.runs import RunPlace, ViewedRun
 from cosim.pages.server import FIRST_PAGE, RELOAD, Handler, Json, Part, ServedPage, html_response

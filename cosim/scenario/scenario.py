@@ -85,6 +85,11 @@ class Connection(Part):
     offset: Amount | None = None
 
     @property
+    def ends(self) -> tuple[str, str, str, str]:
+        """Return the component and the name of the output, then of the input."""
+        return *self.source.split(".", 1), *self.target.split(".", 1)  # type: ignore[return-value]
+
+    @property
     def conversion(self) -> tuple[float, float] | None:
         """Return factor and offset; None for automatic unit conversion."""
         if self.factor is None and self.offset is None:

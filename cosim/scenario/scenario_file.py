@@ -20,7 +20,7 @@ from cosim.core.text import did_you_mean
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import SCHEMA_VERSION, other_version
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import MOST_FAULTS, Document, Location, NotYaml, Origin, YamlFile, location_in, short
+from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, location_in, short
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario
 from cosim.scenario.start_values import STAND_IN, waiting_texts
@@ -30,7 +30,6 @@ MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
 FILES = ("fmu", "file", "parameters")  # keys of file names of a component
 SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
-LONGEST = 2000  # of a message [characters]
 Place = tuple[str | int, ...]  # keys of a part of the scenario
 LISTS = ("connections", "faults", "events")  # lists from which faulty entries are removed singly
 STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
@@ -205,33 +204,18 @@ class ScenarioFile:
                 message = f"{', '.join(path.name for path in sets)}: {message}"
         return self.yaml.fault(location, message, exit_code=exit_code)
 
-    def _time_faults(self) -> list[tuple[Location, str]]:
-        """Return places and faults of times that contradict each other."""
+    def _time_faults(self) -> Iterator[tuple[Location, str]]:
+        """Yield places and faults of times that contradict each other."""
         s, control, overrides = self.scenario, self.scenario.control, self.yaml.overrides
-        faults: list[tuple[Location, str]] = []
-        if control is not None and not self.stands_in:  # Otherwise duration or step is faulty itself.
-            rows = control.max if control.rows is None else control.rows
-            if not control.min <= control.max <= rows * (1.0 + ROUNDING):
-                times = f"min is {control.min:g} s, max {control.max:g} s and rows {rows:g} s"
-                key = "min" if control.min > control.max else "max"
-                faults.append((("step", key), f"{times}; min is at most max, and max at most rows"))
-            least = TICKS * math.ulp(abs(s.start_time) + s.duration)
-            if control.min < least:
-                text = f"min is {control.min:g} s, too short for floating-point times of this run"
-                faults.append((("step", "min"), f"{text}; give at least {least:.2g} s"))
-            if control.bonds and control.estimator not in (None, "energy"):
-                cure = f"bonds belong to estimator: energy, not to {control.estimator}; leave one out"
-                faults.append((("step", "bonds"), cure))
-            if control.estimator == "energy" and not control.bonds:
-                cure = "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
-                faults.append((("step", "estimator"), cure))
+        of_control = [*self._control_faults()]
+        yield from of_control
         count = s.duration / s.step
-        if faults or self.stands_in:
+        if of_control or self.stands_in:  # Otherwise duration or step is faulty itself.
             pass
         elif not count <= MOST_STEPS:
             number = f"which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}"
             cure = "give a longer step or a shorter duration"
-            faults.append((("step",), f"step is {s.step:g} s, {number}; {cure}"))
+            yield ("step",), f"step is {s.step:g} s, {number}; {cure}"
         elif not _is_whole(count):
             where: Location = ("step",)
             if control is not None:
@@ -240,45 +224,45 @@ class ScenarioFile:
                 where = ("duration",)
             divisor = s.duration / max(1, math.ceil(count))
             text = f"duration {s.duration:g} s is not a multiple of step {s.step:g} s; use for example step"
-            faults.append((where, f"{text} {divisor:.6g} s"))
+            yield where, f"{text} {divisor:.6g} s"
         if not self.stands_in and isinstance(s.record, Recording) and (every := s.record.every) is not None:
             steps, where = every / s.step, ("record", "every")
             if every > s.duration * (1.0 + ROUNDING):
-                faults.append((where, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"))
+                yield where, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
             elif not _is_whole(steps):
                 near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
-                faults.append(
-                    (where, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}")
-                )
+                yield where, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}"
         for kind, k, criterion in s.goals:
             where = ("criteria", kind, *(() if k is None else (k,)))
             if kind == "settling_time" and criterion.band is None:
-                faults.append((where, f"{kind} needs a band; add the allowed distance from its target"))
+                yield where, f"{kind} needs a band; add the allowed distance from its target"
             elif kind != "settling_time" and criterion.band is not None:
-                faults.append((where, f"{kind} takes no band; leave it out"))
+                yield where, f"{kind} takes no band; leave it out"
             start, end = criterion.after, s.duration if criterion.until is None else criterion.until
             is_inside = self.stands_in or (start < end <= s.duration and end - start >= s.step)
             if start < 0 or not is_inside:
                 interval = f"{kind} looks from {start:g} s to {end:g} s of {s.duration:g} s"
-                faults.append((where, f"{interval}; choose times within the run, a step or more apart"))
-        return faults
+                yield where, f"{interval}; choose times within the run, a step or more apart"
 
-
-class Diagnosis:
-    """Collected faults and warnings, reported all at once; faults of form come first."""
-
-    def __init__(self, file: ScenarioFile) -> None:
-        self.file = file
-        self.faults: list[Fault] = list(file.faults)
-        self.warnings: list[str] = list(file.warnings)
-
-    def note(self, where: Place, message: str, exit_code: int = 2) -> None:
-        """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
-        if len(message) > LONGEST:
-            message = f"{message[: LONGEST - 1]}…"
-        self.faults.append(self.file.fault(where, message, exit_code=exit_code))
-        if len(self.faults) >= MOST_FAULTS:
-            raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
+    def _control_faults(self) -> Iterator[tuple[Location, str]]:
+        """Yield places and faults of the control of the steps."""
+        s, control = self.scenario, self.scenario.control
+        if control is None or self.stands_in:
+            return
+        least = TICKS * math.ulp(abs(s.start_time) + s.duration)
+        if not control.min <= control.max <= s.step * (1.0 + ROUNDING):
+            times = f"min is {control.min:g} s, max {control.max:g} s and rows {s.step:g} s"
+            key = "min" if control.min > control.max else "max"
+            yield ("step", key), f"{times}; min is at most max, and max at most rows"
+        if control.min < least:
+            text = f"min is {control.min:g} s, too short for floating-point times of this run"
+            yield ("step", "min"), f"{text}; give at least {least:.2g} s"
+        if control.bonds and control.estimator not in (None, "energy"):
+            cure = f"bonds belong to estimator: energy, not to {control.estimator}; leave one out"
+            yield ("step", "bonds"), cure
+        if control.estimator == "energy" and not control.bonds:
+            cure = "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
+            yield ("step", "estimator"), cure
 
 
 def _is_whole(count: float) -> bool:

@@ -27,7 +27,7 @@ from cosim.core.units import (
 )
 from cosim.files.yaml_file import Location
 from cosim.fmi.description import enumeration_items, is_difference, read_description, unit_definition, unit_of
-from cosim.fmi.fmi_types import FmiType, element_names, kinds_of
+from cosim.fmi.fmi_types import element_names, kinds_of
 from cosim.scenario.scenario import (
     FixedSignal,
     FmuComponent,
@@ -146,7 +146,7 @@ def _scalar(description: Any, variable: Any, value: Any) -> Any:
         raise ValueError("it is a whole number")
     if items and int(value) not in items.values():
         raise ValueError(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
-    low, high = _bounds(variable, kind)
+    low, high = bounds_of(description, variable)
     if not low <= value <= high:
         raise ValueError(f"it lies in [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip())
     return int(value) if kind.low is not None else float(value)
@@ -160,16 +160,13 @@ NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def bounds_of(description: Any, variable: Any) -> tuple[float, float]:
-    """Return the bounds of a variable; infinite for text."""
-    kind = kinds_of(description.fmiVersion).get(variable.type)
-    return (-math.inf, math.inf) if kind is None or variable.type in NOT_NUMBERS else _bounds(variable, kind)
-
-
-def _bounds(variable: Any, kind: FmiType) -> tuple[float, float]:
-    """Return the bounds of a variable.
+    """Return the bounds of a variable; infinite for text.
 
     Its own bounds take precedence over its declared type's; the range of the FMI type always applies.
     """
+    kind = kinds_of(description.fmiVersion).get(variable.type)
+    if kind is None or variable.type in NOT_NUMBERS:
+        return -math.inf, math.inf
     lowest, highest = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
 
     def bound(end: str, default: float) -> float:

@@ -19,9 +19,9 @@ from cosim.core.messages import Note
 from cosim.files.files import FilePath
 from cosim.files.results import Results
 from cosim.isolation.process import Worker
+from cosim.master.beforehand import with_feedthrough
 from cosim.master.remote import MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
-from cosim.simulation.undeclared import with_feedthrough
 from cosim.system.control import rollback_obstacle
 from cosim.system.system import System, build_system
 
@@ -71,8 +71,14 @@ def coupling_error(
     """
     original = ScenarioFile(Path(scenario), overrides)
     if original.scenario.control is not None:
-        message = "controls the error of each step; --coupling-error measures equal steps: set one, --set step=0.01"
-        raise InputError([original.fault(("step",), message)])
+        raise InputError(
+            [
+                original.fault(
+                    ("step",),
+                    "controls the error of each step; --coupling-error measures equal steps: set one, --set step=0.01",
+                )
+            ]
+        )
     step, steps = original.scenario.step, original.scenario.steps
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))

@@ -18,7 +18,7 @@ from cosim.core.units import is_as_known
 from cosim.core.version import __version__
 from cosim.files.folders import COMMAND, SCHEMA_VERSION
 from cosim.fmi.description import ways
-from cosim.master.inbox import Change
+from cosim.master.observer import Change
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, sha256
 from cosim.system.system import System
@@ -45,11 +45,13 @@ def check_pinned(file: ScenarioFile) -> None:
     for name, key, path in file.component_files():
         pinned: str | None = getattr(file.scenario.components[name], "sha256", None)
         if pinned is not None and path.is_file() and sha256(path) != pinned:
-            message = (
-                f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
-                "that one back, or run the scenario"
+            faults.append(
+                file.fault(
+                    ("components", name, key),
+                    f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
+                    "that one back, or run the scenario",
+                )
             )
-            faults.append(file.fault(("components", name, key), message))
     refuse(faults)
 
 
@@ -96,8 +98,7 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
             }
             for name, (path, description) in system.fmus.items()
         },
-        "versions": {},
-        "git": None,
+        **dict.fromkeys(("versions", "git")),  # for `software_versions`
         "loop": "",
         "timings": {},
         "warnings": list(system.warnings),

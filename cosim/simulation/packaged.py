@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.coupling import Jacobi
+from cosim.blocks.summary import experiment_of
 from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError
 from cosim.core.scratch import temporary_folder
+from cosim.core.text import unique_name
 from cosim.files.artefact import SSP
 from cosim.files.files import check_writable, write_json
 from cosim.files.folders import remove_earlier
@@ -46,10 +48,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         system = SspSystem(package)
         files: dict[str, Path] = {}  # by unique names
         for fmu in dict.fromkeys(part.fmu for part in system.parts.values()):
-            name, number = fmu.name, 2
-            while name in files:
-                name, number = f"{fmu.stem}_{number}{fmu.suffix}", number + 1
-            files[name] = fmu
+            files[unique_name(fmu.stem, files, fmu.suffix)] = fmu
         slips = list(dict.fromkeys(package.slips))
         warnings = [*map(str, slips), *system.warnings]
         keys = frozenset(override.partition("=")[0].strip() for override in overrides)
@@ -135,18 +134,15 @@ def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple
     Defaulted values add a warning, unless `overrides` contains their key.
     """
 
-    def read_positive(name: str) -> list[float]:
-        texts = (getattr(part.description.defaultExperiment, name, None) for part in system.parts.values())
-        return [value for text in texts if text is not None and (value := float(text)) > 0.0]
-
     start, stop, step = system.start or 0.0, system.stop, system.step
+    experiments = [experiment_of(part.description) for part in system.parts.values()]
     if stop is None:
-        stop = start + max(read_positive("stopTime"), default=STOP)
+        stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=STOP)
         if "duration" not in overrides:
             warnings.append(f"the SSP names no stopTime: {stop - start:g} s are run; --set duration=… for others")
     duration = stop - start
     if step is None:
-        step = min(read_positive("stepSize"), default=STEP)
+        step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=STEP)
         if "step" not in overrides:
             warnings.append(f"the SSP names no communication step: {step:g} s is taken; --set step=… for another")
     count = duration / step

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import LONGEST, ModelExchange
+from cosim.blocks.model_exchange import LONGEST
 from cosim.core.drafts import remove_drafts
 from cosim.core.errors import InputError
 from cosim.core.messages import Note
@@ -40,6 +39,7 @@ from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, R
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.system.events import is_exchange
 from cosim.system.system import System
 
 NOTHING_TO_RESUME = (
@@ -103,11 +103,10 @@ class StoppedRun:
 
     def solver_steps(self, system: System) -> dict[str, float]:
         """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
-        fmus = {s.component.name: s.component.instance for s in system.stages if isinstance(s.component, FmuBlock)}
-        exchanged = {name: each for name, each in fmus.items() if isinstance(each, ModelExchange)}
         start = self._first.start_time
         stop = start + self._first.step * self._first.steps  # as the master computes it
-        return {n: (stop - start) / LONGEST for n, each in exchanged.items() if each.longest is None}
+        exchanged: list[Any] = [stage.component for stage in system.stages if is_exchange(stage.component)]
+        return {c.name: (stop - start) / LONGEST for c in exchanged if c.instance.longest is None}
 
     def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
         """Return the scenario, ending at `until` [s] if given.
@@ -122,8 +121,9 @@ class StoppedRun:
         overrides = [] if until is None else [f"duration={until - start!r}"]
         overrides += [f"components.{name}.solver_step={longest!r}" for name, longest in solver_steps.items()]
         if until is not None and not self._reached < until < math.inf:
-            message = f"--until {until:g} s is not after t = {self._reached:g} s, which the run has reached"
-            raise InputError.at(self.folder, message)
+            raise InputError.at(
+                self.folder, f"--until {until:g} s is not after t = {self._reached:g} s, which the run has reached"
+            )
         file = ScenarioFile(self.source, overrides, option="--until")
         step = file.scenario.step
         if until is not None and file.faults and (until - start) % step > 1e-9 * step:
@@ -204,8 +204,9 @@ class StoppedRun:
         if start is None or (start.count > scenario.steps and rows_in(self.folder) is not None):
             end, time_ = scenario.start_time + scenario.duration, self._results.time
             if len(time_) and time_[-1] >= end - rounding(end, scenario.step):
-                message = f"its run is finished, at t = {end:g} s; --until T with a later time T extends it"
-                raise InputError.at(self.folder, message)
+                raise InputError.at(
+                    self.folder, f"its run is finished, at t = {end:g} s; --until T with a later time T extends it"
+                )
         return start
 
 
@@ -241,8 +242,9 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
         try:
             checkpoint = unpack(state)
             if checkpoint["format"] != FORMAT:
-                form = f"format {checkpoint['format']}"
-                raise InputError.at(kept / STATE, OTHER_VERSION.format(version=form, own=FORMAT))
+                raise InputError.at(
+                    kept / STATE, OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=FORMAT)
+                )
             lasted = float(checkpoint["elapsed"])
         except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
             raise InputError.at(kept / STATE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None

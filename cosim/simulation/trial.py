@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.summary import experiment_of
 from cosim.core import errors
 from cosim.core.errors import FmuError, InputError
 from cosim.core.messages import CheckWarning, with_severity
@@ -17,12 +18,12 @@ from cosim.fmi.description import read_description, takes_any_step
 from cosim.fmi.guard import validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
+from cosim.master.beforehand import with_feedthrough
 from cosim.master.remote import simulate_in
 from cosim.probing.misbehaviour import misbehaviour
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
-from cosim.simulation.undeclared import with_feedthrough
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
@@ -45,10 +46,8 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
     except FmuError as error:
         raise InputError([error.fault(path, path)]) from None
     if worker is not None:
-        experiment = description.defaultExperiment
-        start, stop, step = (
-            float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
-        )
+        experiment = experiment_of(description)
+        start, stop, step = (experiment.get(name, 0.0) for name in ("start", "stop", "step"))
         step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
         inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
         if inner and takes_any_step(description):
@@ -91,8 +90,9 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
         try:
             return _check(file, path, checking.worker, warnings)
         except InputError as error:
-            place = f"{file.path.parent}/"
-            raise InputError([replace(f, message=f.message.replace(place, "")) for f in error.faults]) from None
+            raise InputError(
+                [replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in error.faults]
+            ) from None
 
 
 def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequence[str]) -> list[str]:
@@ -117,8 +117,9 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     except FmuError as error:
         raise InputError([error.fault(path, path.resolve())]) from None
     except errors.DiskFull as error:
-        message = f"cannot be tried: {error.reason}; --no-load checks it without"
-        raise InputError.at(path, message, FmuError.exit_code) from None
+        raise InputError.at(
+            path, f"cannot be tried: {error.reason}; --no-load checks it without", FmuError.exit_code
+        ) from None
     failure = stepped.failure
     if isinstance(failure, (errors.Interrupted, errors.Signalled)):
         raise failure

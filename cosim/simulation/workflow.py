@@ -42,10 +42,9 @@ from cosim.files.results import rows_in, rows_name
 from cosim.files.state_file import write_durable
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.beforehand import without_ended_states
+from cosim.master.beforehand import with_feedthrough, without_ended_states
 from cosim.master.checkpoint import STATE, Continuation, Keeping
-from cosim.master.inbox import Change, with_changes
-from cosim.master.observer import InputFunctions, NamedFunctions, Observers, ProgressObserver
+from cosim.master.observer import Change, InputFunctions, NamedFunctions, Observers, ProgressObserver, with_changes
 from cosim.master.remote import MODULES, SteppedRun, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, from_here, sha256, take_nearest
 from cosim.simulation.criteria import evaluate
@@ -60,11 +59,9 @@ from cosim.simulation.stopped_run import (
     remove_checkpoints,
     write_run,
 )
-from cosim.simulation.undeclared import with_feedthrough
 from cosim.system.system import System, build_system
 
 VERB = "cosim run"
-MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
 COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
 
 
@@ -155,8 +152,10 @@ def run(
         is_given = {"out": out not in {None, NUMBERED}, "set": bool(set), "seed": seed is not None}
         is_given |= {"pace": pace is not None, "nearest": nearest, "format": format != "csv"}
         for name in (name for name, given in is_given.items() if given):
-            text = f"a run goes on as it began, so --resume and --until take no --{name}; leave it out"
-            raise InputError.at(Path(str(scenario)), text)
+            raise InputError.at(
+                Path(str(scenario)),
+                f"a run goes on as it began, so --resume and --until take no --{name}; leave it out",
+            )
     observers = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
     begin, overrides = time.perf_counter(), overrides_of(set, seed, pace)
     with ExitStack() as stack:
@@ -188,29 +187,19 @@ def run(
             check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
             system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
             command = content_of(place / STARTED).get(COMMAND, VERB)
-            record = manifest(file, system, "" if command == VERB else command)
+            record = manifest(file, system, "" if command == VERB else command) | software.result()
             if is_package:
                 record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
             record["warnings"] += warnings
             if permission.get():
                 record[COMPILED] = True
             prepared = _Prepared(file, place, system, rows_file, record, warnings)
-            if prepared.rows > MANY_ROWS and rows_file.endswith(".csv"):
-                cure = "--format parquet writes, reads and stores so many much faster than CSV"
-                tell(Note(f"the run has {prepared.rows} rows; {cure}"))
         if inputs:
             functions = InputFunctions(inputs)
             functions.check(prepared.system)
             observers.append(functions)
         place, start, scenario_, system = prepared.place, prepared.start, prepared.file.scenario, prepared.system
         describe_run(place, prepared.record)  # so that an interrupted run can be repeated
-
-        def base() -> dict[str, Any]:
-            """Return the manifest without timings and outcome."""
-            if prepared.record.get("versions") == {}:  # which take a while
-                prepared.record |= software.result()
-            return copy.deepcopy(prepared.record)
-
         loaded = time.perf_counter()
         keeping = Keeping(start=start)
         if scenario_.checkpoint is not None and worker is None:
@@ -218,7 +207,7 @@ def run(
         elif scenario_.checkpoint is not None:
             if start is None:
                 remove_checkpoints(place)
-            kept = write_run(place, base(), prepared.rows_file, prepared.warnings)
+            kept = write_run(place, prepared.record, prepared.rows_file, prepared.warnings)
             keeping = Keeping(kept, scenario_.checkpoint, start)
             again = system.fmus if system.reruns else {}
             components = [stage.component for stage in system.stages]
@@ -245,7 +234,7 @@ def run(
         if stepped.failure is not None and not is_longer and rows_in(place) is not None:
             stepped.failure.left = place
             raise stepped.failure  # What is there stays.
-        record = base()
+        record = copy.deepcopy(prepared.record)
         record["loop"] = stepped.results.loop
         simulated = scenario_.duration if start is None else (scenario_.steps + 1 - start.count) * scenario_.step
         speed = simulated / stepping
@@ -275,7 +264,7 @@ def run(
         is_kept = keeping.folder is not None
         is_written = goes_on or out is not None
         pages = {"report": report and is_written, "figures": figures and is_written}
-        failure = _write_files(prepared, stepped, record, base, pages, is_kept=is_kept)
+        failure = _write_files(prepared, stepped, record, pages, is_kept=is_kept)
     if failure is not None:
         failure.left = place
         raise failure
@@ -369,7 +358,6 @@ def _write_files(
     prepared: _Prepared,
     stepped: SteppedRun,
     record: dict[str, Any],
-    base: Callable[[], dict[str, Any]],
     pages: Mapping[str, bool],
     *,
     is_kept: bool,
@@ -377,7 +365,7 @@ def _write_files(
     """Write all files of a run, or as many as fit on a full disk.
 
     Args:
-        base: Returns the manifest before the outcome.
+        record: Manifest.
         is_kept: Whether the folder has checkpoints of the run.
 
     Returns:
@@ -394,7 +382,8 @@ def _write_files(
         is_part = prepared.system.recording is not None
         end_keeping(rows.parent, is_kept=is_kept, keeps_rows=is_part)
         if stepped.state is not None and failure is not None and not is_part:
-            write_durable(write_run(rows.parent, base(), rows.name, prepared.warnings) / STATE, stepped.state)
+            kept = write_run(rows.parent, prepared.record, rows.name, prepared.warnings)
+            write_durable(kept / STATE, stepped.state)
         release_stops()
         if any(pages.values()):
             from cosim.simulation.report import write_pages

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
 from cosim.blocks.component import Signal
 from cosim.core.errors import Fault, FmuError, InputError, refuse
-from cosim.core.text import did_you_mean
+from cosim.core.text import did_you_mean, unique_name
 from cosim.core.units import SI
 from cosim.files.yaml_file import MOST_FAULTS, format_value
 from cosim.fmi.description import is_difference, read_description, unit_definition, unit_of
@@ -227,6 +228,7 @@ class SspSystem(Reader):
 
     Attributes:
         parts: FMUs by place.
+        chains: End → connections that lead to it, one after the other.
         start, stop, step: Times [s], None if absent.
         element, experiment: Elements of the system and of its times, for messages.
     """
@@ -234,7 +236,8 @@ class SspSystem(Reader):
     def __init__(self, package: Package) -> None:
         super().__init__()
         self.package = package
-        self.systems: dict[Place, tuple[Element, list[str]]] = {}  # with the names of their elements
+        self.systems: dict[Place, Element] = {}
+        self.inner: defaultdict[Place, list[str]] = defaultdict(list)  # names of the elements of systems
         self.parts: dict[Place, FmuPart] = {}
         self.connectors: dict[End, Connector] = {}
         self.connections: list[Connection] = []
@@ -251,8 +254,9 @@ class SspSystem(Reader):
         self.description = system.get("description") or root.get("description") or ""
         self.units = self.units_in(root, "ssd:Units")
         self.read_system(system, ())
-        for place, (element, _) in self.systems.items():
+        for place, element in self.systems.items():
             self.read_connections(element, place)
+        self.chains = {last.end: self.hops_to(last) for last in self.connections if self.into[last.end] is last}
         self.set_parameters()
         self.start, self.stop = (self.number(self.experiment, name, None) for name in ("startTime", "stopTime"))
         if self.stop is not None and self.stop <= (self.start or 0.0):
@@ -279,8 +283,7 @@ class SspSystem(Reader):
 
     def read_system(self, element: Element, place: Place) -> None:
         """Read connectors and elements of a system."""
-        names: list[str] = []
-        self.systems[place] = element, names
+        self.systems[place], names = element, self.inner[place]
         self.read_connectors(element, place)
         listed = element.first("ssd:Elements")
         for child in listed.children if listed else ():
@@ -327,8 +330,7 @@ class SspSystem(Reader):
         variables = {v.name: v for v in description.modelVariables}
         name = re.sub(r"[^A-Za-z0-9_]", "_", "_".join(place))
         name = f"_{name}" if name[:1].isdigit() else name
-        taken = {part.name for part in self.parts.values()}
-        unique = next(n for n in chain([name], (f"{name}_{k}" for k in count(2))) if n not in taken)
+        unique = unique_name(name, {part.name for part in self.parts.values()})
         interface = INTERFACES.get(interface or "any")
         self.parts[place] = FmuPart(place, unique, fmu, interface, element, description, variables)
         for (at, connector_name), connector in self.connectors.items():
@@ -360,8 +362,8 @@ class SspSystem(Reader):
                     self.note(element, f"it has no {side}Connector; add it")
                     break
                 ends.append((place if owner is None else (*place, owner), connector))
-                if owner is not None and owner not in self.systems[place][1]:
-                    hint = did_you_mean(owner, self.systems[place][1])
+                if owner is not None and owner not in self.inner[place]:
+                    hint = did_you_mean(owner, self.inner[place])
                     self.note(element, f"{side}Element {format_value(owner)} is not in its system{hint}")
                 elif ends[-1] not in self.connectors:
                     hint = did_you_mean(connector, [name for at, name in self.connectors if at == ends[-1][0]])
@@ -385,26 +387,28 @@ class SspSystem(Reader):
         return (connector.kind in SENDERS) != (end[0] == within)
 
     def read_links(self) -> Iterator[SignalLink]:
-        """Yield the connections to FMUs, each followed back through connectors of systems to the output of an FMU."""
-        for last in self.connections:
-            if last.end[0] not in self.parts or last.end not in self.connectors or self.into[last.end] is not last:
+        """Yield the connections from the output of an FMU to the input of an FMU."""
+        for end, hops in self.chains.items():
+            first, element = hops[0].start, hops[-1].element
+            if end not in self.connectors or not {first[0], end[0]} <= self.parts.keys():
                 continue
-            hops = [last]
-            while hops[0].start[0] not in self.parts:
-                before = self.into.get(hops[0].start)
-                if before is None or any(before is hop for hop in hops):
-                    break
-                hops.insert(0, before)
-            else:
-                first, ends = hops[0].start, [hop.end for hop in hops]
-                stages = [(self.signal(hop.end), hop.linear) for hop in hops]
-                factors = self.chain(self.signal(first), stages, last.element)
-                connectors = filter(None, map(self.connectors.get, (first, *ends)))
-                is_plain = all(connector.unit is None for connector in connectors)
-                is_plain = is_plain and all(hop.linear == LinearTransformation() for hop in hops)
-                linear = None if factors is None or is_plain else LinearTransformation(*factors)
-                names = [f"{self.parts[place].name}.{name}" for place, name in (first, last.end)]
-                yield SignalLink(names[0], names[1], linear, last.element)
+            factors = self.chain(self.signal(first), [(self.signal(hop.end), hop.linear) for hop in hops], element)
+            connectors = filter(None, map(self.connectors.get, (first, *(hop.end for hop in hops))))
+            is_plain = all(connector.unit is None for connector in connectors)
+            is_plain = is_plain and all(hop.linear == LinearTransformation() for hop in hops)
+            linear = None if factors is None or is_plain else LinearTransformation(*factors)
+            source, target = (f"{self.parts[place].name}.{name}" for place, name in (first, end))
+            yield SignalLink(source, target, linear, element)
+
+    def hops_to(self, last: Connection) -> list[Connection]:
+        """Return a connection after those before it, back to an FMU or to a connector of a system without a source."""
+        hops = [last]
+        while hops[0].start[0] not in self.parts:
+            before = self.into.get(hops[0].start)
+            if before is None or any(before is hop for hop in hops):
+                break
+            hops.insert(0, before)
+        return hops
 
     def signal(self, end: End, *, is_variable: bool = False) -> Signal:
         """Return a signal in the unit of its connector or else of its variable; of the latter with `is_variable`."""
@@ -454,34 +458,23 @@ class SspSystem(Reader):
                     hint = did_you_mean(parameter.name, chain(own, self.names(place)))
                     self.warn(parameter.element, f"parameter {name} is of nothing here, and is left out{hint}")
 
-    def targets(self, place: Place, name: str) -> Iterator[tuple[End, tuple[Connection, ...]]]:
+    def targets(self, place: Place, name: str) -> Iterator[tuple[End, Sequence[Connection]]]:
         """Yield the FMU variables of a hierarchical name, with the connections to them from a system's connector."""
         if place in self.parts:
             if name in self.parts[place].variables:
                 yield (place, name), ()
             return
-        if (place, name) in self.connectors:
-            yield from self.forward((place, name), ())
-        for element in self.systems[place][1] if place in self.systems else ():
+        for end, hops in self.chains.items() if (place, name) in self.connectors else ():
+            first = next((k for k, hop in enumerate(hops) if hop.start == (place, name) and hop.within == place), None)
+            inner = [] if first is None else hops[first:]
+            is_variable = end[0] in self.parts and end[1] in self.parts[end[0]].variables
+            if inner and is_variable and all(hop.end[0] != hop.within for hop in inner):
+                yield end, inner
+        for element in self.inner[place]:
             if name.startswith(f"{element}."):
                 yield from self.targets((*place, element), name[len(element) + 1 :])
 
-    def forward(self, start: End, hops: tuple[Connection, ...]) -> Iterator[tuple[End, tuple[Connection, ...]]]:
-        """Yield the FMU inputs inside a system that are connected to a connector of the system."""
-        for connection in self.connections:
-            (place, name), further = connection.end, (*hops, connection)
-            if (
-                connection.within != start[0]
-                or connection.start != start
-                or self.into[connection.end] is not connection
-            ):
-                continue
-            if place in self.parts and name in self.parts[place].variables:
-                yield connection.end, further
-            elif place in self.systems and place != start[0]:
-                yield from self.forward(connection.end, further)
-
-    def set_start(self, end: End, parameter: Parameter, hops: tuple[Connection, ...]) -> None:
+    def set_start(self, end: End, parameter: Parameter, hops: Sequence[Connection]) -> None:
         """Set a start value of an FMU, converted to the unit of its variable."""
         part, value, unit = self.parts[end[0]], parameter.value, parameter.unit or ""
         if not isinstance(value, (bool, str)):
@@ -501,7 +494,7 @@ class SspSystem(Reader):
         """Yield the hierarchical names at a place."""
         if place in self.parts:
             yield from self.parts[place].variables
-        for element in self.systems[place][1] if place in self.systems else ():
+        for element in self.inner[place]:
             yield from (f"{element}.{name}" for name in self.names((*place, element)))
 
     def parameters(self, element: Element) -> Iterator[Parameter]:

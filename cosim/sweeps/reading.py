@@ -22,11 +22,11 @@ from cosim.files.yaml_file import YamlFile, short
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import fmi_calls
+from cosim.master.beforehand import with_feedthrough
 from cosim.master.remote import MODULES
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
-from cosim.simulation.undeclared import with_feedthrough
 from cosim.sweeps.factors import FILES, Factors, resolve_file_name
 from cosim.sweeps.runs import Job, RunRequest
 from cosim.sweeps.sampling import Factor, columns_of

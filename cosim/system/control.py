@@ -11,9 +11,8 @@ from cosim.blocks.sources import SourceBlock
 from cosim.core.text import did_you_mean
 from cosim.fmi.description import takes_any_step
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.scenario import FixComponent, Scenario
-from cosim.scenario.scenario_file import Diagnosis
-from cosim.system.wiring import Components, RowLayout, Transfer
+from cosim.scenario.scenario import FixComponent
+from cosim.system.wiring import Building, Components, Transfer
 
 
 @dataclass(frozen=True)
@@ -48,14 +47,9 @@ class Control:
     at_rows: frozenset[str] = frozenset()
 
 
-def control_of(
-    scenario: Scenario,
-    components: Components,
-    layout: RowLayout,
-    transfers: Sequence[Transfer],
-    diagnosis: Diagnosis,
-) -> Control | None:
+def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | None:
     """Return the step control, None for equal steps."""
+    scenario, components, layout = building.scenario, building.components, building.layout
     settings = scenario.control
     if not {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
         for name, component in components.items():
@@ -64,33 +58,32 @@ def control_of(
                     f"{name} runs in event mode, with which inputs are held during a step; leave extrapolate and "
                     "interpolate out, or set event_mode: false"
                 )
-                diagnosis.note(("components", name), message)
+                building.note(("components", name), message)
     if settings is None:
         return None
-    stated = {name: scenario.components[name] for name in components}
-    at_rows = frozenset(n for n, c in stated.items() if isinstance(c, FixComponent) or getattr(c, "step", None))
+    stated = scenario.components
+    at_rows = frozenset(
+        n for n in components if isinstance(stated[n], FixComponent) or getattr(stated[n], "step", None)
+    )
     controlled = {name: c for name, c in components.items() if name not in at_rows}
-    for name, component in controlled.items():
-        if not isinstance(component, FmuBlock) or component.changes_by_events or isinstance(component, EventFmu):
+    blocks = {name: block for name, block in building.blocks.items() if name in controlled}
+    for name, block in blocks.items():
+        if block.changes_by_events or isinstance(block, EventFmu):
             continue
-        if not takes_any_step(component.description) or sampled_by(component.path) is not None:
+        if not takes_any_step(block.description) or sampled_by(block.path) is not None:
             message = (
                 f"{name} takes steps of one length only, so that they cannot be controlled; give it a step of its own "
                 f"(components.{name}.step)"
             )
-            diagnosis.note(("components", name), message)
+            building.note(("components", name), message)
     obstacle = rollback_obstacle(controlled)
     if settings.estimator == "halving" and obstacle:
         message = f"estimator: halving is not possible: {obstacle}; leave estimator out, or set residual"
-        diagnosis.note(("step", "estimator"), message)
-    nominal, outputs = list[float](), list[int]()
-    for k, column in enumerate(layout.columns):
-        name, _, variable = column.partition(".")
-        component = components[name]
-        nominal.append(component.nominal(variable) if isinstance(component, FmuBlock) else 1.0)
-        real = (s.name for s in component.outputs if not (s.local or s.is_whole))
-        if name in controlled and isinstance(component, FmuBlock) and variable in real:
-            outputs.append(k)
+        building.note(("step", "estimator"), message)
+    owners = [(building.blocks.get(name), variable) for name, _, variable in (c.partition(".") for c in layout.columns)]
+    nominal = [1.0 if owner is None else owner.nominal(variable) for owner, variable in owners]
+    real = ((name, s.name) for name, block in blocks.items() for s in block.outputs if not (s.local or s.is_whole))
+    outputs = [layout.place[f"{name}.{output}"][1] for name, output in real]
     by_source: dict[str, list[Transfer]] = {}
     for transfer in transfers:
         by_source.setdefault(layout.columns[transfer.source] if not transfer.beside[0] else "", []).append(transfer)
@@ -110,7 +103,7 @@ def control_of(
             else:
                 ends.append((found.source, found.target))
             if message:
-                diagnosis.note(("step", "bonds", k, side), message)
+                building.note(("step", "bonds", k, side), message)
         if len(ends) == 2:
             power = nominal[ends[0][0]] * nominal[ends[1][0]]
             bonds.append(PowerBond(ends[0], ends[1], f"{bond.effort}·{bond.flow}", power))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.clocks import PERIODIC, Timing, read_clocks
-from cosim.blocks.component import Component
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
@@ -23,24 +22,17 @@ from cosim.fmi.description import Way, enumeration_items, takes_any_step, unit_o
 from cosim.fmi.fmi_types import input_aliases
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import FmuComponent
-from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import bounds_of, convert_value
 from cosim.system.schedule import Loop, Schedule, Stage
+from cosim.system.wiring import Building
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
 REALS = ("Real", "Float64", "Float32")
 
 
-def event_block(
-    file: ScenarioFile,
-    name: str,
-    component: FmuComponent,
-    path: Path,
-    read: Callable[[Path], Any],
-    diagnosis: Diagnosis,
-) -> Callable[..., FmuBlock] | None:
+def event_block(building: Building, name: str, component: FmuComponent, path: Path) -> Callable[..., FmuBlock] | None:
     """Return the class of an FMU's block, or None."""
-    description = read(path)
+    scenario, description = building.scenario, building.describe(path)
     way = component.interface or ways(description)[0]
     clocks = read_clocks(path, description)
     wanted = bool(clocks) if component.event_mode is None else component.event_mode
@@ -51,13 +43,13 @@ def event_block(
             if not description.fmiVersion.startswith("3") or way != "co-simulation":
                 version = f"FMI {description.fmiVersion} for {way}"
                 reason = f"it is run as {version}; event mode is part of FMI 3.0 for co-simulation"
-            diagnosis.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
+            building.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
             return None
         if component.clocks:
             message = f"{name} has no clocks; leave out clocks:"
             if clocks:
                 message = f"{name} ticks no clocks without event mode; leave out event_mode: false"
-            diagnosis.note(("components", name, "clocks"), message)
+            building.note(("components", name, "clocks"), message)
         return FmuBlock
     timings = {}
     for clock_name, timing in component.clocks.items():
@@ -65,7 +57,7 @@ def event_block(
         if clock is None or clock.causality != "input":
             hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
             message = f'{name} has no input clock "{clock_name}"{hint}'
-        elif full_name in file.scenario.targets:
+        elif full_name in scenario.targets:
             message = f"{full_name} has times in the scenario and a connection; keep one"
         elif clock.kind == "constant" or (clock.kind != "triggered" and clock.interval is None):
             what = f"{full_name} is a {clock.kind} clock, whose FMU gives its times"
@@ -75,24 +67,23 @@ def event_block(
             message = f"{what}; only triggered clocks have shift: and at:"
         elif bool(timing.at) == (timing.interval is not None):
             message = f"{full_name} needs either interval: or at:"
-        elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < file.scenario.start_time):
+        elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < scenario.start_time):
             message = f"the times of {full_name} are not in order, from the start of the run on"
         else:
             timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
             continue
-        diagnosis.note(("components", name, "clocks", clock_name), message)
+        building.note(("components", name, "clocks", clock_name), message)
     jumping = set()  # inputs whose sources jump
-    for connection in file.scenario.connections:
-        owner, _, variable = connection.target.partition(".")
-        source, _, output = connection.source.partition(".")
+    for connection in scenario.connections:
+        source, output, owner, variable = connection.ends
         if owner != name:
             continue
-        fmu = file.scenario.components.get(source)
+        fmu = scenario.components.get(source)
         if not isinstance(fmu, FmuComponent) or fmu.step is not None:
             jumping.add(variable)
-        elif (source_path := file.resolve(fmu.fmu)).is_file():
+        elif (source_path := building.file.resolve(fmu.fmu)).is_file():
             names = output, output.partition("[")[0]
-            ends = [v for v in read(source_path).modelVariables if v.name in names]
+            ends = [v for v in building.describe(source_path).modelVariables if v.name in names]
             if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
                 jumping.add(variable)
     kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
@@ -112,7 +103,7 @@ def has_event_mode(description: Any, way: Way) -> bool:
     return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
 
 
-def is_exchange(component: Component) -> bool:
+def is_exchange(component: Any) -> bool:
     """Return whether model exchange steps a component."""
     return isinstance(component, FmuBlock) and isinstance(component.instance, ModelExchange)
 
@@ -146,12 +137,11 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     return float(value)
 
 
-def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, connected: Collection[str]) -> None:
-    """Note faults and warnings of event mode.
+def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> None:
+    """Note warnings of event mode.
 
     Args:
         apart: Components with a process of their own.
-        connected: Inputs with a source.
     """
     events = [stage.component for stage in plan.stages if isinstance(stage.component, EventFmu)]
     if not events:
@@ -166,31 +156,31 @@ def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, c
         elif name in apart and is_exchange(stage.component):
             reason = "uses model exchange in a process of its own"
         if reason:
-            diagnosis.warnings.append(f"{name} {reason}: an event within a step reaches it at the end of the step")
+            building.warnings.append(f"{name} {reason}: an event within a step reaches it at the end of the step")
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
-    if idle := [name for name in clocks if name not in connected]:
+    if idle := [name for name in clocks if name not in building.scenario.targets]:
         names = ", ".join(idle)
-        message = f"{names}: never ticks; connect it to an output clock, or give its times under clocks:"
-        diagnosis.warnings.append(message)
+        building.warnings.append(
+            f"{names}: never ticks; connect it to an output clock, or give its times under clocks:"
+        )
 
 
-def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
+def changes_of(building: Building) -> Events:
     """Return communication point → component → variable → event value.
 
     An event acts at the first point at or after its time. Among events at the same point, the later time wins.
     """
-    scenario = file.scenario
+    scenario, blocks = building.scenario, building.blocks
     changes: dict[int, dict[str, dict[str, Any]]] = {}
     descriptions = {name: block.description for name, block in blocks.items()}
     targets = Targets(descriptions, scenario.targets)
     values: dict[tuple[float, str], Any] = {}
-    events = zip(file.places["events"], scenario.events, strict=True)
+    events = zip(building.file.places["events"], scenario.events, strict=True)
     for k, event in sorted(events, key=lambda placed: placed[1].at):
         point = first_point(event.at, scenario.start_time, scenario.step)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
-            message = f"{event.at:g} s is not within {scenario.start_time:g} … {end:g} s"
-            diagnosis.note(("events", k, "at"), message)
+            building.note(("events", k, "at"), f"{event.at:g} s is not within {scenario.start_time:g} … {end:g} s")
             continue
         for target, written in event.set.items():
             name, _, variable = target.partition(".")
@@ -203,7 +193,7 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
                     raise ValueError(f"two values at {event.at:g} s: {first!r} and {value!r}; keep one")
                 changes.setdefault(point, {}).setdefault(name, {})[variable] = value
             except ValueError as error:
-                diagnosis.note(("events", k, "set", target), str(error))
+                building.note(("events", k, "set", target), str(error))
     return changes
 
 

@@ -5,12 +5,11 @@ The loops make all rows; the part is taken before they are written. A recording 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.blocks.component import Component
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Rows
 from cosim.core.messages import Note
@@ -19,8 +18,7 @@ from cosim.core.text import did_you_mean, join_names
 from cosim.files.results import Results
 from cosim.fmi.description import matches
 from cosim.scenario.scenario import Recording, Scenario
-from cosim.scenario.scenario_file import Diagnosis
-from cosim.system.wiring import RowLayout
+from cosim.system.wiring import Building
 
 
 @dataclass(frozen=True)
@@ -49,15 +47,13 @@ def take_signals(part: RecordedPart | None, results: Results) -> Results:
     return replace(results, columns=tuple(names), values=values, units=units, exact=exact, whole=whole)
 
 
-def recorded_part(
-    scenario: Scenario, components: Mapping[str, Component], layout: RowLayout, diagnosis: Diagnosis
-) -> RecordedPart | None:
+def recorded_part(building: Building) -> RecordedPart | None:
     """Return the recorded part of a run, None for all signals in every row; note faults of its keys."""
-    record = scenario.record
+    scenario, layout, record = building.scenario, building.layout, building.scenario.record
     place = ("record", "signals") if isinstance(record, Recording) else ("record",)
     for k, pattern in enumerate(scenario.recorded):
-        if objection := _objection(pattern, scenario, components, layout):
-            diagnosis.note((*place, k), objection)
+        if objection := _objection(building, pattern):
+            building.note((*place, k), objection)
     if not isinstance(record, Recording):
         return None
     steps = 1 if record.every is None else round(record.every / scenario.step)
@@ -105,8 +101,9 @@ def _is_meant(pattern: str, column: str) -> bool:
     return matches(pattern, component, variable) or column.startswith(f"{pattern}[")
 
 
-def _objection(pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout) -> str | None:
+def _objection(building: Building, pattern: str) -> str | None:
     """Return the objection to a pattern that matches no signal, with near names."""
+    scenario, components, layout = building.scenario, building.components, building.layout
     name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
     columns = (*layout.columns, *layout.beside)
     if any(_is_meant(pattern, column) for column in columns):

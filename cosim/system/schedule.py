@@ -15,9 +15,8 @@ from cosim.blocks.sources import SourceBlock
 from cosim.core.messages import CheckNote, Note
 from cosim.core.text import did_you_mean, join_names
 from cosim.core.times import steps_in
-from cosim.scenario.scenario import Scenario
-from cosim.scenario.scenario_file import Diagnosis, Place
-from cosim.system.wiring import Components, Transfer
+from cosim.scenario.scenario_file import Place
+from cosim.system.wiring import Building, Components, Transfer
 
 FEEDTHROUGH = "feedthrough"  # key of a component
 
@@ -78,6 +77,12 @@ class Schedule:
     opened: tuple[Loop, ...] = ()
     assumed: bool = False
     known: frozenset[str] = frozenset()
+
+    @property
+    def transfers(self) -> tuple[Transfer, ...]:
+        """Return all transfers, also those within solved loops."""
+        parts = self.held, *(stage.transfers for stage in self.stages), *(loop.transfers for loop in self.loops)
+        return tuple(transfer for part in parts for transfer in part)
 
 
 @dataclass(frozen=True)
@@ -189,41 +194,31 @@ class _Graph:
                 cure = f"choose interface: co-simulation, or {order}"
                 yield ("components", name), f"{part} and uses model exchange, beside an FMU in event mode; {cure}"
             if self.every[name] > 1:
-                fault = (
-                    f"{name} has a step of its own, and is part of the algebraic loop {loop.name}; leave its step out"
-                )
-                yield ("components", name, "step"), fault
+                fault = f"{name} has a step of its own, and is part of the algebraic loop {loop.name}"
+                yield ("components", name, "step"), f"{fault}; leave its step out"
         for transfer in loop.transfers:
             name, _, variable = transfer.name.partition(".")
             signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
             signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
             if any(transfer.beside) or signal.is_whole:
-                message = (
-                    f"{transfer.name} is part of an algebraic loop and {signal.kind}; only real signals are solved. "
-                    "State the order of the components (order: [...]), so that it has the value of the last step"
-                )
-                yield ("connections",), message
+                fault = f"{transfer.name} is part of an algebraic loop and {signal.kind}; only real signals are solved."
+                cure = "State the order of the components (order: [...]), so that it has the value of the last step"
+                yield ("connections",), f"{fault} {cure}"
 
 
-def schedule(
-    scenario: Scenario,
-    components: Components,
-    transfers: Sequence[Sequence[Transfer]],
-    diagnosis: Diagnosis,
-    interpolates: bool = False,
-) -> Schedule:
+def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interpolates: bool) -> Schedule:
     """Return the schedule of a scenario; note a fault and return an empty schedule if none exists.
 
     Args:
         transfers: Transfers of each connection.
         interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
     """
-    every = {name: _every(scenario, name, diagnosis) for name in components}
+    scenario, components = building.scenario, building.components
+    every = {name: _every(building, name) for name in components}
     wired: list[tuple[Edge, Sequence[Transfer]]] = []
     for connection, ends in zip(scenario.connections, transfers, strict=True):
         if not ends[0].is_clock:
-            source, _, output = connection.source.partition(".")
-            target, _, variable = connection.target.partition(".")
+            source, output, target, variable = connection.ends
             wired.append(((source, target, variable, output), ends))
     graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
@@ -232,19 +227,19 @@ def schedule(
         missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
         unknown = [name for name in order if name not in components]
         for name in unknown:
-            diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
+            building.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
         if is_wrong := missing or len(set(order)) != len(order):
             left_out = ", ".join(missing) or "none"
-            diagnosis.note(("order",), f"order names every component with inputs once; missing: {left_out}")
+            building.note(("order",), f"order names every component with inputs once; missing: {left_out}")
         if unknown or is_wrong:
             return Schedule()
     if scenario.loops is not None and not algorithm.solves_loops:
         message = f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"
-        diagnosis.note(("loops",), message)
+        building.note(("loops",), message)
         return Schedule()
     if scenario.loops is not None and order is not None:
         message = "order states which values are of the last step, loops solves for all of the same time; leave one out"
-        diagnosis.note(("order",), message)
+        building.note(("order",), message)
         return Schedule()
     try:
         plan = algorithm.plan_with_loops(components, graph.edges, order, undeclared=scenario.loops is not None)
@@ -254,17 +249,17 @@ def schedule(
             f"same time. State their order (order: [{', '.join(sorted(set(error.cycle)))}]) or algorithm: "
             f"{WITHOUT_ORDER.name}"
         )
-        diagnosis.note(("connections",), message)
+        building.note(("connections",), message)
         return Schedule()
     if sorted(plan.order) != sorted(components):
         message = f"{algorithm.name} steps {', '.join(plan.order)}; it must step each component once"
-        diagnosis.note(("algorithm",), message)
+        building.note(("algorithm",), message)
         return Schedule()
-    diagnosis.warnings += plan.notes
+    building.warnings += plan.notes
     held, stages, loops = graph.sort_transfers(plan)
     for loop in loops:
         for place, fault in graph.faults(loop):
-            diagnosis.note(place, fault)
+            building.note(place, fault)
     assumptions = [note for note in plan.notes if isinstance(note, Assumption)]
     opened: tuple[Loop, ...] = ()
     if scenario.loops is None:
@@ -273,7 +268,7 @@ def schedule(
         stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
         for loop in loops:
             if names := [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}]:
-                diagnosis.warnings.append(
+                building.warnings.append(
                     CheckNote(
                         f"{loop.name} is an algebraic loop that no FMU declares: outputs follow "
                         f"{join_names(names)} at once, as measured before the run or stated by feedthrough: "
@@ -284,11 +279,12 @@ def schedule(
     return Schedule(stages, held, clock_wires, loops, opened, bool(assumptions), graph.functions_of_time)
 
 
-def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
+def _every(building: Building, name: str) -> int:
     """Return the component's step in steps of the scenario.
 
     A fault is noted if the ratio is not a whole number.
     """
+    scenario = building.scenario
     step: float | None = getattr(scenario.components[name], "step", None)
     if step is None:
         return 1
@@ -299,14 +295,14 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
             f"step is {step:g} s, that of the scenario {scenario.step:g} s; use a whole multiple, "
             f"{every * scenario.step:g} s for one"
         )
-        diagnosis.note(("components", name, "step"), message)
+        building.note(("components", name, "step"), message)
     elif every > scenario.steps:
         message = f"step is {step:g} s, the run {scenario.duration:g} s: it would never step"
-        diagnosis.note(("components", name, "step"), message)
+        building.note(("components", name, "step"), message)
     elif rest := scenario.steps % every:
         message = (
             f"{name}: step is {step:g} s; its last {rest * scenario.step:g} s of the run make no "
             "whole step: it stands still there"
         )
-        diagnosis.warnings.append(message)
+        building.warnings.append(message)
     return every

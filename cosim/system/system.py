@@ -5,7 +5,7 @@ All checks that need model descriptions are made here, and all faults are report
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import chain
@@ -25,13 +25,13 @@ from cosim.core.units import alternatives, conversion
 from cosim.fmi.description import display_units
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings
-from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
+from cosim.scenario.scenario_file import Place, ScenarioFile
 from cosim.system.components import build_components
 from cosim.system.control import Control, control_of
 from cosim.system.events import Events, changes_of, check_events
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Schedule, schedule
-from cosim.system.wiring import alias_transfers, connect, connection_warnings, lay_out
+from cosim.system.wiring import Building, alias_transfers, connect, connection_warnings
 
 ROUNDING = 1e-6  # fraction of a step, the tolerance of sampled FMUs
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -116,12 +116,13 @@ class System(Schedule):
 
 def build_system(file: ScenarioFile) -> System:
     """Return the system of a scenario; raise InputError with every fault."""
-    scenario, diagnosis = file.scenario, Diagnosis(file)
-    components = build_components(file, diagnosis)
+    building, scenario = Building(file), file.scenario
+    build_components(building)
+    building.lay_out()
+    components, layout, blocks = building.components, building.layout, building.blocks
     is_whole = len(components) == len(scenario.components) and not file.broken
-    layout = lay_out(components)
-    transfers = connect(file, components, layout, diagnosis)
-    of_aliases = alias_transfers(components, layout, transfers, diagnosis)
+    transfers = connect(building)
+    of_aliases = alias_transfers(building, transfers)
     signals = sum(len(c.inputs) + len(c.outputs) for c in components.values())
     rows = scenario.duration / scenario.step + 1.0
     if (size := rows * signals * BYTES) > MOST_RESULTS:
@@ -129,9 +130,9 @@ def build_system(file: ScenarioFile) -> System:
             f"leaves {rows:.3g} rows of {signals} signals, {size / 1e9:.3g} GB, more than {MOST_RESULTS / 1e9:g} GB; "
             "run shorter or in longer steps"
         )
-        diagnosis.note(("duration",), message)
-    _check_sampling(components.values(), diagnosis)
-    recording = recorded_part(scenario, components, layout, diagnosis)
+        building.note(("duration",), message)
+    _check_sampling(building)
+    recording = recorded_part(building)
     if is_whole:
         recorded = layout.columns if recording is None else {layout.columns[k] for k in recording.columns}
         for kind, k, criterion in scenario.goals:
@@ -142,32 +143,31 @@ def build_system(file: ScenarioFile) -> System:
                 message = f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
                 if signal not in layout.columns:
                     message = f'no signal "{signal}"{did_you_mean(signal, layout.columns)}'
-                diagnosis.note((*where, key), message)
+                building.note((*where, key), message)
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())
     courses = (0, 0) if has_events else scenario.courses  # With event mode, inputs are held.
-    plan = schedule(scenario, components, transfers, diagnosis, courses[1] > 0) if is_connected else Schedule()
-    blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
+    plan = schedule(building, transfers, courses[1] > 0) if is_connected else Schedule()
     separated, notes = separate([(name, block.path) for name, block in blocks.items()], scenario.isolated)
-    check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
-    control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
-    events = changes_of(file, blocks, diagnosis)
+    check_events(building, plan, scenario.isolated | separated)
+    control = control_of(building, list(chain.from_iterable(transfers)))
+    events = changes_of(building)
     display = dict[str, Any](display_units(block.description for block in blocks.values()))
     definitions = {signal.unit: signal.definition for signal in layout.signals.values() if signal.definition}
     for unit, name in scenario.display.items():
         if not name or (shown := conversion(unit, name, definitions=definitions)) is None:
             message = f"{name} does not show {unit}, which is not of the same dimension or unknown"
-            diagnosis.note(("display", unit), f"{message}; give one of {', '.join(alternatives(unit))}")
+            building.note(("display", unit), f"{message}; give one of {', '.join(alternatives(unit))}")
         else:
             display[unit] = (name, *shown)
     for name, component in components.items():
         if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
             cure = f"record: [{name}.*] does so"
-            diagnosis.warnings.append(f"{name} has no inputs and outputs, so nothing of it is recorded; {cure}")
-    refuse(diagnosis.faults)
+            building.warnings.append(f"{name} has no inputs and outputs, so nothing of it is recorded; {cure}")
+    refuse(building.faults)
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
     assumed = chain.from_iterable(map(Note, c.assumed) for c in components.values() if isinstance(c, SourceBlock))
-    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes, *assumed
+    warnings = *building.warnings, *connection_warnings(building), *of_blocks, *notes, *assumed
     scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
         **scheduled,
@@ -189,27 +189,26 @@ def build_system(file: ScenarioFile) -> System:
     )
 
 
-def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
-    file, scenario = diagnosis.file, diagnosis.file.scenario
+def _check_sampling(building: Building) -> None:
+    file, scenario = building.file, building.scenario
     place = file.fault(("step",), "")
     if file.stands_in or any((f.line, f.column) == (place.line, place.column) for f in file.faults):
         return  # The step is faulty itself.
     parameter_of = cache(sampled_by)  # Several components may use the same FMU.
-    for block in components:
-        parameter = parameter_of(block.path) if isinstance(block, FmuBlock) else None
-        if parameter is None:
+    for name, block in building.blocks.items():
+        if (parameter := parameter_of(block.path)) is None:
             continue
         declared = next((v.start for v in block.description.modelVariables if v.name == parameter), None)
         try:
             sample = float(block.start_values.get(parameter, declared))
         except (TypeError, ValueError):
             continue
-        own_step = getattr(scenario.components[block.name], "step", None)
+        own_step = getattr(scenario.components[name], "step", None)
         step = scenario.step if own_step is None else float(own_step)
         if abs(step - sample) > ROUNDING * sample:
-            where = ("step",) if own_step is None else ("components", block.name, "step")
-            message = (
-                f"step is {step:g} s; {block.name} is sampled at {sample:g} s ({parameter}): set "
-                f"components.{block.name}.start.{parameter}, or step: {sample:g}"
+            where = ("step",) if own_step is None else ("components", name, "step")
+            building.note(
+                where,
+                f"step is {step:g} s; {name} is sampled at {sample:g} s ({parameter}): set "
+                f"components.{name}.start.{parameter}, or step: {sample:g}",
             )
-            diagnosis.note(where, message)

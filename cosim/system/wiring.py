@@ -1,22 +1,26 @@
-"""Layout of signals in a row, and connections as transfers between places."""
+"""A system under construction: layout of signals in a row, and connections as transfers between places."""
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice
 from typing import Any
 
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import LinkFunction, fault_function, gaussian, points, stream
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.sources import SourceBlock
 from cosim.blocks.stepping import LinkKind
-from cosim.core.errors import SimulationError
+from cosim.core.errors import Fault, InputError, SimulationError
 from cosim.core.messages import with_prefix
 from cosim.core.text import did_you_mean
 from cosim.core.times import whole_steps
-from cosim.core.units import UnitAssumption, assume_si
+from cosim.core.units import assume_si
+from cosim.files.yaml_file import MOST_FAULTS
+from cosim.fmi.description import read_description
 from cosim.fmi.fmi_types import input_aliases, is_compatible, negative
 from cosim.scenario.scenario import (
     Connection,
@@ -24,13 +28,12 @@ from cosim.scenario.scenario import (
     FixComponent,
     FmuComponent,
     Noise,
-    PlaybackComponent,
-    ReferenceComponent,
 )
-from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
+from cosim.scenario.scenario_file import Place, ScenarioFile
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message
+LONGEST = 2000  # of a message [characters]
 PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
 
@@ -51,6 +54,48 @@ class RowLayout:
     beside: tuple[str, ...]
     place: Mapping[str, tuple[bool, int]]
     signals: Mapping[str, Signal]
+
+
+class Building:
+    """A system under construction. Faults and warnings are collected and reported all at once, faults of form first.
+
+    Attributes:
+        components: Sound components by name, in file order.
+        layout: Layout of their signals.
+        describe: Function that returns the model description of an FMU, which several components may use.
+    """
+
+    layout: RowLayout
+
+    def __init__(self, file: ScenarioFile) -> None:
+        self.file, self.scenario, self.components = file, file.scenario, dict[str, Component]()
+        self.describe = cache(read_description)
+        self.faults: list[Fault] = list(file.faults)
+        self.warnings: list[str] = list(file.warnings)
+
+    def note(self, where: Place, message: str, exit_code: int = 2) -> None:
+        """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST - 1]}…"
+        self.faults.append(self.file.fault(where, message, exit_code=exit_code))
+        if len(self.faults) >= MOST_FAULTS:
+            raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
+
+    def lay_out(self) -> None:
+        """Lay out the signals of the components."""
+        row: dict[str, Signal] = {}
+        beside: dict[str, Signal] = {}
+        for name, component in self.components.items():
+            row |= {f"{name}.{s.name}": s for s in (*component.inputs, *component.outputs)}
+            beside |= {f"{name}.{s.name}": s for s in (*component.exact_inputs, *component.exact_outputs)}
+        units = {column: signal.unit for column, signal in row.items()}
+        place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
+        self.layout = RowLayout(tuple(row), units, tuple(beside), place, row | beside)
+
+    @property
+    def blocks(self) -> dict[str, FmuBlock]:
+        """Return the FMUs among the components."""
+        return {name: c for name, c in self.components.items() if isinstance(c, FmuBlock)}
 
 
 @dataclass(frozen=True)
@@ -83,8 +128,9 @@ class Transfer:
     def check_item(self, value: Any, t: float) -> None:
         """Raise SimulationError if a value is no item of the target enumeration."""
         if self.items is not None and value not in self.items.values():
-            message = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
-            raise SimulationError(self.name, t, message)
+            raise SimulationError(
+                self.name, t, f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
+            )
 
     def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
         """Return the value's conversions in order: unit, noise, faults, sign of an alias."""
@@ -132,45 +178,37 @@ def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
     return chain[0] if len(chain) == 1 else value
 
 
-def lay_out(components: Components) -> RowLayout:
-    """Return the layout of the components' signals."""
-    row: dict[str, Signal] = {}
-    beside: dict[str, Signal] = {}
-    for name, component in components.items():
-        row |= {f"{name}.{s.name}": s for s in (*component.inputs, *component.outputs)}
-        beside |= {f"{name}.{s.name}": s for s in (*component.exact_inputs, *component.exact_outputs)}
-    units = {column: signal.unit for column, signal in row.items()}
-    place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
-    return RowLayout(tuple(row), units, tuple(beside), place, row | beside)
-
-
-def connect(
-    file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis
-) -> list[tuple[Transfer, ...]]:
+def connect(building: Building) -> list[tuple[Transfer, ...]]:
     """Return the transfers of each connection, for arrays one per element; none for a faulty connection."""
     sources: dict[str, str] = {}
-    connections = [*zip(file.places["connections"], file.scenario.connections, strict=True)]
+    connections = [*zip(building.file.places["connections"], building.scenario.connections, strict=True)]
     for k, connection in connections:
         if (target := connection.target) in sources:
-            message = f"two sources for {target}: {sources[target]} and {connection.source}; keep one"
-            diagnosis.note(("connections", k, "to"), message)
+            building.note(
+                ("connections", k, "to"),
+                f"two sources for {target}: {sources[target]} and {connection.source}; keep one",
+            )
         sources.setdefault(target, connection.source)
-    _check_faults(file, diagnosis)
-    wiring = _Wiring(file, components, layout, diagnosis)
-    return [wiring.transfers(k, connection) for k, connection in connections]
+    _check_faults(building)
+    ends: dict[str, dict[str, list[Signal]]] = {"inputs": {}, "outputs": {}}
+    for side, by_name in ends.items():
+        for name, component in building.components.items():
+            for signal in (signal for signal in _signals(component, side) if not signal.local):
+                for label in filter(None, (signal.name, signal.array)):
+                    by_name.setdefault(f"{name}.{label}", []).append(signal)
+    return [_transfers(building, ends, k, connection) for k, connection in connections]
 
 
-def alias_transfers(
-    components: Components, layout: RowLayout, connections: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
-) -> tuple[Transfer, ...]:
+def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]]) -> tuple[Transfer, ...]:
     """Return the transfers that show the values of connected inputs in unconnected inputs of their value references.
 
     Two sources of one value reference are a fault.
     """
     fed = {t.name: (t, k) for k, transfers in enumerate(connections) for t in transfers}
     found: dict[str, Transfer] = {}
-    for owner, component in components.items():
-        for name, others in input_aliases(component.description).items() if isinstance(component, FmuBlock) else ():
+    layout = building.layout
+    for owner, block in building.blocks.items():
+        for name, others in input_aliases(block.description).items():
             transfer, k = fed.get(f"{owner}.{name}", (None, 0))
             if transfer is None:
                 continue
@@ -182,26 +220,12 @@ def alias_transfers(
                     sides = transfer.beside[0], aside
                     found[full] = replace(transfer, target=place, name=full, beside=sides, of=transfer.name, sign=sign)
                 elif full in fed and fed[full][1] < k and (is_negative or fed[full][0].origin != transfer.origin):
-                    message = (
+                    building.note(
+                        ("connections", k, "to"),
                         f"{transfer.name} and {full} are one variable of the FMU with two sources: {transfer.origin} "
-                        f"and {fed[full][0].origin}; keep one"
+                        f"and {fed[full][0].origin}; keep one",
                     )
-                    diagnosis.note(("connections", k, "to"), message)
     return tuple(found.values())
-
-
-def assumed_conversion(
-    file: ScenarioFile, connection: Connection, source: Signal, target: Signal
-) -> UnitAssumption | None:
-    """Return the conversion to SI for an input without unit; None without conversion.
-
-    Only references and recordings are converted, because people write their units.
-    """
-    component = file.scenario.components.get(connection.source.partition(".")[0])
-    written = isinstance(component, ReferenceComponent | PlaybackComponent) and source.unit
-    if not written or target.unit or target.is_whole or connection.conversion is not None:
-        return None
-    return assume_si(source.unit, "its FMU", f"give {connection.source} no unit")
 
 
 def _objection(connection: Connection, source: Signal, target: Signal) -> str:
@@ -222,93 +246,78 @@ def _objection(connection: Connection, source: Signal, target: Signal) -> str:
     return ""
 
 
-class _Wiring:
-    """Connections under construction: their ends, each a signal or the elements of an array, and the transfers."""
+def _transfers(
+    building: Building, ends: Mapping[str, Mapping[str, Sequence[Signal]]], k: int, connection: Connection
+) -> tuple[Transfer, ...]:
+    """Return the transfers of connection number k, none for a faulty connection; note faults.
 
-    def __init__(self, file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis) -> None:
-        self.file, self.components, self.layout, self.diagnosis = file, components, layout, diagnosis
-        self._by_side: dict[tuple[str, str], dict[str, list[Signal]]] = {}
-        self._faults: dict[str, list[Disturbance]] = {}
-        for fault in file.scenario.faults:
-            self._faults.setdefault(fault.on, []).append(fault)
-
-    def transfers(self, k: int, connection: Connection) -> tuple[Transfer, ...]:
-        """Return the transfers of a connection, none for a faulty connection; note faults."""
-        sources = self._ends(("connections", k, "from"), connection.source, "outputs")
-        targets = self._ends(("connections", k, "to"), connection.target, "inputs")
-        if not sources or not targets:
-            return ()
-        ends = f"{connection.source} to {connection.target}"
-        if len(sources) != len(targets):
-            message = f"{ends}: {len(sources)} values do not go to {len(targets)}"
-            self.diagnosis.note(("connections", k), message)
-            return ()
-        try:
-            return tuple(self._transfer(connection, *pair) for pair in zip(sources, targets, strict=True))
-        except ValueError as error:
-            self.diagnosis.note(("connections", k), str(error))
-            return ()
-
-    def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer:
-        """Return the transfer between two signals; raise ValueError if they do not fit."""
-        if objection := _objection(connection, source, target):
-            raise ValueError(objection)
-        ends = f"{connection.source} to {connection.target}"
-        origin = f"{connection.source.partition('.')[0]}.{source.name}"
-        name = f"{connection.target.partition('.')[0]}.{target.name}"
-        (from_beside, at), (to_beside, to) = self.layout.place[origin], self.layout.place[name]
-        faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in self._faults.get(key, ()))
-        if target.kind == "Clock":
-            if connection.noise or connection.conversion is not None or name in self._faults:
-                raise ValueError(f"{ends}: no factor, offset, noise or fault acts on a clock")
-            return Transfer(at, to, name, origin=origin, is_clock=True)
-        noise = connection.noise if self.file.scenario.noise else None
-        factor, offset = connection.conversion or source.conversion(target) or (1.0, 0.0)
-        if (assumed := assumed_conversion(self.file, connection, source, target)) is not None:
-            factor, offset = assumed.factor, assumed.offset
-            warning = with_prefix(f"{connection.target} ", assumed.sentence)
-            if assumed.sentence and warning not in self.diagnosis.warnings:  # once for all elements of an array
-                self.diagnosis.warnings.append(warning)
-        changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
-        changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
-        if changes and (from_beside or to_beside):
-            raise ValueError(f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}")
-        sides = from_beside, to_beside
-        return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
-
-    def _ends(self, where: Place, text: str, side: str) -> list[Signal]:
-        """Return the signals of a connection's end; note a fault if none."""
+    Args:
+        ends: Side → `component.variable` → its signal, or the elements of its array.
+    """
+    found: list[Sequence[Signal]] = []
+    for text, side, other, key in (
+        (connection.source, "outputs", "inputs", "from"),
+        (connection.target, "inputs", "outputs", "to"),
+    ):
         name, _, variable = text.partition(".")
-        if name not in self.file.scenario.components and name not in self.file.broken:
-            hint = did_you_mean(name, self.file.scenario.components)
-            self.diagnosis.note(where, f'no component "{name}"{hint}')
-            return []
-        component = self.components.get(name)
-        if component is None or name in self.file.broken:  # Another check reports this component.
-            return []
-        signals = self._signals(component, side)
-        if variable in signals:
-            return signals[variable]
-        other = "inputs" if side == "outputs" else "outputs"
-        if variable in self._signals(component, other):
-            message = f"{text} is one of the {other} of {name}; an output goes to an input"
+        where, component = ("connections", k, key), building.components.get(name)
+        if text in ends[side] and name not in building.file.broken:
+            found.append(ends[side][text])
+        elif name not in building.scenario.components and name not in building.file.broken:
+            building.note(where, f'no component "{name}"{did_you_mean(name, building.scenario.components)}')
+        elif component is None or name in building.file.broken:
+            pass  # Another check reports this component.
+        elif text in ends[other]:
+            building.note(where, f"{text} is one of the {other} of {name}; an output goes to an input")
         elif any(s.local and s.name == variable for s in _signals(component, side)):
-            message = f"{text} is recorded, but no output of {name}; an output goes to an input"
+            building.note(where, f"{text} is recorded, but no output of {name}; an output goes to an input")
         else:
-            hint = did_you_mean(variable, signals)
-            message = f'{name} has no {side[:-1]} "{variable}"{hint} (its {side}: {_some(signals)})'
-        self.diagnosis.note(where, message)
-        return []
+            names = [end.partition(".")[2] for end in ends[side] if end.startswith(f"{name}.")]
+            hint = did_you_mean(variable, names)
+            building.note(where, f'{name} has no {side[:-1]} "{variable}"{hint} (its {side}: {_some(names)})')
+    if len(found) < 2:
+        return ()
+    sources, targets = found
+    try:
+        if len(sources) != len(targets):
+            text = f"{connection.source} to {connection.target}"
+            raise ValueError(f"{text}: {len(sources)} values do not go to {len(targets)}")
+        return tuple(_transfer(building, connection, *pair) for pair in zip(sources, targets, strict=True))
+    except ValueError as error:
+        building.note(("connections", k), str(error))
+        return ()
 
-    def _signals(self, component: Component, side: str) -> dict[str, list[Signal]]:
-        """Return name → signals of the inputs or outputs of a component, for an array all its elements."""
-        key = component.name, side
-        if key not in self._by_side:
-            by_name = self._by_side[key] = {}
-            for signal in _signals(component, side):
-                for name in filter(None, (signal.name, signal.array)) if not signal.local else ():
-                    by_name.setdefault(name, []).append(signal)
-        return self._by_side[key]
+
+def _transfer(building: Building, connection: Connection, source: Signal, target: Signal) -> Transfer:
+    """Return the transfer between two signals; raise ValueError if they do not fit."""
+    if objection := _objection(connection, source, target):
+        raise ValueError(objection)
+    scenario, ends = building.scenario, f"{connection.source} to {connection.target}"
+    owner, _, receiver, _ = connection.ends
+    origin, name = f"{owner}.{source.name}", f"{receiver}.{target.name}"
+    (from_beside, at), (to_beside, to) = (building.layout.place[end] for end in (origin, name))
+    faults = tuple(f for on in dict.fromkeys((connection.target, name)) for f in scenario.faults if f.on == on)
+    if target.kind == "Clock":
+        if connection.noise or connection.conversion is not None or any(fault.on == name for fault in faults):
+            raise ValueError(f"{ends}: no factor, offset, noise or fault acts on a clock")
+        return Transfer(at, to, name, origin=origin, is_clock=True)
+    noise = connection.noise if scenario.noise else None
+    factor, offset = connection.conversion or source.conversion(target) or (1.0, 0.0)
+    block = building.components[owner]
+    if isinstance(block, SourceBlock) and target.is_whole:  # Recorded signals that feed whole numbers are held.
+        block.hold(source.name)
+    is_written = isinstance(block, SourceBlock) and source.unit  # by people
+    if is_written and not (target.unit or target.is_whole or connection.conversion):  # converted to SI
+        assumed = assume_si(source.unit, "its FMU", f"give {connection.source} no unit")
+        factor, offset = assumed.factor, assumed.offset
+        warning = with_prefix(f"{connection.target} ", assumed.sentence)
+        if assumed.sentence and warning not in building.warnings:  # once for all elements of an array
+            building.warnings.append(warning)
+    changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
+    changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
+    if changes and (from_beside or to_beside):
+        raise ValueError(f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}")
+    return Transfer(at, to, name, noise, factor, offset, faults, (from_beside, to_beside), target.items, origin)
 
 
 def _numbers(items: Mapping[str, int] | None) -> str:
@@ -325,40 +334,40 @@ def _signals(component: Component, side: str) -> tuple[Signal, ...]:
     return both
 
 
-def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
+def _check_faults(building: Building) -> None:
     """Check the faults injected by a scenario: each acts on a connection, within the run, with its required keys."""
-    scenario = file.scenario
+    scenario = building.scenario
     targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"delay": "delay", "dropout": "probability"} | dict.fromkeys(("bias", "scale", "stuck", "spike"), "value")
-    for k, fault in zip(file.places["faults"], scenario.faults, strict=True):
+    for k, fault in zip(building.file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
-            diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
+            building.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
             message = (
                 f"{fault.on} is of a component with a step of its own; faults act on components that step with the "
                 "scenario"
             )
-            diagnosis.note(("faults", k, "on"), message)
+            building.note(("faults", k, "on"), message)
         key = needs.get(fault.kind)
         if key is not None and getattr(fault, key) is None:
-            diagnosis.note(("faults", k), f"{fault.kind} needs {key}; add it")
+            building.note(("faults", k), f"{fault.kind} needs {key}; add it")
         rounded = 0.0 if fault.delay is None else whole_steps(fault.delay, scenario.step) * scenario.step
         if fault.delay is not None and abs(rounded - fault.delay) > 1e-9 * rounded:
             message = f"a delay of {fault.delay:g} s on {fault.on} is no whole number of steps: it is {rounded:g} s"
-            diagnosis.warnings.append(message)
+            building.warnings.append(message)
         first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
         if not max(0, first) <= min(last, scenario.steps):
             end = scenario.start_time + scenario.duration
-            diagnosis.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
+            building.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
 
 
-def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[str]:
+def connection_warnings(building: Building) -> Iterator[str]:
     """Yield a warning for each component with unconnected inputs that have no value in the scenario."""
-    driven = file.scenario.targets
-    driven |= {target for event in file.scenario.events for target in event.set}
-    for name, component in components.items():
-        declared = file.scenario.components[name]
+    driven = building.scenario.targets
+    driven |= {target for event in building.scenario.events for target in event.set}
+    for name, component in building.components.items():
+        declared = building.scenario.components[name]
         start = {*declared.start} if isinstance(declared, FmuComponent) else set[str]()
         aliases = input_aliases(component.description) if isinstance(component, FmuBlock) else {}
         start |= {other for v, others in aliases.items() if v in start or f"{name}.{v}" in driven for other in others}

@@ -73,7 +73,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     """Print warnings, `lines`, criteria and files of a run; raise CriterionMissed if a criterion is not met."""
     from cosim.files.results import rows_in
     from cosim.simulation.criteria import sentence
-    from cosim.simulation.report.run_rows import time_sentence
+    from cosim.simulation.report.recorded import time_sentence
 
     assert run.folder is not None  # a command writes
     rows, warnings, timings = rows_in(run.folder), run.manifest["warnings"], run.manifest["timings"]

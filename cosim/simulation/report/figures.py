@@ -49,21 +49,18 @@ ANGLE_STEPS = [1, 1.5, 3, 4.5, 9, 10]  # of ticks
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
     """Write PNG figures of a run and return their paths; a run without rows has none."""
     with showing(manifest):
-        return _figures(folder, drawable_run(results, manifest))
-
-
-def _figures(folder: Path, run: Run) -> list[Path]:
-    if run.time.size == 0:
-        return []
-    folder.mkdir(parents=True, exist_ok=True)
-    page = registry.page_for(run.variables.values())
-    drawn: list[Path] = registry.resolve(page.figures)(run, folder) if page and page.figures else []
-    if drawn:
-        return drawn
-    panels = signal_panels(run)
-    sheets = [panels[first : first + PANELS_A_FIGURE] for first in range(0, len(panels), PANELS_A_FIGURE)]
-    names = ["signals.png"] if len(sheets) == 1 else [f"signals-{i + 1}.png" for i in range(len(sheets))]
-    return [panels_figure(folder / name, run, sheet) for name, sheet in zip(names, sheets, strict=True)]
+        run = drawable_run(results, manifest)
+        if run.time.size == 0:
+            return []
+        folder.mkdir(parents=True, exist_ok=True)
+        page = registry.page_for(run.variables.values())
+        drawn: list[Path] = registry.resolve(page.figures)(run, folder) if page and page.figures else []
+        if drawn:
+            return drawn
+        panels = signal_panels(run)
+        sheets = [panels[first : first + PANELS_A_FIGURE] for first in range(0, len(panels), PANELS_A_FIGURE)]
+        names = ["signals.png"] if len(sheets) == 1 else [f"signals-{i + 1}.png" for i in range(len(sheets))]
+        return [panels_figure(folder / name, run, sheet) for name, sheet in zip(names, sheets, strict=True)]
 
 
 def panels_figure(path: Path, run: Run, panels: Sequence[Panel]) -> Path:

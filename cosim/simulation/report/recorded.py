@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from cosim.blocks.coupling import DEFAULT
 from cosim.core.arrays import Array
-from cosim.core.text import displayed
+from cosim.core.text import amount, displayed, plain
 from cosim.files.results import Results
 from cosim.report.panels import Trace
+
+MIN_READINGS = 100  # about half a second, below which shares of the wall time say little
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
@@ -123,3 +126,46 @@ class Run:
     def source(self, target: str) -> str | None:
         """Return the output connected to an input, if any."""
         return next((source for source, end in self.links if end == target), None)
+
+
+def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
+    """Return a connection's noise, with its standard deviation, and injected faults as text."""
+    parts, noise, target = list[str](), mapping(link.get("noise")), str(link.get("to"))
+    if noise:
+        unit = run.unit(target) or run.unit(str(link.get("from")))
+        variance, bias = number(noise.get("variance"), 0.0), number(noise.get("bias"), 0.0)
+        parts += [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit, difference=True)}"] if variance > 0 else []
+        parts += [f"bias {amount(bias, unit, difference=True)}"] if bias else []
+        parts += [f"{key} {value}" for key, value in noise.items() if key not in ("variance", "bias")]
+        parts = [", ".join(parts) or "none"]
+    return [*parts, *(fault_text(fault) for fault in faults_on(run, [target]))]
+
+
+def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
+    """Return faults injected into connections to given inputs."""
+    names = {*inputs, *(name.partition("[")[0] for name in inputs)}
+    return [fault for fault in mappings(run.scenario.get("faults")) if fault.get("on") in names]
+
+
+def fault_text(fault: Mapping[str, Any]) -> str:
+    """Return a fault as text: `bias 0.1 from 2 s to 4 s`."""
+    sizes = [str(fault["value"])] if "value" in fault else []
+    sizes += [f"of {fault['delay']} s"] if "delay" in fault else []
+    sizes += [f"with probability {fault['probability']}"] if "probability" in fault else []
+    times = [f"{key} {fault[key]} s" for key in ("from", "to") if key in fault]
+    return " ".join([f"fault: {fault.get('kind', '?')}", *sizes, *times])
+
+
+def time_sentence(timings: Mapping[str, Any]) -> str:
+    """Return a sentence on the slowest component, if measured."""
+    components = mapping(timings.get("components"))
+    if not components or not number(timings.get("readings")) >= MIN_READINGS:
+        return ""
+    name, entry = next(iter(components.items()))
+    times = mapping(entry)
+    steps = sum(number(times.get(call)) for call in ("step", "set", "get"))
+    words = f"{plain(steps, 2)} s in steps, {plain(number(times.get('other')), 2)} s in loading"
+    sentence = f"{name} takes {number(times.get('share')):.0%} of the time, loading included ({words})"
+    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+        sentence += f"; {plain(waiting, 2)} s of waiting for the pace or in a pause are not counted"
+    return f"{sentence}."

@@ -1,41 +1,42 @@
-"""The page of any run: header, signals, figures of merit, provenance."""
+"""The page of any run: header, signals, figures of merit, wall time, provenance."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from html import escape
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.blocks.coupling import algorithms
 from cosim.core import registry
 from cosim.core.arrays import far_beyond
-from cosim.core.text import displayed, showing
+from cosim.core.text import amount, counted, displayed, is_difference, join_names, plain, showing
 from cosim.files.files import write_text
 from cosim.files.results import Results, is_rounded
+from cosim.files.yaml_file import short
 from cosim.report.cell.cell import MAX_CURVES, cell_of, rows_to_show
 from cosim.report.charts import Charts
-from cosim.report.html_tables import Row
+from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import Band, Panel, Trace, axis_unit, by_unit, extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage
-from cosim.simulation.report.recorded import Run, mappings, number, texts
-from cosim.simulation.report.run_rows import (
-    badges,
-    component_rows,
-    connections,
-    criteria,
-    event_rows,
+from cosim.simulation.report.recorded import (
+    MIN_READINGS,
+    Run,
+    disturbances,
     fault_text,
     faults_on,
-    outcome,
-    provenance,
-    spelled_values,
-    time_rows,
+    mapping,
+    mappings,
+    number,
+    texts,
     time_sentence,
 )
 from cosim.simulation.report.system_diagram import graph_of_run
@@ -50,6 +51,11 @@ MAX_SIGNALS = 1000  # signals on a page
 MAX_LISTED = 1000  # connections in the table
 DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
 MOST_NAMES = 5  # in a note
+MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
+STEP = "time between two exchanges of values among the components"
+MIN_SHARE = 0.01  # of the wall time of a component with a row
+NEGLIGIBLE = 1e-9  # share of its limit below which a value is shown as 0
+NAMES = {"peak": "largest magnitude"}  # of kinds, others are shown as the scenario names them
 
 
 @far_beyond
@@ -205,3 +211,287 @@ def results_cell(results: Results, names: Sequence[str], title: str) -> str:
 
 def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+
+
+# -- rows and sentences -----------------------------------------------------------------------------------
+
+
+def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[Badge]:
+    """Return badges: status, criteria, algorithm, noise, seed and warnings."""
+    met = sum(criterion["met"] for criterion in judged)
+    seed, warnings = run.manifest.get("seed"), texts(run.manifest.get("warnings"))
+    sensors = [mapping(c.get("signals")).values() for c in run.components.values()]
+    sources = [*run.connections, *(signal for signals in sensors for signal in signals)]
+    has_noise = bool(run.scenario.get("noise", True)) and any(mapping(mapping(s).get("noise")) for s in sources)
+    algorithm = algorithms().get(run.algorithm)
+    title = algorithm.title if algorithm else run.algorithm.replace("_", "-").title()
+    badges = (
+        (True, Badge("failed", "bad") if run.has_failed else Badge("completed", "good" if judged else "plain")),
+        (judged, Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")),
+        (run.algorithm and run.links, Badge(title)),
+        (run.links, Badge("noise on" if has_noise else "noise off")),
+        (seed is not None and has_noise, Badge(f"seed {seed}")),
+        (warnings, Badge(counted(len(warnings), "warning"), "warn")),
+        (run.part("git").get("dirty"), Badge("uncommitted changes", "warn")),
+    )
+    return [badge for applies, badge in badges if applies]
+
+
+def event_rows(run: Run) -> list[dict[str, str]]:
+    """Return the events of a run with event mode, by component and cause."""
+    events = run.manifest.get("first_events")
+    firsts: dict[tuple[str, str], str] = {}
+    for event in events if isinstance(events, list) else []:
+        time, *cause = event if isinstance(event, list) else [None]
+        if isinstance(time, int | float) and len(cause) == 2:
+            firsts.setdefault((str(cause[0]), str(cause[1])), f"{time:.6g} s")
+    return [
+        {"component": c, "cause": cause, "count": str(count), "first": firsts.get((c, cause), "–")}
+        for c, counts in run.part("event_counts").items()
+        for cause, count in mapping(counts).items()
+    ]
+
+
+def spelled_values(run: Run) -> list[Row]:
+    """Return table rows of recorded values without curve, with the times of their changes.
+
+    These are text, 64-bit integers, binary data and enumeration items.
+    """
+    columns: list[tuple[str, list[int], list[str]]] = []
+    for column, names in islice(run.items.items(), MAX_SPELLED):
+        if column in run.results and run.time.size:
+            numbers = run.results[column]
+            points = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist()]
+            columns.append((column, points, [names.get(numbers[k], f"{numbers[k]:g}") for k in points]))
+    for column, values in islice(run.results.exact.items(), MAX_SPELLED):
+        points = [k for k in range(min(len(values), run.time.size)) if not k or values[k] != values[k - 1]]
+        shown = (values[k] for k in points[: MAX_CHANGES + 1])
+        columns.append((column, points, [short(v.hex() if isinstance(v, bytes) else v) for v in shown]))
+    rows = []
+    for column, points, words in columns:
+        some = zip(points[: MAX_CHANGES + 1], words, strict=False)
+        parts = [f"from {run.time[k]:g} s {text}" if k else text for k, text in some]
+        more = len(points) - len(parts)
+        rows.append(Row(column, "; ".join([*parts, *([f"and {counted(more, 'more change')}"] if more > 0 else [])])))
+    return rows
+
+
+def connections(run: Run) -> list[dict[str, str]]:
+    """Return source, target and disturbances of the connections of the scenario."""
+    return [
+        {"source": str(c.get("from", "?")), "target": str(c.get("to", "?")), "noise": "; ".join(disturbances(run, c))}
+        for c in run.connections
+    ]
+
+
+def fmi_kind(fmu: Mapping[str, Any]) -> str:
+    """Return version and interface of an FMU of the manifest: `FMI 2.0, co-simulation`; "" if not recorded."""
+    version, interface = fmu.get("fmi_version"), str(fmu.get("interface")).replace("-e", " e")
+    return f"FMI {version}, {interface}" if version else ""
+
+
+def component_rows(run: Run) -> list[dict[str, str]]:
+    """Return name, FMU or block, kind and settings of the scenario's components."""
+
+    def notation(value: object) -> str:
+        """Return a setting in scenario notation on one line."""
+        if isinstance(value, bool):
+            return "true" if value else "false"
+        if isinstance(value, Mapping):
+            return "{" + ", ".join(f"{key}: {notation(v)}" for key, v in value.items()) + "}"
+        return "[" + ", ".join(map(notation, value)) + "]" if isinstance(value, list | tuple) else str(value)
+
+    rows, fmus = [], run.part("fmus")
+    for name, component in run.components.items():
+        kind = fmi_kind(mapping(fmus.get(name)))
+        hidden = {"start", "fmu", "block", "sha256", *(("interface",) if kind else ())}
+        chosen = {
+            key: setting for key, setting in component.items() if setting not in ({}, []) and setting is not False
+        }
+        settings = []
+        for key, value in {**chosen, **mapping(component.get("start"))}.items():
+            if key not in hidden:
+                own = " s (communication step of its own)" if key == "step" else ""
+                settings.append(f"{key} = {notation(value)}{own}")
+        kind = kind or ("block of cosim" if component.get("block") else "")
+        source = str(component.get("fmu") or component.get("block") or "")
+        rows.append({"label": name, "source": source, "kind": kind, "settings": ", ".join(settings)})
+    return rows
+
+
+# -- wall time -----------------------------------------------------------------------------------------------
+
+
+def time_rows(run: Run) -> list[dict[str, str]]:
+    """Return the measured wall times of components by calls, and of waiting."""
+    timings = run.part("timings")
+    if not number(timings.get("readings")) >= MIN_READINGS:
+        return []
+    rows, calls = [], ("step", "set", "get", "other")
+    for name, entry in mapping(timings.get("components")).items():
+        times = mapping(entry)
+        if (share := number(times.get("share"))) >= MIN_SHARE:
+            seconds = {call: f"{plain(number(times.get(call)), 2)} s" for call in calls}
+            rows.append({"label": str(name), "share": f"{share:.0%}", **seconds})
+    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+        empty = dict.fromkeys(calls, "") | {"other": f"{plain(waiting, 2)} s"}
+        rows.append({"label": "waiting for the pace, or in a pause", "share": "not counted", **empty})
+    return rows
+
+
+# -- provenance ----------------------------------------------------------------------------------------------
+
+
+def provenance(run: Run) -> list[Row]:
+    """Return known facts for reproducing the run."""
+    manifest, rows = run.manifest, list[Row]()
+    keys = ("model_name", "version", "guid", "sha256", "generation_tool")
+    for name, entry in run.part("fmus").items():
+        fmu = mapping(entry)
+        lines = [
+            *filter(None, [fmi_kind(fmu)]),
+            *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key)),
+        ]
+        rows.append(Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or "")))
+    git, timings, seed = run.part("git"), run.part("timings"), manifest.get("seed")
+    wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
+    if math.isfinite(speed := number(timings.get("real_time_factor"))):
+        wall.append(f"{plain(speed, 2)} times as fast as real time")
+    versions = ", ".join(f"{key} {value}" for key, value in run.part("versions").items())
+    duration = run.scenario.get("duration")
+    facts = (
+        Row("cosim", str(manifest.get("cosim_version") or "")),
+        Row("Versions", versions),
+        Row(
+            "Git revision", str(git.get("revision") or ""), "with uncommitted changes" if git.get("dirty") else "clean"
+        ),
+        Row("Simulated time", "" if duration is None else f"{number(duration):g} s"),
+        Row("Communication step", _step_text(run), STEP),
+        Row("Coupling algorithm", run.algorithm),
+        Row("Seed", "" if seed is None else str(seed)),
+        Row("Wall time", ", ".join(wall)),
+    )
+    return [*rows, *(fact for fact in facts if fact.value), *_loop_rows(run), *_pace_rows(run)]
+
+
+def _step_text(run: Run) -> str:
+    """Return the communication step, or the sizes and errors of controlled steps, in lines."""
+    step, control = run.scenario.get("step"), mapping(run.scenario.get("step"))
+    if not control:
+        return "" if step is None else f"{number(step):g} s"
+    row = number(control.get("rows"), number(control.get("max")))
+    limits = f"{amount(number(control.get('min')), 's')} to {amount(number(control.get('max')), 's')}"
+    lines = [f"controlled, {limits}; a row every {amount(row, 's')}"]
+    if steps := run.part("steps"):
+        error, tolerance = number(steps.get("largest_error")), number(steps.get("tolerance"))
+        if error > tolerance > 0.0:
+            count = f"{steps.get('above_tolerance')} of {steps.get('accepted')} steps"
+            excess = f"the largest error is {error / tolerance:.3g} times the tolerance"
+            lines.append(f"TOLERANCE NOT MET in {count}: {excess}")
+        sizes = ", ".join(f"{share} {amount(number(size), 's')}" for share, size in mapping(steps.get("sizes")).items())
+        lines += [
+            f"estimator {steps.get('estimator')}, tolerance {tolerance:g}, largest error {error:.2g}",
+            f"{steps.get('accepted')} steps accepted, {steps.get('rejected')} taken back, "
+            f"{steps.get('communication_points')} exchanges of values in all",
+            f"sizes by share of steps that are shorter: {sizes}",
+        ]
+    return "\n".join(lines)
+
+
+def _loop_rows(run: Run) -> Iterator[Row]:
+    """Yield a row for each algebraic loop."""
+    for loop in mappings(run.manifest.get("loops")):
+        counts, names = mapping(loop.get("iterations")), texts(loop.get("components"))
+        repeated, unsolved = ", ".join(texts(loop.get("repeated"))), mapping(loop.get("not_solved"))
+        lines = [
+            f"{str(loop.get('method', '')).title()}, relative tolerance {number(loop.get('tolerance')):g}, "
+            f"unknowns {', '.join(texts(loop.get('unknowns')))}",
+            f"iterations: {counts.get('start')} at the start, at most {counts.get('most')} at a communication point, "
+            f"{counts.get('total')} at {loop.get('points')} points",
+            *([f"repeated steps: {repeated}"] if repeated else []),
+        ]
+        if unsolved:
+            lines = lines if number(counts.get("most")) > 1 else []
+            if worst := mapping(unsolved.get("largest")):
+                shares, last = mapping(unsolved.get("relative")), mapping(unsolved.get("last"))
+                lines = [
+                    f"residual at the end of a step: at most {number(worst.get('residual')):+.3g} of "
+                    f"{worst.get('signal')} at t = {number(worst.get('time')):g} s, at last "
+                    f"{number(last.get('residual')):+.3g}",
+                    f"relative to the signal: {number(shares.get('median')):.2g} at half of the points, "
+                    f"{number(shares.get('last')):.2g} at the last",
+                    *lines,
+                ]
+            lines.insert(0, f"NOT SOLVED: {unsolved.get('reason')}")
+        yield Row(f"Algebraic loop {' → '.join((*names, *names[:1]))}", "\n".join(lines))
+
+
+def _pace_rows(run: Run) -> Iterator[Row]:
+    """Yield a row on the pace of a run."""
+
+    def milliseconds(seconds: object) -> str:
+        value = 1e3 * number(seconds)
+        return "below 0.001 ms" if 0.0 < value < 1e-3 else f"{value:.3g} ms"
+
+    if not (pacing := run.part("pacing")):
+        return
+    overruns, jitter, points = mapping(pacing.get("overruns")), mapping(pacing.get("jitter")), pacing.get("points")
+    lines = [f"{overruns.get('count')} of {points} communication points missed, as the steps took too long"]
+    if "worst" in overruns:
+        lines[0] += f", at worst {milliseconds(overruns['worst'])} at t = {number(overruns.get('at')):g} s"
+    if jitter:
+        names = {"p50": "median", "p99": "99 % of the points", "p999": "99.9 %", "max": "largest"}
+        delays = ", ".join(f"{name} {milliseconds(jitter.get(k))}" for k, name in names.items())
+        lines.append(f"delay of a point: {delays}")
+    yield Row("Pace", "\n".join((f"{number(pacing.get('pace')):g} × real time", *lines)))
+
+
+def criteria(run: Run) -> list[dict[str, Any]]:
+    """Return title, value, allowed value, margin and outcome of the manifest's criteria as text."""
+    rows = []
+    for entry in mappings(run.manifest.get("criteria")):
+        own_unit, unit = run.unit(str(entry.get("of"))), str(entry.get("unit") or "")
+        value, bound = number(entry.get("value")), number(entry.get("max"))
+        kind, target = str(entry.get("kind", "criterion")), entry.get("to")
+        met = bool(entry["met"]) if "met" in entry else value <= bound
+        parts = [f"{NAMES.get(kind, kind.replace('_', ' '))} of {entry.get('of', '?')}"]
+        if target is not None:
+            parts.append(f"to {target if isinstance(target, str) else amount(number(target), own_unit, None)}")
+        if "band" in entry:
+            parts.append(f"within ±{amount(number(entry['band']), own_unit, None, difference=True)}")
+        parts += [f"{word} {amount(number(entry[word]), 's', None)}" for word in ("after", "until") if word in entry]
+        if abs(value) < NEGLIGIBLE * bound:
+            value = 0.0
+        figure = partial(amount, unit=unit, difference=is_difference(entry))
+        text = figure(value) if math.isfinite(value) else ("not settled" if kind == "settling_time" else "none")
+        rest = bound - value
+        margin = (
+            f"{amount(abs(rest), unit, difference=True)} {'left' if rest >= 0 else 'over'}"
+            if math.isfinite(rest)
+            else ""
+        )
+        allowed = f"≤ {figure(bound, digits=None)}" if math.isfinite(bound) else ""
+        rows.append({"title": " ".join(parts), "value": text, "allowed": allowed, "margin": margin, "met": met})
+    return rows
+
+
+def outcome(run: Run, judged: Sequence[Mapping[str, Any]]) -> str:
+    """Return the run's outcome in one or two sentences."""
+    if run.has_failed:
+        reason = str(run.manifest["status"]).removeprefix("failed").lstrip(": ") or "no reason was recorded"
+        return f"The simulation failed: {reason}. The rows before that are shown."
+    missed = [c for c in judged if not c["met"]]
+    if missed:
+        first = missed[0]
+        detail = f"{first['title']}: {first['value']}" + (f", allowed {first['allowed']}" if first["allowed"] else "")
+        verb, which = ("was", detail) if len(missed) == 1 else ("were", f"first, {detail}")
+        return f"{len(missed)} of {counted(len(judged), 'criterion')} {verb} missed ({which})."
+    if judged:
+        every = {1: "The criterion was met.", 2: "Both criteria were met."}
+        return every.get(len(judged), f"All {counted(len(judged), 'criterion')} were met.")
+    names = list(run.components) or list(run.variables)
+    if not names or not run.time.size:
+        return "Nothing was recorded."
+    steps = counted(run.time.size - 1, "communication step")
+    over = f"{amount(float(run.time[-1] - run.time[0]), 's', None)} in {steps}"
+    return f"Simulated {join_names(names)} over {over}. No criteria are set, so nothing was judged."

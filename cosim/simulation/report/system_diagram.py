@@ -15,8 +15,7 @@ from cosim.core.text import counted, written
 from cosim.files.results import Results
 from cosim.files.yaml_file import short
 from cosim.report.template import TEMPLATES, inline
-from cosim.simulation.report.recorded import Run
-from cosim.simulation.report.run_rows import disturbances
+from cosim.simulation.report.recorded import Run, disturbances
 
 MAX_NAME = 34  # characters of a name in the diagram
 FACTS = {  # key of a component → its text in the diagram
