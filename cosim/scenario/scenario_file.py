@@ -47,6 +47,7 @@ class ScenarioFile:
         option: Option name for messages on overrides; "" if the caller supplies places.
 
     Attributes:
+        overrides: The `path=value` texts.
         faults: Faults so far.
         scenario: Scenario without its faulty parts.
         broken: Names of removed components.
@@ -59,7 +60,7 @@ class ScenarioFile:
     def __init__(
         self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None, option: str = "--set"
     ) -> None:
-        self.path = path
+        self.path, self.overrides = path, [str(override) for override in overrides]
         check_form(path, SCENARIO, MANIFEST)
         self.yaml = YamlFile(path, origin)
         kind = kind_by_keys(self.yaml.root)

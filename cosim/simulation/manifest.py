@@ -6,6 +6,7 @@ import platform
 import subprocess
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,8 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
         "cosim_version": __version__,
         **({COMMAND: command} if command else {}),
         "status": "ok",
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "set": file.overrides,
         "source": str(file.path.resolve()),
         "scenario": resolve_defaults(scenario),
         **({"real_time": {"pace": file.scenario.pace}} if file.scenario.pace is not None else {}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -44,6 +45,7 @@ from cosim.simulation.report.system_diagram import graph_of_run
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MAX_TILES = 4
 LIMIT_LABEL = "allowed"
+REFERENCE = re.compile(r"(?<=\.)ref(erence)?_|_(ref|reference|sp|set|setpoint|set_point|desired|target|wanted|cmd)$")
 WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
 MAX_CONNECTIONS = 40  # with a separate chart; signals of further connections are among the others
 MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
@@ -85,6 +87,8 @@ def _page(run: Run) -> str:
     values = {
         "name": str(run.scenario.get("name") or "Run"),
         "description": str(run.scenario.get("description") or ""),
+        "when": str(run.manifest.get("date") or "").replace("T", " ")[:16],
+        "settings": texts(run.manifest.get("set")),
         "outcome": outcome(run, goals),
         "tone": "bad" if run.has_failed or not all(c["met"] for c in goals) else "good" if goals else "plain",
         "badges": badges(run, goals),
@@ -139,7 +143,10 @@ def judged_panels(run: Run) -> list[Panel]:
         limits: tuple[float, ...] = ()
         if not isinstance(target, str):
             width = number(entry.get(WIDTHS.get(str(entry.get("kind")), "")))  # NaN without limits
-            ends = (displayed(number(target) + side * width, unit) for side in (-1.0, 1.0))
+            low, high = extent([run.results[name]]) or (0.0, 0.0)
+            is_one_sided = entry.get("kind") == "peak" and not number(target)  # of a signal that keeps its sign
+            sides = (1.0,) if is_one_sided and low >= 0.0 else (-1.0,) if is_one_sided and high <= 0.0 else (-1.0, 1.0)
+            ends = (displayed(number(target) + side * width, unit) for side in sides)
             limits = tuple(end for end in ends if math.isfinite(end))
         elif target in run.results:
             traces.append(run.trace(target, "reference"))
@@ -151,16 +158,25 @@ def judged_panels(run: Run) -> list[Panel]:
 def connection_panels(
     run: Run, connected: Sequence[Mapping[str, str]], shown: frozenset[str] = frozenset()
 ) -> dict[tuple[str, str], Panel]:
-    """Return sent and received signal of each connection, if recorded in one unit."""
+    """Return sent and received signal of each connection, if recorded in one unit.
+
+    The reference of an input, such as `x_ref` of `x`, is in the chart of the input.
+    """
     panels: dict[tuple[str, str], Panel] = {}
+    fed = {link["target"]: link["source"] for link in connected if link["target"] in run.results}
+    references = {name: other for name in fed if (other := REFERENCE.sub("", name)) != name and other in fed}
+    references = {n: other for n, other in references.items() if run.unit(n) == run.unit(other) and n not in shown}
     for link in connected:
         ends = source, target = link["source"], link["target"]
         is_drawable = all(end in run.results and end not in shown for end in ends)
         if not is_drawable or run.unit(source) != run.unit(target) or len(panels) == MAX_CONNECTIONS:
             continue
+        if references.get(target, target) != target and references[target] not in shown:
+            continue  # drawn with its input
         traces = [run.trace(source, "true")]
         if not np.array_equal(run.results[source], run.results[target], equal_nan=True):
             traces.insert(0, run.trace(target, "estimate", ", ".join(filter(None, (target, link["noise"])))))
+        traces += [run.trace(name, "reference") for name, other in references.items() if other == target]
         unit = axis_unit(run.unit(target))
         panels[ends] = Panel(f"{source} → {target}", unit, traces, _fault_band(run, ends, traces))
     return panels
