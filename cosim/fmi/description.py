@@ -26,6 +26,9 @@ PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # which every naming conventio
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
+# -- protection against harmful or malformed FMUs --------------------------------------------------
+
+
 def reason_of(error: Exception) -> str:
     """Return FMPy's reason in a line, without Python terms."""
     if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):

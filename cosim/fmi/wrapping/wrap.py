@@ -43,6 +43,9 @@ UNRELATED = ("Set", "Cancel", "Terminate", "EnterConfigurationMode", "ExitConfig
 HEAD = "/* Generated from FMI's headers. */"
 
 
+# -- C code that forwards FMI functions, from FMI's own headers ---------------------------------------
+
+
 def function_table(header: str) -> str:
     """Return C: the table of functions `Functions`, and their names with their places in it, `SYMBOLS`."""
     names = [name for _, name, _ in TYPEDEF.findall(COMMENT.sub("", header))]
@@ -78,6 +81,8 @@ def forwarding_code(header: str, wrapper: str) -> str:
         functions.append(f"{result.strip()} {name}({', '.join(parameters)})\n{{\n    {call};\n}}\n")
     return "\n".join(functions)
 
+
+# -- the model description: that of the original with the parameters of the terms ---------------------
 
 INTERFACES = ("ModelExchange", "CoSimulation", "ScheduledExecution")
 SLOPES = ("providesDirectionalDerivative", "providesDirectionalDerivatives", "providesAdjointDerivatives")
@@ -184,6 +189,8 @@ def describe_wrapped(
         node.set("start", repr(float(values.get(p.name, p.default))))
     return root, withdrawn
 
+
+# -- the archive ----------------------------------------------------------------------------------------
 
 FOLDER = Path(__file__).resolve().parent
 ORIGINAL = "resources/original/"  # the whole original inside the wrapped FMU
