@@ -9,8 +9,7 @@ from typing import Any
 
 from controller.design_model import design_model, discrete_model, fix_matrix, measurement_matrix
 from controller.settings import ESTIMATORS, Settings
-from cosim.fmi.native.native_description import Native
-from cosim.fmi.native.package import part
+from cosim.fmi.native.package import Native, part
 from cosim.fmi.native.printing import LANGUAGE, quote, variable_tables
 from cosim.fmi.ports import Value
 from cosim.model import parameters_of

@@ -6,13 +6,13 @@ Foreign sources are foreign programs. They are compiled only under the option `-
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
+from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError
 from cosim.fmi.description import CPP, C, library_file
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
@@ -89,10 +89,9 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
         excerpt = "".join(f"\n  {line[:MAX_WIDTH]}" for line in [*lines[:MAX_LINES], *more])
         raise FmuError(f"its sources do not compile: {error}{excerpt}") from None
     library = library_file(folder, description, identifier)
-    library.parent.mkdir(parents=True, exist_ok=True)
-    draft = library.with_name(f".{library.name}.{os.getpid()}")
-    draft.write_bytes(binary)
-    return draft.replace(library)
+    with draft_of(library) as draft:
+        draft.write_bytes(binary)
+    return library
 
 
 def _declared_sources(root: Path, description: Any, identifier: str) -> tuple[list[str], list[str], list[str]]:

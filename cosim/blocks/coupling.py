@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError
@@ -22,9 +22,10 @@ from pydantic_core.core_schema import no_info_plain_validator_function, str_sche
 
 from cosim.blocks.component import Component
 from cosim.core.messages import CheckWarning
-from cosim.core.registry import ALGORITHMS, load, names
+from cosim.core.registry import ALGORITHMS, registered
 
 Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
+T = TypeVar("T")
 Components = Mapping[str, Component]
 Order = Sequence[str] | None
 MOST_PERMUTED = 6  # components of a loop, beyond which their order is that of the file
@@ -195,9 +196,8 @@ WITHOUT_ORDER = OWN[1]  # for components in an algebraic loop, which have no ord
 def algorithms() -> dict[str, Algorithm]:
     """Return all available algorithms by name: cosim's own, then algorithms of installed packages."""
     by_name = {algorithm.name: algorithm for algorithm in OWN}
-    for algorithm in (load(ALGORITHMS, name) for name in names(ALGORITHMS)):
-        if isinstance(algorithm, Algorithm):
-            by_name.setdefault(algorithm.name, algorithm)
+    for _, algorithm in registered(ALGORITHMS, Algorithm):
+        by_name.setdefault(algorithm.name, algorithm)
     return by_name
 
 
@@ -222,9 +222,9 @@ class AlgorithmKey:
         raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
 
 
-def _sort(names: Iterable[str], ends: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:
     """Return names in the order of their connections; raise CycleError if there is none."""
-    sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in names})
+    sorter: TopologicalSorter[T] = TopologicalSorter({name: set() for name in names})
     for source, target in ends:
         sorter.add(target, source)
     return tuple(sorter.static_order())
@@ -242,10 +242,9 @@ def _sort_groups(names: Sequence[str], ends: Sequence[tuple[str, str]]) -> list[
     rows, columns = [place[source] for source, _ in ends], [place[target] for _, target in ends]
     graph = csr_array(([1] * len(rows), (rows, columns)), shape=(len(names), len(names)))
     _, labels = connected_components(graph, directed=True, connection="strong")
-    groups: dict[str, tuple[str, ...]] = {}
-    for name, label in zip(names, map(str, labels.tolist()), strict=True):
+    label_of, groups = dict(zip(names, labels.tolist(), strict=True)), dict[int, tuple[str, ...]]()
+    for name, label in label_of.items():
         groups[label] = (*groups.get(label, ()), name)
-    label_of = {name: label for label, group in groups.items() for name in group}
     between = [(label_of[source], label_of[target]) for source, target in ends]
     ordered = [groups[label] for label in _sort(groups, (pair for pair in between if pair[0] != pair[1]))]
     for k, group in enumerate(ordered):

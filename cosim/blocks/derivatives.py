@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
-from cosim.blocks.solvers import DOUBLES, derivatives_of
+from cosim.blocks.solvers import derivatives_of, numbers
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import declares_slopes, reals, scalars, states_of
@@ -53,14 +52,14 @@ class DifferentiableFmu(FmuBlock):
         """
         with self.instance.check_calls():
             self.instance.fmu.setTime(t)
-            self._put_states(states)
+            self.instance.set_states(states)
             self.instance.event(lambda: self._write_reals(self._inputs, inputs))
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def rates(self, states: Array, inputs: Array) -> Array:
         """Return derivatives and outputs in the current mode."""
         with self.instance.check_calls():
-            self._put_states(states)
+            self.instance.set_states(states)
             self._write_reals(self._inputs, inputs)
         rates = self._vector(derivatives_of(self.instance.fmu))
         return np.concatenate([rates, self._read(self._outputs)])
@@ -78,16 +77,8 @@ class DifferentiableFmu(FmuBlock):
 
     def _vector(self, function: Any) -> Array:
         """Return one number per state from an FMU function."""
-        values = np.zeros(self.order)
-        if self.order:
-            with self.instance.check_calls():
-                function(values.ctypes.data_as(DOUBLES), self.order)
-        return values
-
-    def _put_states(self, states: Array) -> None:
-        if self.order:
-            values = (ctypes.c_double * self.order)(*states.tolist())
-            self.instance.fmu.setContinuousStates(ctypes.cast(values, DOUBLES), self.order)
+        with self.instance.check_calls():
+            return np.array(numbers(function, self.order), float)
 
     def _read(self, variables: Sequence[Any]) -> Array:
         if not variables:
@@ -96,16 +87,19 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             if self.instance.version == 3:
                 return np.array(fmu.getFloat64(references, nValues=len(scalars(variables))), float)
-            values: Array = np.array(fmu.getReal(references), float)
-            return np.where([is_negated(v) for v in variables], -values, values)
+            return _with_signs(variables, np.array(fmu.getReal(references), float))
 
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:
             fmu, references = self.instance.fmu, [v.valueReference for v in variables]
-            if self.instance.version == 3:
-                fmu.setFloat64(references, values.tolist())
-            else:
-                fmu.setReal(references, np.where([is_negated(v) for v in variables], -values, values).tolist())
+            write = fmu.setFloat64 if self.instance.version == 3 else fmu.setReal
+            write(references, _with_signs(variables, values).tolist())
+
+
+def _with_signs(variables: Sequence[Any], values: Array) -> Array:
+    """Return values of variables, or of their value references, from the other."""
+    negated = [is_negated(v) for v in variables]
+    return np.where(negated, -values, values) if any(negated) else values
 
 
 def slopes_at(
@@ -130,8 +124,7 @@ def slopes_at(
         slopes = block.directional_slopes()
     else:
         columns = []
-        for k in range(z.size):
-            h = step * max(1.0, abs(float(z[k])))
+        for k, h in enumerate(step * np.maximum(1.0, np.abs(z))):
             ahead, behind = z.copy(), z.copy()
             ahead[k], behind[k] = z[k] + h, z[k] - h
             difference = block.rates(ahead[:n], ahead[n:]) - block.rates(behind[:n], behind[n:])

@@ -13,18 +13,143 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+from xml.etree import ElementTree
 
-from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.instance import STEPS, Instance, end_of
-from cosim.blocks.values import Values
-from cosim.core.errors import SimulationError, Terminated
+from cosim.blocks.instance import Instance, end_of
+from cosim.core.errors import FmuError, SimulationError, Terminated
+from cosim.files.archive import description_of
 from cosim.fmi.description import Way, takes_any_step
 from cosim.fmi.fmi_types import Exchange, element_names
+
+ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
+PERIODIC = ("constant", "fixed", "tunable")
+NUMBERS = {"intervalDecimal", "intervalCounter", "resolution", "shiftDecimal", "shiftCounter", "priority"}
+LOWEST = 2**31  # priority of a clock without one: after all others
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Times of a clock, as the scenario states them.
+
+    Attributes:
+        interval: Time [s] between two ticks.
+        shift: Time [s] from the start of the run to the first tick.
+        at: Times of all ticks [s], ordered; takes the place of `interval`.
+    """
+
+    interval: float | None = None
+    shift: float | None = None
+    at: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A clock as an FMU declares it.
+
+    Attributes:
+        interval: Declared interval [s]; None if the FMU computes it.
+        priority: Order of the model partitions due at the same time, smallest first.
+        clocks: Names of the clocks with which this clock ticks.
+    """
+
+    name: str
+    reference: int
+    kind: ClockKind
+    causality: str
+    interval: float | None = None
+    shift: float = 0.0
+    priority: int = LOWEST
+    clocks: frozenset[str] = frozenset()
+
+
+def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
+    """Return the clocks of an FMU by name.
+
+    FMPy reads neither intervals nor priorities.
+
+    Raises:
+        FmuError: An interval, a shift or a priority is no number, or a period is not above 0.
+    """
+    variables = {v.name: v for v in description.modelVariables if v.type == "Clock"}
+    if not variables:
+        return {}
+    root = ElementTree.fromstring(description_of(path))
+    types = {node.get("name"): node.attrib for node in root.iter("ClockType")}
+    clocks = {}
+    for node in root.iter("Clock"):
+        name = node.get("name", "")
+        if name in variables:
+            attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
+            numbers = {key: _number(path, name, key, attributes[key]) for key in NUMBERS & attributes.keys()}
+            kind, resolution = attributes.get("intervalVariability", "triggered"), numbers.get("resolution", 1.0)
+            interval = numbers.get("intervalDecimal")
+            if interval is None and "intervalCounter" in numbers:
+                interval = numbers["intervalCounter"] / resolution
+            variable = variables[name]
+            clocks[name] = clock = Clock(
+                name,
+                variable.valueReference,
+                kind,  # type: ignore[arg-type]  # checked by FMPy against the schema
+                variable.causality,
+                interval if kind in PERIODIC else None,
+                numbers.get("shiftDecimal") or numbers.get("shiftCounter", 0.0) / resolution,
+                int(numbers.get("priority", LOWEST)),
+                frozenset(clock.name for clock in variable.clocks or ()),
+            )
+            if clock.interval is not None and not clock.interval > 0.0:
+                raise FmuError(
+                    f"{path} is not a valid FMU: clock {name}: its interval is {clock.interval:g} s; a periodic clock "
+                    "needs one above 0, another clock one of 0 or more"
+                )
+    return clocks
+
+
+def _number(path: Path, clock: str, key: str, text: str) -> float:
+    """Return a number of the description."""
+    with suppress(ValueError):
+        if math.isfinite(number := float(text)) and (number > 0.0 or key != "resolution"):
+            return number
+    raise FmuError(f'{path} is not a valid FMU: {f"{key} of the clock {clock}"} is "{text}", which is no number')
+
+
+@dataclass
+class Timer:
+    """Times of a clock's ticks, derived from counts.
+
+    Attributes:
+        base: Time [s] of tick 0 of the current interval.
+        count: Number of ticks since `base`.
+        interval: Current interval [s]; None: only the tick at `base` is known.
+        times: Times of all ticks [s], if they are stated one by one.
+        is_set: Whether a next tick is known.
+    """
+
+    base: float = 0.0
+    count: int = 0
+    interval: float | None = None
+    times: Sequence[float] = field(default_factory=tuple)
+    is_set: bool = False
+
+    @property
+    def next(self) -> float:
+        """Return the time [s] of the next tick, or infinity."""
+        if self.is_set and self.times:
+            return self.times[self.count] if self.count < len(self.times) else math.inf
+        if not self.is_set or (self.interval is None and self.count > 0):
+            return math.inf
+        return self.base + self.count * (self.interval or 0.0)
+
+    def begin(self, base: float, interval: float | None = None, count: int = 0) -> None:
+        """Tick once, at `base` [s], or every `interval` [s] from tick `count` on."""
+        self.base, self.count, self.interval, self.is_set = base, count, interval, True
+
 
 NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
 TICK_NOW = 1e-9  # fraction of an interval within which a tick is due
@@ -40,11 +165,12 @@ class EventInstance(Instance):
         stop: Interruption of the run that arrived during a step.
     """
 
+    in_small_steps = False
+    stop: BaseException | None = None
+
     def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
         super().__init__(name, path, description, **settings)
         self.may_return = takes_any_step(description)
-        self.in_small_steps = False
-        self.stop: BaseException | None = None
 
     def make_instance(self, logging: bool, **options: Any) -> None:
         options |= {"eventModeUsed": True, "earlyReturnAllowed": self.may_return}
@@ -106,24 +232,27 @@ class EventFmu(FmuBlock):
         self.clocks = read_clocks(path, description)
         self.output_clocks = [c for c in self.clocks.values() if c.causality != "input"]
         self.timings, self._jumping = dict(timings or {}), jumping
+        self._places: dict[str, int] = {}  # places of the numbers of ticks
+        self._reset(0.0)
+        super().__init__(name, path, description, start, connected, **settings)
+        self.may_return = self.instance.may_return
+        self._steady = [e for e in self.fed if not self._is_jumping(e.variables[0])]
+        self._discrete = [e for e in self.fed if e not in self._steady and not e.clocks]
+
+    def _reset(self, start: float) -> None:
         self.timers: dict[str, Timer] = {}
-        self.mode, self.reached, self.next_event, self.asks = INITIALIZATION, 0.0, math.inf, False
+        self.mode, self.reached, self.next_event, self.asks = INITIALIZATION, start, math.inf, False
         self.active: set[str] = set()
         self._changes: dict[str, Any] = {}  # values of the scenario's events, to set at the next instant
         self._given: dict[Exchange, list[Any]] = {}  # inputs as last set
         self._seen: list[list[Any]] = []
-        self._places: dict[str, int] = {}  # places of the numbers of ticks
-        super().__init__(name, path, description, start, connected, **settings)
-        self.may_return = self.instance.may_return
-        self._steady = [e for e in self._values.fed if not self._is_jumping(e.variables[0])]
-        self._discrete = [e for e in self._values.fed if e not in self._steady and not e.clocks]
 
     # -- description ----------------------------------------------------------------------------
 
     def _instance_class(self, way: Way | None) -> type[Instance]:
         return EventInstance
 
-    def _make_values(self, recorded: frozenset[str]) -> Values:
+    def _choose_variables(self, recorded: frozenset[str]) -> None:
         inputs, others = list[Signal](), list[Signal]()
         for c in self.clocks.values():
             is_ticked_here = c.causality == "input" and c.kind == "triggered" and c.name not in self.timings
@@ -134,8 +263,7 @@ class EventFmu(FmuBlock):
             clocks = frozenset(clock.name for clock in variable.clocks or ())
             return clocks, variable.causality == "input" and self._is_jumping(variable)
 
-        both = tuple(inputs), tuple(others)
-        return Values(self.instance, self.connected, recorded, part=part, clocks=both)
+        self.list_variables(self.connected, recorded, part=part, clocks=(tuple(inputs), tuple(others)))
 
     def _is_jumping(self, variable: Any) -> bool:
         """Return whether an input is discrete or clocked."""
@@ -150,7 +278,7 @@ class EventFmu(FmuBlock):
 
     def settles(self, name: str) -> bool:
         """Return whether values of an input are exchanged until they settle, at each instant."""
-        variable = self._variables.get(name) or self._variables[name.rpartition("[")[0]]
+        variable = self.variables.get(name) or self.variables[name.rpartition("[")[0]]
         return not self.steps or self._is_jumping(variable)
 
     # -- initialization ----------------------------------------------------------------------------
@@ -158,15 +286,13 @@ class EventFmu(FmuBlock):
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         super().bind(row, first, beside, first_beside)
         ends = first + len(self.inputs), first + len(self.inputs) + len(self.outputs)
-        for clocks, end in zip((self._values.clock_inputs, self._values.clock_outputs), ends, strict=True):
+        for clocks, end in zip((self.clock_inputs, self.clock_outputs), ends, strict=True):
             self._places |= {c.name: end - len(clocks) + k for k, c in enumerate(clocks)}
 
     def begin(self, start: float, stop: float) -> None:
-        self.timers, self.mode, self.reached = {}, INITIALIZATION, start
-        self.next_event, self.asks, self.active = math.inf, False, set()
-        self._changes, self._given, self._seen = {}, {}, []
+        self._reset(start)
         super().begin(start, stop)
-        self._values.show_outputs([e for e in self._values.read if e.clocks])
+        self.show_outputs([e for e in self.read if e.clocks])
 
     def start(self) -> None:
         instance, start = self.instance, self.instance.start_time
@@ -199,21 +325,21 @@ class EventFmu(FmuBlock):
         instance.initialized = True
         self.reached, self.mode, self.active = start, EVENT, set()
         if self.steps:
-            self._do_step = instance.bare(STEPS[3], "DoStep")
+            self._do_step = instance.step_function()
 
     # -- values --------------------------------------------------------------------------------------
 
     def put(self) -> None:
         """Set changed inputs, as far as the mode allows."""
         for exchange in self._changed_inputs():
-            self._values.put_in(exchange)
+            self.put_in(exchange)
 
     def _changed_inputs(self) -> list[Exchange]:
         """Note the inputs, as far as the mode allows; return those to set."""
         changed = []
-        for exchange in self._values.fed if self.mode != STEP else self._steady:
+        for exchange in self.fed if self.mode != STEP else self._steady:
             if not exchange.clocks or exchange.clocks & self.active:
-                content = self._values.content(exchange)
+                content = self.content(exchange)
                 if self.mode == INITIALIZATION or self._given.get(exchange) != content:
                     self._given[exchange] = content
                     changed.append(exchange)
@@ -221,14 +347,14 @@ class EventFmu(FmuBlock):
 
     def get(self) -> None:
         """Read outputs, as far as the mode allows."""
-        for exchange in self._values.read:
+        for exchange in self.read:
             if not exchange.clocks or exchange.clocks & self.active:
-                self._values.get_from(exchange)
+                self.get_from(exchange)
 
     @property
     def has_jumped(self) -> bool:
         """Return whether a discrete input has a new value."""
-        return any(self._values.content(e) != self._given.get(e) for e in self._discrete)
+        return any(self.content(e) != self._given.get(e) for e in self._discrete)
 
     def look(self) -> None:
         """Remember the inputs of this instant."""
@@ -240,7 +366,7 @@ class EventFmu(FmuBlock):
         return self._inputs() != self._seen
 
     def _inputs(self) -> list[list[Any]]:
-        return [self._values.content(e) for e in self._values.fed if not e.clocks]
+        return [self.content(e) for e in self.fed if not e.clocks]
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Keep an event's values for the next instant."""
@@ -311,8 +437,8 @@ class EventFmu(FmuBlock):
             timer.begin(t, interval, 0 if timer.next <= t + TICK_NOW * interval else 1)
         if changes:
             with self.instance.check_calls():
-                self._values.set(changes)
-            self._values.show_changes(changes)
+                self.set_variables(changes)
+            self.show_changes(changes)
 
     def tick(self, names: Collection[str]) -> None:
         """Activate input clocks."""
@@ -323,13 +449,13 @@ class EventFmu(FmuBlock):
         self.active |= set(names)
         self._forget(names)
         for name in names:
-            self._values.row[self._places[name]] += 1.0
+            self._row[self._places[name]] += 1.0
             if name in self.timers:
                 self.timers[name].count += 1
 
     def _forget(self, clocks: Collection[str]) -> None:
         """Forget the inputs of clocks that tick: they are set at each tick, also with the value of the last one."""
-        for exchange in self._values.fed:
+        for exchange in self.fed:
             if not exchange.clocks.isdisjoint(clocks):
                 self._given.pop(exchange, None)
 
@@ -337,12 +463,14 @@ class EventFmu(FmuBlock):
         """Return output clocks that tick since the last call."""
         idle = [c for c in self.output_clocks if c.name not in self.active]
         idle = [c for c in idle if not c.clocks or c.clocks & self.active]
-        if not idle:
-            return []
-        states = self.instance.call("getClock", [c.reference for c in idle])
-        names = [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
+        names = self._ticking(idle)
         self._count(names)
         return names
+
+    def _ticking(self, clocks: Sequence[Clock]) -> list[str]:
+        """Return the names of output clocks that tick."""
+        states = self.instance.call("getClock", [c.reference for c in clocks]) if clocks else []
+        return [clock.name for clock, is_active in zip(clocks, states, strict=True) if is_active]
 
     def update(self) -> bool:
         """Update discrete states; return whether to repeat.
@@ -399,3 +527,126 @@ class EventFmu(FmuBlock):
             return interval
         message = f"its interval is {interval:g} s; a periodic clock needs one above 0, another clock one of 0 or more"
         raise SimulationError(f"{self.name}.{clock.name}", self.instance.time, message)
+
+
+# -- scheduled execution ----------------------------------------------------------------------------
+# Model partitions are activated by their clocks, in the order of priority. They run one after another and are never
+# interrupted, so the FMU's locks against preemption are not needed.
+
+
+class ScheduledInstance(EventInstance):
+    """An FMU instance for FMI 3.0 scheduled execution.
+
+    Attributes:
+        on_update: Function called when the FMU says that a clock has changed.
+    """
+
+    fmpy_class, way = "ScheduledExecution", "scheduled-execution"
+
+    on_update: Any = staticmethod(lambda: None)
+
+    def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
+        super().__init__(name, path, description, **settings)
+        self.may_return = False
+
+    def make_instance(self, logging: bool, **options: Any) -> None:
+        from fmpy.fmi3 import fmi3ClockUpdateCallback
+
+        self._update = fmi3ClockUpdateCallback(lambda _: self.on_update())  # lives as long as the FMU
+        instantiate = self.fmu.fmi3InstantiateScheduledExecution
+
+        def with_updates(*arguments: Any) -> Any:  # FMPy's own method drops the updates of clocks.
+            return instantiate(*arguments[:7], self._update, *arguments[8:])
+
+        self.fmu.fmi3InstantiateScheduledExecution = with_updates
+        Instance.make_instance(self, logging, **options)
+
+
+class ScheduledFmu(EventFmu):
+    """An FMU for scheduled execution."""
+
+    steps = False
+    has_jumped = is_stirred = False  # Inputs are taken by the partitions.
+    instance: ScheduledInstance
+
+    def _instance_class(self, way: Way | None) -> type[Instance]:
+        return ScheduledInstance
+
+    def start(self) -> None:
+        super().start()
+        self._fired: list[str] = []
+        self._last: dict[str, float] = {}  # clock → time of its last activation [s]
+        self._failure: BaseException | None = None
+        self.instance.on_update = self._on_update
+
+    def put(self) -> None:
+        """Set the inputs during initialization only."""
+        if self.mode == INITIALIZATION:
+            super().put()
+
+    def get(self) -> None:
+        """Read the outputs during initialization only."""
+        if self.mode == INITIALIZATION:
+            super().get()
+
+    def go(self, target: float) -> float:
+        """Let time pass without a call of the FMU."""
+        self.reached = self.instance.time = target
+        return target
+
+    def tick(self, names: Collection[str]) -> None:
+        """Activate the partitions of clocks by priority.
+
+        Clocks that a partition sets take their place among them.
+        """
+        t = self.instance.time
+        waiting = [*names]
+        while waiting:
+            name = min(waiting, key=lambda clock: self.clocks[clock].priority)
+            waiting.remove(name)
+            self._activate(name, t)
+            waiting = [*(c for c in self.due_clocks(t, 0.0) if c != name and c not in waiting), *waiting]
+
+    def _activate(self, name: str, t: float) -> None:
+        """Run a partition between its inputs and outputs."""
+        if self._last.get(name, -math.inf) >= t:
+            self.instance.remember(
+                f"clock {name} was due twice at t = {t:.6g} s; FMI allows one activation at a time, so one is left out"
+            )
+            if name in self.timers:
+                self.timers[name].count += 1
+            return
+        self._last[name] = t
+        self.active = set()
+        self._count([name])
+        super().put()
+        self.instance.call("activateModelPartition", self.clocks[name].reference, t)
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        super().get()
+        self._read_intervals()
+
+    def _on_update(self) -> None:
+        """Read the clocks that the partition has changed."""
+        try:
+            self._read_intervals()
+            self._fired += self._ticking([c for c in self.output_clocks if c.name not in self._fired])
+        except BaseException as failure:  # Exceptions cannot pass through C.
+            self._failure = failure
+
+    def fired(self) -> list[str]:
+        """Return output clocks activated since the last call."""
+        names, self._fired = self._fired, []
+        for name in names:
+            self._row[self._places[name]] += 1.0
+        return names
+
+    def update(self) -> bool:
+        """Return False: partitions leave nothing to be updated."""
+        self.active = set()
+        return False
+
+    def leave(self) -> None:
+        """Wait for the next clock."""
+        self.active = set()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from array import array
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,30 +15,25 @@ from cosim.core.times import first_point, last_point
 AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS = LinkKind
 
 
+@dataclass(eq=False)
 class LinkFunction:
     """A function of (communication point, value) with an equivalent in C; called at each point in turn.
 
-    Args:
-        kind: Effect on a value; the other arguments have the names of the fields of `ConvertedLink`.
+    Attributes:
+        kind: Effect on a value; further attributes have the names of the fields of `ConvertedLink`.
         window: First and last point at which the effect acts; elsewhere values pass unchanged.
         delay: Delay in communication points.
     """
 
-    def __init__(
-        self,
-        kind: LinkKind,
-        window: tuple[int, int] = (0, 0),
-        *,
-        a: float = 0.0,
-        b: float = 0.0,
-        values: Any = None,
-        marks: bytearray | None = None,
-        delay: int = 0,
-    ) -> None:
-        self.kind, self.window, self.a, self.b = kind, window, a, b
-        self.values, self.marks, self.delay = values, marks, delay
-        self._past: dict[int, Any] = {}  # point → value; of HELD the last received value at point 0
-        self._in_c: array[float] | None = None
+    kind: LinkKind
+    window: tuple[int, int] = (0, 0)
+    a: float = 0.0
+    b: float = 0.0
+    values: Any = None
+    marks: bytearray | None = None
+    delay: int = 0
+    _past: dict[int, Any] = field(default_factory=dict)  # point → value; of HELD the last received value at point 0
+    _in_c: array[float] | None = None
 
     def __call__(self, k: int, v: Any) -> Any:
         """Return the value at point k."""

@@ -11,6 +11,7 @@ from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
 COUNT = "fix"  # name of the counting output
+STATE = "_point", "_measured", "_count", "_values", "_errors", "_opening"  # attributes in a checkpoint
 
 
 def fix_outputs(signals: Iterable[str]) -> list[str]:
@@ -93,18 +94,12 @@ class Fixes(Component):
             self._count += 1
 
     def checkpoint(self) -> dict[str, Any]:
-        return {
-            "counts": [self._point, self._measured, self._count],
-            "values": self._values,
-            "queue": [*self._queue],
-            "errors": self._errors,
-            "opening": self._opening,
-            "random": [rng.bit_generator.state for rng in self._streams],
-        }
+        state = {name: getattr(self, name) for name in STATE}
+        return state | {"queue": [*self._queue], "random": [rng.bit_generator.state for rng in self._streams]}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._point, self._measured, self._count = state["counts"]
-        self._values, self._errors, self._opening = state["values"], state["errors"], state["opening"]
+        for name in STATE:
+            setattr(self, name, state[name])
         self._queue = deque((point, values) for point, values in state["queue"])
         for rng, saved in zip(self._streams, state["random"], strict=True):
             rng.bit_generator.state = saved

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any, Self
 
 from cosim.blocks.compiling import permission
-from cosim.blocks.component import ADVANCE, Component, Row, in_turn
-from cosim.blocks.instance import STEPS, Instance, end_of
+from cosim.blocks.component import ADVANCE, in_turn
+from cosim.blocks.instance import Instance, end_of
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Move, Plan, Slot, StopReason
-from cosim.blocks.values import Values
+from cosim.blocks.values import FmuVariables
 from cosim.core.errors import FmuError
 from cosim.fmi.description import Way, declares_slopes, slips_of, ways
 from cosim.fmi.fmi_types import element_names
@@ -27,7 +27,7 @@ from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
 
-class FmuBlock(Component):
+class FmuBlock(FmuVariables):
     """An FMU instance as a component.
 
     Attributes:
@@ -88,11 +88,8 @@ class FmuBlock(Component):
             instance.solver_name, instance.longest, instance.max_steps = solver, solver_step, max_steps
         self.log = instance.log
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
-        self.nominal_step = self.instance.by_pythonfmu
-        self._values = values = self._make_values(recorded)
-        self._variables = values.variables
-        self.inputs, self.outputs = values.inputs, values.outputs
-        self.exact_inputs, self.exact_outputs = values.exact_inputs, values.exact_outputs
+        self.nominal_step = instance.by_pythonfmu
+        self._choose_variables(recorded)
 
     def _instance_class(self, way: Way | None) -> type[Instance]:
         way = way or ways(self.description)[0]
@@ -102,12 +99,12 @@ class FmuBlock(Component):
             )
         return Instance if way == "co-simulation" else ModelExchange
 
-    def _make_values(self, recorded: frozenset[str]) -> Values:
+    def _choose_variables(self, recorded: frozenset[str]) -> None:
         names = self.connected | self.start_values.keys()
         free = {v.name for v in self.description.modelVariables if v.causality == "input"} - names
         # Only FMUs of cosim declare optional inputs.
         optional = optional_inputs(self.path) & free if free and self.description.author == AUTHOR else frozenset[str]()
-        return Values(self.instance, self.connected, recorded, optional)
+        self.list_variables(self.connected, recorded, optional)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
         """Return a recipe for an instance in another process."""
@@ -135,7 +132,7 @@ class FmuBlock(Component):
                 outputs is None or v.name in outputs or not set(element_names(v)).isdisjoint(outputs) for v in variables
             )
 
-        if is_any(followers.get(id(self._variables.get(name) or self._variables.get(stem)), ())):
+        if is_any(followers.get(id(self.variables.get(name) or self.variables.get(stem)), ())):
             return True
         if not is_any(undeclared):
             return False
@@ -165,16 +162,13 @@ class FmuBlock(Component):
             warnings.append(
                 f"{self.path.name} breaks a rule of the FMI standard: {slips[0]}{more}; it is used nevertheless"
             )
-        if types := {v.type for v in self.description.modelVariables} - self._values.kinds.keys() - self.clock_types:
+        if types := {v.type for v in self.description.modelVariables} - self.kinds.keys() - self.clock_types:
             warnings.append(
                 f"variables of type {', '.join(sorted(types))} are not supported: they are neither set nor recorded"
             )
         return tuple(f"{self.name}: {warning}" for warning in warnings)
 
     # -- call sequence -----------------------------------------------------------------------------
-
-    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        self._values.bind(row, first, beside, first_beside)
 
     def open(self, start: float, stop: float) -> None:
         self.instance.time = start
@@ -188,56 +182,47 @@ class FmuBlock(Component):
             self.load()
         else:
             self.instance.renew()
-            self._values.look_up()
+            self.look_up()
         self.begin(start, stop)
         self.start()
-
-    def bind_nothing(self) -> None:
-        """Bind the signals to a private row."""
-        count = len(self.inputs) + len(self.outputs)
-        exact = len(self.exact_inputs) + len(self.exact_outputs)
-        self.bind((ctypes.c_double * max(1, count))(), 0, [None] * exact, 0)
 
     def load(self) -> None:
         """Load the FMU and make its instance."""
         self.instance.load()
-        self._values.look_up()
+        self.look_up()
 
     def begin(self, start: float, stop: float) -> None:
         """Enter initialization at `start`."""
-        instance, values, can_read = self.instance, self._values, self.instance.readable_before_start
+        instance, can_read = self.instance, self.instance.version > 1
         instance.time, instance.initialized = start, False
         instance.start_time, instance.stop_time = start, stop
-        values.readable = can_read
+        self.readable = can_read
         again = {}  # Some FMUs (20-sim) forget start values set before initialization.
         for name, value in self.start_values.items() if can_read else ():
-            v = self._variables.get(name)
+            v = self.variables.get(name)
             if v is None or v.causality == "structuralParameter":
                 continue
             if v.causality == "input" or v.initial == "exact":
                 again[name] = value
         with instance.check_calls():
             instance.prepare()
-            values.set(self.start_values)
+            self.set_variables(self.start_values)
             instance.enter()
-            values.set(again)
-        values.show(self.start_values, readable=can_read)
-        values.watched = [] if self.changes_by_events and self._values.fed else None
+            self.set_variables(again)
+        self.show(self.start_values, readable=can_read)
+        self.watched = [] if self.changes_by_events and self.fed else None
 
     def start(self) -> None:
         with self.instance.check_calls():
             self.instance.leave()
         self.instance.initialized = True
-        self._values.readable = True
+        self.readable = True
         self._do_step = self.instance.stepping()
-
-    def put(self) -> None:
-        self._values.put()
 
     def try_inputs(self) -> None:
         """Set the inputs without an event; `put` makes it."""
         if self.changes_by_events:
-            self._values.put_all()
+            self.put_all()
         else:
             self.put()
 
@@ -248,9 +233,9 @@ class FmuBlock(Component):
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
         """Return directional derivatives of outputs, None if unavailable."""
-        if not self._is_differentiable or not {*outputs, *inputs} <= self._variables.keys():
+        if not self._is_differentiable or not {*outputs, *inputs} <= self.variables.keys():
             return None  # Elements of arrays have no value reference of their own.
-        variables = ([self._variables[name] for name in names] for names in (outputs, inputs))
+        variables = ([self.variables[name] for name in names] for names in (outputs, inputs))
         return [list(row) for row in zip(*self.instance.directional_derivatives(*variables), strict=True)]
 
     @cached_property
@@ -259,12 +244,9 @@ class FmuBlock(Component):
 
     def nominal(self, name: str, default: float = 1.0) -> float:
         """Return the nominal value of a variable."""
-        variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
+        variable = self.variables.get(name) or self.variables.get(name.rpartition("[")[0])
         own = getattr(variable, "nominal", None) or getattr(getattr(variable, "declaredType", None), "nominal", None)
         return abs(float(own or default))
-
-    def get(self) -> None:
-        self._values.get()
 
     def advance(self, t: float, h: float) -> None:
         instance = self.instance
@@ -292,15 +274,15 @@ class FmuBlock(Component):
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
         with self.instance.check_calls():
-            self.instance.inputs_changed(lambda: self._values.set(values))
-        self._values.show_changes(values)
+            self.instance.inputs_changed(lambda: self.set_variables(values))
+        self.show_changes(values)
 
     def close(self) -> None:
         self.instance.free()
         self.instance.remove()
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        return in_turn(self, doing, first, puts=bool(self._values.fed))
+        return in_turn(self, doing, first, puts=bool(self.fed))
 
     # -- state --------------------------------------------------------------------------
 
@@ -310,20 +292,17 @@ class FmuBlock(Component):
 
         The FMU must save and restore its state and accept steps of any length.
         """
-        return bool(
-            self._declares("canGetAndSetFMU")
-            and self.instance.about.canHandleVariableCommunicationStepSize
-            and sampled_by(self.path) is None
-        )
+        about, any_step = self.instance.about, sampled_by(self.path) is None
+        return bool(self._gives_state and about.canHandleVariableCommunicationStepSize and any_step)
 
     @property
     def saves(self) -> bool:
-        return self._declares("canGetAndSetFMU") and self._declares("canSerializeFMU") and not self._refuses
+        return self._gives_state and self.instance.about.canSerializeFMUstate and not self._refuses
 
-    def _declares(self, capability: str) -> bool:
-        """Return whether the FMU is stepped and declares a capability regarding its state."""
-        is_stepped = self.instance.way == "co-simulation"
-        return is_stepped and any(getattr(self.instance.about, f"{capability}{s}", False) for s in ("state", "State"))
+    @property
+    def _gives_state(self) -> bool:
+        """Return whether the FMU is stepped and declares that its state can be saved and restored."""
+        return bool(self.instance.way == "co-simulation" and self.instance.about.canGetAndSetFMUstate)
 
     def _state_function(self, verb: str) -> Any:
         """Return a function of FMPy for the state of the FMU."""
@@ -331,32 +310,39 @@ class FmuBlock(Component):
         verb = "deSerialize" if verb == "deserialize" and not is_fmi3 else verb
         return getattr(self.instance.fmu, f"{verb}FMU{'State' if is_fmi3 else 'state'}")
 
+    def _call_of_state(self, verb: str, *arguments: Any) -> Any:
+        """Call a function for the state of the FMU."""
+        with self.instance.check_calls():
+            return self._state_function(verb)(*arguments)
+
     def save_state(self) -> Any:
         """Return the state, to restore and free."""
-        with self.instance.check_calls():
-            return self._state_function("get")()
+        return self._call_of_state("get")
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
         """Restore a saved state, and free the state unless `keep` is set."""
-        with self.instance.check_calls():
-            self._state_function("set")(state)
+        self._call_of_state("set", state)
         if not keep:
             self.free_state(state)
 
     def free_state(self, state: Any) -> None:
         """Free a state that is not restored."""
-        with self.instance.check_calls():
-            self._state_function("free")(state)
+        self._call_of_state("free", state)
+
+    def _serialize(self) -> bytes:
+        """Return the state as bytes; FMPy raises its own and bare Exceptions."""
+        state = self._state_function("get")()
+        content = bytes(self._state_function("serialize")(state))
+        self._state_function("free")(state)
+        return content
 
     def checkpoint(self) -> dict[str, Any] | None:
         log = self.log.state()
         if not self.saves:
             return None
         try:
-            state = self._state_function("get")()
-            content = bytes(self._state_function("serialize")(state))
-            self._state_function("free")(state)
-        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
+            content = self._serialize()
+        except Exception:  # The run goes on; a resumed run makes all steps again.
             self._refuses = True
             return None
         self.log.restore(log)  # Messages of these calls are none of the run.
@@ -368,9 +354,7 @@ class FmuBlock(Component):
         self.log.restore(state["log"])
 
     def _deserialize(self, content: bytes) -> None:
-        with self.instance.check_calls():
-            state = self._state_function("deserialize")(content)
-        self.restore_state(state)
+        self.restore_state(self._call_of_state("deserialize", content))
 
     # -- stepped by C -------------------------------------------------------------------------
 
@@ -381,9 +365,9 @@ class FmuBlock(Component):
             return f"{self.name} is made of Python, by pythonfmu"
         if type(instance) is not Instance or instance.version == 1:
             return f"{self.name} is of FMI {self.description.fmiVersion} {instance.way}"
-        if (moves := self._values.moves()) is None:
+        if (moves := self.moves()) is None:
             return f"{self.name} has values that no double holds"
-        (puts, gets), step = moves, instance.bare(STEPS[instance.version], "DoStep")
+        (puts, gets), step = moves, instance.step_function()
         put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
         slot = Slot(instance.version, ctypes.cast(step, ctypes.c_void_p), instance.component, time=instance.time)
         slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
@@ -409,7 +393,7 @@ class FmuBlock(Component):
         if plan.called == ADVANCE and reason not in (StopReason.NOT_FINITE, StopReason.UNFIT):
             self.instance.judge(self.instance.step_name, plan.status)
         else:
-            self._values.raise_error(reason, plan)
+            self.raise_error_of_move(reason, plan)
 
 
 class RestartableFmu(FmuBlock):
@@ -441,11 +425,7 @@ class RestartableFmu(FmuBlock):
 
     def _state(self) -> bytes:
         with self.instance.check_calls():
-            fmu = self.instance.fmu
-            pointer = fmu.getFMUstate()
-            state: bytes = fmu.serializeFMUstate(pointer)
-            fmu.freeFMUstate(pointer)
-        return state
+            return self._serialize()
 
     @cached_property
     def _is_ours(self) -> bool:

@@ -14,6 +14,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -28,15 +29,22 @@ from cosim.core.errors import CallFailed, DiskFull, FmuError, Terminated
 from cosim.core.messages import Note
 from cosim.core.scratch import process_folder
 from cosim.files.archive import unpack
-from cosim.fmi.description import C_CODE, PARTS, Way, library_of, no_library, platform_of, platforms_among
-from cosim.fmi.guard import without_wrapping
+from cosim.fmi.description import (
+    C_CODE,
+    PARTS,
+    Way,
+    library_of,
+    no_library,
+    platform_of,
+    platforms_among,
+    without_wrapping,
+)
 from cosim.fmi.lifetime import let_go_at_exit
 
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
 BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
 SIZE, REFERENCE, INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
-EXCHANGE = ctypes.CFUNCTYPE(INT, REFERENCE, REFERENCE, SIZE, REFERENCE)
-EXCHANGE3 = ctypes.CFUNCTYPE(INT, REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE)
+MOVED = REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE  # arguments that set or get values; the last one is of FMI 3.0
 STEPS = {
     1: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_byte),
     2: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT),
@@ -51,6 +59,7 @@ KEPT_FIRST, KEPT_LAST = 50, 50  # messages
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
+@dataclass(eq=False)
 class MessageLog:
     """The first and the last messages of an FMU, each text once, and the number of those between.
 
@@ -58,11 +67,10 @@ class MessageLog:
         share: Function called with each message, if any.
     """
 
-    def __init__(self) -> None:
-        self.first: list[str] = []
-        self.last: deque[str] = deque(maxlen=KEPT_LAST)
-        self.omitted = 0
-        self.share: Callable[[str], None] | None = None
+    first: list[str] = field(default_factory=list)
+    last: deque[str] = field(default_factory=lambda: deque(maxlen=KEPT_LAST))
+    omitted: int = 0
+    share: Callable[[str], None] | None = None
 
     def __iter__(self) -> Iterator[str]:
         """Yield the messages, with a note in place of those between."""
@@ -105,7 +113,6 @@ class Instance:
         version: Version of FMI: 1, 2 or 3.
         prefix: Prefix of FMI's functions.
         about: Description of the interface.
-        readable_before_start: Whether values are readable during initialization; in FMI 1.0, a single call initializes.
         fmu: FMPy's object, None before loading and after Fatal; `component` is C's pointer.
         is_event, ends, is_early, last: Outcome of a step of FMI 3.0.
         log: Messages and warnings.
@@ -117,6 +124,15 @@ class Instance:
 
     fmpy_class = "Slave"
     way: Way = "co-simulation"
+    start_time = stop_time = time = 0.0
+    tolerance: float | None = None
+    fmu: Any = None
+    component: Any = None
+    place: Path | None = None
+    initialized = False
+    _folder: Path | None = None
+    _stop: BaseException | None = None
+    _words = ""  # last message
 
     def __init__(
         self, name: str, path: Path, description: Any, *, logging: bool = False, compiles: bool = False
@@ -125,24 +141,12 @@ class Instance:
         self.version = int(description.fmiVersion[0])
         self.prefix = "fmi" if self.version == 1 else f"fmi{self.version}"
         self.about = getattr(description, PARTS[self.way])
-        self.readable_before_start = self.version > 1
-        self.exchange = EXCHANGE3 if self.version == 3 else EXCHANGE
-        self.start_time, self.stop_time = 0.0, 0.0
-        self.tolerance: float | None = None
         self.is_event, self.ends, self.is_early, self.last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
         self.flags = tuple(ctypes.byref(cell) for cell in (self.is_event, self.ends, self.is_early, self.last))
         self.by_pythonfmu = "pythonfmu" in (description.generationTool or "").lower()
         self.log = MessageLog()
         self.step_name = f"{self.prefix}DoStep"
-        self.fmu: Any = None
-        self.component: Any = None
-        self.place: Path | None = None
-        self.time = 0.0
-        self.initialized = False
         self._logging, self._compiles = logging, compiles
-        self._folder: Path | None = None
-        self._stop: BaseException | None = None
-        self._words = ""  # last message
 
     # -- life cycle ---------------------------------------------------------------------------------
 
@@ -288,14 +292,19 @@ class Instance:
         function = getattr(self.fmu.dll, self.symbol(name))
         return prototype(ctypes.cast(function, ctypes.c_void_p).value)
 
-    def prepared(self, prototype: Any, name: str, *arguments: Any) -> partial[int]:
-        """Return a library function with arguments that no call converts again; those beyond its prototype are left."""
-        values = [kind(value) for kind, value in zip(prototype._argtypes_, arguments, strict=False)]
-        return partial(self.bare(ctypes.CFUNCTYPE(ctypes.c_int), name), *values)
+    def prepared(self, name: str, *arguments: Any) -> partial[int]:
+        """Return a function that sets or gets values, with arguments that no call converts again."""
+        kinds = MOVED if self.version == 3 else MOVED[:-1]
+        values = [kind(value) for kind, value in zip(kinds, (self.component, *arguments), strict=False)]
+        return partial(self.bare(ctypes.CFUNCTYPE(INT), name), *values)
+
+    def step_function(self) -> Any:
+        """Return the library's function for a step."""
+        return self.bare(STEPS[self.version], "DoStep")
 
     def stepping(self) -> Step:
         """Return a function of (component, t, h, flag) → status."""
-        step: Any = self.bare(STEPS[self.version], "DoStep")
+        step: Any = self.step_function()
         if self.version < 3:
             return step  # type: ignore[no-any-return]
 

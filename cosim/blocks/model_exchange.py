@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.instance import Instance, Step, end_of
-from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, solver
+from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, numbers, solver
+from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import Way
 
@@ -54,27 +55,27 @@ class ModelExchange(Instance):
 
     way: Way = "model-exchange"
     fmpy_class = "Model"
+    reached = _length = 0.0
+    next_event: float | None = None
+    solver: Any = None
+    solver_name: Solver | None = None
+    longest: float | None = None
+    max_steps: int | None = None
+    stops_at_events, cause = False, ""
+    awaits_inputs, changes_at = False, frozenset[float]()
+    _first: Any = None  # event information from the initialization of FMI 1.0
+    _started = False
+    _shortened = 0  # number of shortened steps
 
     def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
         super().__init__(name, path, description, **settings)
-        self.reached = 0.0
-        self.next_event: float | None = None
         self._states, self._indicator_count = description.numberOfContinuousStates, description.numberOfEventIndicators
         # FMI 1.0 demands the call of every host.
         self.needs_completed_steps = self.version == 1 or bool(self.about.needsCompletedIntegratorStep)
-        self._first: Any = None  # event information from the initialization of FMI 1.0
-        self.solver: Any = None
-        self.solver_name: Solver | None = None
-        self.longest: float | None = None
-        self.max_steps: int | None = None
-        self._started = False
         # indicator and direction → times of its last crossings, and the number of shortened steps until then
         self._crossings: dict[tuple[int, int], deque[tuple[float, int]]] = {}
-        self._shortened = 0  # number of shortened steps
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
-        self.stops_at_events, self.cause = False, ""
-        self.awaits_inputs, self.changes_at, self._length = False, frozenset[float](), 0.0
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
@@ -147,7 +148,7 @@ class ModelExchange(Instance):
 
     def save_state(self) -> tuple[float, list[float]]:
         """Return time [s] and continuous states, for `restore_state`."""
-        return self.reached, self._numbers(self.fmu.getContinuousStates, self._states)
+        return self.reached, numbers(self.fmu.getContinuousStates, self._states)
 
     def restore_state(self, saved: tuple[float, list[float]]) -> None:
         """Take back the states before a step, whose event, if any, has not been handled."""
@@ -157,14 +158,6 @@ class ModelExchange(Instance):
         self.solver.reset(self.reached)
 
     # -- internal -------------------------------------------------------------------------------
-
-    @staticmethod
-    def _numbers(function: Any, count: int) -> list[float]:
-        """Return the numbers of an FMU by one of its functions."""
-        cells = (ctypes.c_double * max(1, count))()
-        if count:
-            function(ctypes.cast(cells, DOUBLES), count)
-        return list(cells)[:count]
 
     def _step(self, t: float, h: float) -> None:
         """Integrate to the communication point across all events."""
@@ -285,18 +278,22 @@ class ModelExchange(Instance):
     def _place(self, time: float, states: Sequence[float]) -> None:
         """Set time and continuous states."""
         self.fmu.setTime(time)
-        if self._states:
-            cells = (ctypes.c_double * len(states))(*states)
-            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), len(states))
+        self.set_states(states)
+
+    def set_states(self, states: Sequence[float] | Array) -> None:
+        """Set the continuous states."""
+        if count := len(states):
+            cells = (ctypes.c_double * count)(*states)
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), count)
 
     def _indicators(self, time: float, states: Sequence[float]) -> list[float]:
         """Return the event indicators at a point."""
         self._place(time, states)
-        return self._numbers(self.fmu.getEventIndicators, self._indicator_count)
+        return numbers(self.fmu.getEventIndicators, self._indicator_count)
 
     def _rates(self) -> list[float]:
         """Return the derivatives of the continuous states."""
-        return self._numbers(derivatives_of(self.fmu), self._states)
+        return numbers(derivatives_of(self.fmu), self._states)
 
     def _explain(self, error: SolverFailed) -> str:
         """Return the solver's reason with the derivative's name."""

@@ -10,19 +10,83 @@ import ctypes
 import os
 import platform
 import re
+import struct
 import sys
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from zlib import crc32
 
-from cosim.blocks.elf import ElfLibrary, read_elf
+import numpy as np
+
 from cosim.core.errors import FmuError
 from cosim.core.messages import CheckNote, CheckWarning
 from cosim.files.archive import DAMAGES, DESCRIPTION
+
+HEAD = b"\x7fELF\x02\x01"
+DYNAMIC, DYNAMIC_SYMBOLS = 6, 11  # types of sections
+NEEDED, SONAME = 1, 14  # tags of the dynamic section
+UNIQUE, EXPORTED = 10, (1, 2, 10)  # bindings of symbols: global, weak, unique
+VISIBLE = (0, 3)  # default, protected
+SYMBOL = np.dtype(
+    [("name", "<u4"), ("info", "u1"), ("other", "u1"), ("section", "<u2"), ("value", "<u8"), ("size", "<u8")]
+)
+
+
+@dataclass
+class ElfLibrary:
+    """Names by which the loader knows a library, and the symbols that it defines.
+
+    Attributes:
+        soname: Name in the process, "" for that of the file.
+        needed: Names of the libraries that it needs.
+        defined: Symbols that other libraries can refer to.
+        unique: Those of them that exist once in a process (C++, `STB_GNU_UNIQUE`).
+    """
+
+    soname: str = ""
+    needed: set[str] = field(default_factory=set)
+    defined: set[str] = field(default_factory=set)
+    unique: set[str] = field(default_factory=set)
+
+
+def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
+    """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
+    if content.startswith(HEAD):
+        with suppress(struct.error, ValueError, IndexError, OverflowError):
+            return _read(content, symbols)
+    return ElfLibrary()
+
+
+def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
+    (first,) = struct.unpack_from("<Q", content, 40)
+    size, count = struct.unpack_from("<HH", content, 58)
+    sections = [struct.unpack_from("<IIQQQQI", content, first + k * size) for k in range(count)]
+
+    def text(start: int) -> str:
+        return content[start : content.index(b"\0", start)].decode("utf-8", "replace")
+
+    elf = ElfLibrary()
+    for _, kind, _, _, offset, length, link in sections:
+        if kind == DYNAMIC:
+            strings = sections[link][4]
+            for tag, value in struct.iter_unpack("<qQ", content[offset : offset + length // 16 * 16]):
+                if tag == NEEDED:
+                    elf.needed.add(text(strings + value))
+                elif tag == SONAME:
+                    elf.soname = text(strings + value)
+        elif kind == DYNAMIC_SYMBOLS and with_symbols:
+            strings = sections[link][4]
+            symbols = np.frombuffer(content, SYMBOL, length // SYMBOL.itemsize, offset)
+            binding, is_visible = symbols["info"] >> 4, np.isin(symbols["other"] & 3, VISIBLE)
+            is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
+            elf.defined |= {text(strings + name) for name in symbols["name"][is_defined].tolist()}
+            elf.unique |= {text(strings + name) for name in symbols["name"][is_defined & (binding == UNIQUE)].tolist()}
+    return elf
+
 
 # files of this system's libraries, and words in their folders, of FMI 1.0, 2.0 and 3.0
 ENDING, WORDS = {"Windows": (r"\.dll", ("win", "windows")), "Darwin": (r"\.dylib|\.so", ("darwin",))}.get(
@@ -43,7 +107,7 @@ class SharedCode(FmuError):
     """Error: this process has loaded other code of a name that an FMU brings."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Code:
     """Code of an FMU by name, each with a digest of its content.
 
@@ -56,12 +120,12 @@ class Code:
         modules: Python module → checksum of its file.
     """
 
-    wanted: Mapping[str, str] = field(default_factory=dict)
-    offered: Mapping[str, str] = field(default_factory=dict)
-    symbols: frozenset[str] = frozenset()
-    needed: frozenset[str] = frozenset()
-    libraries: frozenset[tuple[str, str]] = frozenset()
-    modules: Mapping[str, int] = field(default_factory=dict)
+    wanted: dict[str, str] = field(default_factory=dict)
+    offered: dict[str, str] = field(default_factory=dict)
+    symbols: set[str] = field(default_factory=set)
+    needed: set[str] = field(default_factory=set)
+    libraries: set[tuple[str, str]] = field(default_factory=set)
+    modules: dict[str, int] = field(default_factory=dict)
 
     def clash(self, other: Code) -> str:
         """Return what both FMUs have by one name and with different content, "" if nothing."""
@@ -81,11 +145,7 @@ def code_of(path: Path) -> Code:
 
 @lru_cache(64)
 def _code_of(path: Path, _changed: int, _size: int) -> Code:
-    wanted: dict[str, str] = {}
-    offered: dict[str, str] = {}
-    symbols: set[str] = set()
-    needed: set[str] = set()
-    libraries: set[tuple[str, str]] = set()
+    code = Code()
     with zipfile.ZipFile(path) as archive:
         files = [info for info in archive.infolist() if not info.is_dir()]
         own = {name.decode() for name in IDENTIFIER.findall(archive.read(DESCRIPTION))}
@@ -95,25 +155,26 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
             is_of_here = not folder or any(word in folder[-1] for word in WORDS)
             if not (is_of_here and LIBRARY.fullmatch(info.filename)):
                 continue
-            name, digest = PurePosixPath(info.filename).name, f"{info.CRC:08x}-{info.file_size}"
+            name, digest = PurePosixPath(info.filename).name, _digest(info)
             elf = read_elf(archive.read(info)) if sys.platform.startswith("linux") else ElfLibrary()
+            code.libraries |= {(n, digest) for n in (name, elf.soname)}
             names = {f"library {n}": digest for n in (name, elf.soname) if n}
-            offered |= names
-            libraries |= {(n, digest) for n in (name, elf.soname)}
             unique = {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
             is_fmu = name.partition(".")[0] in own or not elf.defined.isdisjoint(versions)
-            wanted |= unique if is_fmu else names | unique
-            offered |= unique
-            symbols |= elf.defined
-            needed |= elf.needed
-    modules = _modules([(info.filename, f"{info.CRC:08x}-{info.file_size}") for info in files])
-    found = frozenset(symbols), frozenset(needed), frozenset(libraries)
-    checksums = dict.fromkeys(modules, 0)
-    for name in modules:
+            code.wanted |= unique if is_fmu else names | unique
+            code.offered |= names | unique
+            code.symbols |= elf.defined
+            code.needed |= elf.needed
+    for name, content in _modules([(info.filename, _digest(info)) for info in files]).items():
+        code.wanted[f"Python module {name}"] = code.offered[f"Python module {name}"] = content
         places = f"resources/{name}.py", f"resources/{name}/__init__.py"
-        checksums[name] = next((info.CRC for info in files if info.filename.endswith(places)), 0)
-    contents = {f"Python module {name}": content for name, content in modules.items()}
-    return Code(wanted | contents, offered | contents, *found, checksums)
+        code.modules[name] = next((info.CRC for info in files if info.filename.endswith(places)), 0)
+    return code
+
+
+def _digest(info: zipfile.ZipInfo) -> str:
+    """Return a digest of the content of a member."""
+    return f"{info.CRC:08x}-{info.file_size}"
 
 
 def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:

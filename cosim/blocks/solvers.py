@@ -142,20 +142,13 @@ def cvode(
         symbol: Name of an FMI function → its name in the library, for calls from C.
     """
     from fmpy.fmi1 import FMICallException
-    from fmpy.sundials import CVodeSolver
+    from fmpy.sundials import NV_DATA_S, CVodeSolver
     from fmpy.sundials.libraries import sundials_core as core
     from fmpy.sundials.libraries import sundials_cvode as library
     from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
 
-    set_states, get_derivatives = fmu.setContinuousStates, derivatives_of(fmu)
-    at, data = DOUBLES.from_address, _N_VectorContent_Serial.data.offset
-
-    compiled = CompiledRates.of(fmu, states, data, start, symbol)
-
-    whole, most = longest, MAX_STEPS if max_steps is None else max_steps
-
-    def set_time(since: float) -> None:
-        fmu.setTime(start + since)
+    compiled = CompiledRates.of(fmu, states, _N_VectorContent_Serial.data.offset, start, symbol)
+    most = MAX_STEPS if max_steps is None else max_steps
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         is_first, goal, steps = True, math.nan, 0  # first step after a reset; last target, single steps towards it
@@ -163,17 +156,12 @@ def cvode(
         refusals: list[Exception]  # errors of this step for which CVODE tries shorter steps
 
         def f(self, t: float, y: Any, ydot: Any, rest: Any) -> int:
-            """Store the derivatives at a point, as FMPy's own function does with more conversions."""
+            """Store the derivatives at a point; a derivative that is not finite asks for a shorter step."""
             try:
-                if not states:
-                    return int(super().f(t, y, ydot, rest))
-                set_time(t)
-                set_states(at(y.contents.content + data), states)
-                derivatives = at(ydot.contents.content + data)
-                get_derivatives(derivatives, states)
+                super().f(t, y, ydot, rest)
             except FMICallException as error:
                 return self._refuse(error)
-            if (derivative := _not_finite(derivatives[:states])) is not None:
+            if (derivative := _not_finite(NV_DATA_S(ydot)[: self.nx])) is not None:
                 self.refusals.append(SolverFailed(FAILURES[-3], derivative))
                 return 1
             return 0
@@ -217,11 +205,11 @@ def cvode(
             reached = goal if time.value == since else min(start + time.value, goal)
             return flag == ROOT_RETURN, list(roots), reached
 
-        def reset(self, time: float, longest: float | None = None) -> None:
+        def reset(self, time: float, shorter: float | None = None) -> None:
             super().reset(time - start)
             self.is_first, self.goal = True, math.nan
-            library.CVodeSetInitStep(self.memory, ctypes.c_double(longest or 0.0))
-            library.CVodeSetMaxStep(self.memory, ctypes.c_double(longest or whole))
+            library.CVodeSetInitStep(self.memory, ctypes.c_double(shorter or 0.0))
+            library.CVodeSetMaxStep(self.memory, ctypes.c_double(shorter or longest))
 
         def __del__(self) -> None:
             super().__del__()
@@ -279,7 +267,7 @@ def cvode(
         get_dx=derivatives_of(fmu),
         get_z=fmu.getEventIndicators,
         get_nominals=partial(nominals, fmu),
-        set_time=set_time,
+        set_time=lambda since: fmu.setTime(start + since),
         input=SimpleNamespace(apply=lambda time: None),  # Inputs are constant over a communication step.
         startTime=0.0,
         maxStep=longest,
@@ -317,6 +305,14 @@ def nominals(fmu: Any, cells: Any, count: int) -> None:
         values[k] = abs(values[k]) if math.isfinite(values[k]) and values[k] else 1.0
 
 
+def numbers(function: Any, count: int) -> list[float]:
+    """Return the numbers that one of an FMU's functions writes."""
+    cells = (ctypes.c_double * count)()
+    if count:
+        function(ctypes.cast(cells, DOUBLES), count)
+    return list(cells)
+
+
 class SolveIvp:
     """The method Radau of scipy's solve_ivp, step by step."""
 
@@ -334,9 +330,6 @@ class SolveIvp:
     ) -> None:
         self.fmu, self.states, self.indicators = fmu, states, indicators
         self.whole, self.tolerance, self.max_steps = longest, tolerance, max_steps
-        self._x, self._dx = (ctypes.c_double * max(1, states))(), (ctypes.c_double * max(1, states))()
-        self._z = (ctypes.c_double * max(1, indicators))()
-        self._derivatives = derivatives_of(fmu)
         self.discarded: Exception | None = None
         self.derivative: tuple[int, float] | None = None
         self.last_step = 0.0
@@ -347,9 +340,7 @@ class SolveIvp:
         self._radau: Any = None
         self.is_first = True
         self._first_step, self._longest = longest, longest or self.whole
-        self._nominal = (ctypes.c_double * max(1, self.states))(1.0)
-        if self.states:
-            nominals(self.fmu, ctypes.cast(self._nominal, DOUBLES), self.states)
+        self._nominal = numbers(partial(nominals, self.fmu), self.states) or [1.0]
 
     def step(self, t: float, target: float) -> tuple[bool, list[int], float]:
         """Integrate by one step towards the target, or just beyond the first state event."""
@@ -361,9 +352,7 @@ class SolveIvp:
                 if self._radau is None or self._radau.t_bound != target:
                     from scipy.integrate import Radau
 
-                    if self.states:
-                        self.fmu.getContinuousStates(ctypes.cast(self._x, DOUBLES), self.states)
-                    x = list(self._x) if self.states else [0.0]
+                    x = numbers(self.fmu.getContinuousStates, self.states) or [0.0]
                     scale = [self.tolerance * abs(n) for n in self._nominal]
                     settings = {"rtol": self.tolerance, "atol": scale, "max_step": self._longest}
                     first = None if self._first_step is None else min(self._first_step, target - t)
@@ -385,8 +374,8 @@ class SolveIvp:
                     t = middle
                 else:
                     end = middle
-            self._signs(end, solution(end))
-            return True, [int(z > 0) - int(old) for old, z in zip(before, self._z, strict=False)], float(end)
+            after = self._signs(end, solution(end))
+            return True, [new - old for old, new in zip(before, after, strict=True)], float(end)
         if radau.status == "running" and self._steps == self.max_steps:
             raise SolverFailed(TOO_MANY_SOLVER_STEPS.format(solver="solve_ivp", count=self._steps, other=""))
         self._set(radau.t, radau.y)
@@ -395,15 +384,13 @@ class SolveIvp:
     def _signs(self, t: float, x: Any) -> list[bool]:
         """Return whether each event indicator is positive; set the FMU to the point."""
         self._set(t, x)
-        if self.indicators:
-            self.fmu.getEventIndicators(ctypes.cast(self._z, DOUBLES), self.indicators)
-        return [z > 0 for z in self._z][: self.indicators]
+        return [z > 0 for z in numbers(self.fmu.getEventIndicators, self.indicators)]
 
     def _set(self, t: float, x: Any) -> None:
         self.fmu.setTime(t)
         if self.states:
-            self._x[:] = [float(v) for v in x]
-            self.fmu.setContinuousStates(ctypes.cast(self._x, DOUBLES), self.states)
+            cells = (ctypes.c_double * self.states)(*map(float, x))
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), self.states)
 
     def _rates(self, t: float, x: Any) -> list[float]:
         """Return the derivatives; NaN if the FMU discards. Radau then tries a shorter step."""
@@ -411,12 +398,11 @@ class SolveIvp:
 
         try:
             self._set(t, x)
-            if self.states:
-                self._derivatives(ctypes.cast(self._dx, DOUBLES), self.states)
+            rates = numbers(derivatives_of(self.fmu), self.states) or [0.0]
         except FMICallException as error:
             if error.status != DISCARD:
                 raise
             self.discarded = error
-            return [math.nan] * len(self._dx)
-        self.discarded, self.derivative = None, _not_finite(self._dx)
-        return list(self._dx)
+            return [math.nan] * max(1, self.states)
+        self.discarded, self.derivative = None, _not_finite(rates)
+        return rates

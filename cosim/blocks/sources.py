@@ -7,6 +7,7 @@ import ctypes
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -184,20 +185,21 @@ def _whole_number(value: Any) -> int:
     return int(number)
 
 
+@dataclass(eq=False)
 class Recorded:
     """A recorded signal: last value at or before a time; before the first time the first value.
 
     Of equal times, which are a jump, the last is that of the value from there on.
 
-    Args:
+    Attributes:
         step: Length [s] of the steps of a run, for the comparison of times.
         is_linear: Whether values between two rows lie on a line.
     """
 
-    def __init__(
-        self, times: Sequence[float], values: Sequence[Any], step: float = 0.0, *, is_linear: bool = False
-    ) -> None:
-        self.times, self.values, self.step, self.is_linear = times, values, step, is_linear
+    times: Sequence[float]
+    values: Sequence[Any]
+    step: float = 0.0
+    is_linear: bool = False
 
     def __call__(self, t: float) -> Any:
         k = max(0, bisect.bisect_right(self.times, t + rounding(t, self.step)) - 1)

@@ -130,9 +130,8 @@ def move(function: Any, exchange: Exchange, row: Row) -> Move:
     """Return a get or set call for C."""
     kind, place = exchange.kind, ctypes.addressof(row) + 8 * exchange.places.start
     references, count, values, scalars = exchange.arguments
-    bounds = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
-    pointer = ctypes.cast(function, c_void_p)
-    return Move(pointer, references, count, scalars, values, place, *bounds, exchange.finite, TYPES[kind.ctype])
+    pointer, finite = ctypes.cast(function, c_void_p), exchange.finite
+    return Move(pointer, references, count, scalars, values, place, kind.low, kind.high, finite, TYPES[kind.ctype])
 
 
 def address_of(buffer: Any) -> int | None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from cosim.blocks.component import PUT, Row, Signal
+from cosim.blocks.component import PUT, Component, Row, Signal
 from cosim.blocks.instance import Instance
 from cosim.blocks.stepping import Move, Plan, StopReason, move
 from cosim.core.errors import NotFinite, SimulationError
@@ -20,8 +20,10 @@ from cosim.fmi.description import enumeration_items, is_difference, unit_definit
 from cosim.fmi.fmi_types import Exchange, element_names, elements, input_aliases, is_negated, kinds_of, negative
 
 
-class Values:
-    """Inputs, outputs and recorded variables of an instance, put and read; call `bind` and `look_up` first.
+class FmuVariables(Component):
+    """A component that moves inputs, outputs and recorded variables of an FMU instance.
+
+    The order is: `list_variables`, `bind`, `look_up` for each new instance, then values.
 
     Attributes:
         fed: Connected inputs.
@@ -33,15 +35,14 @@ class Values:
         clock_outputs: All other clocks, likewise behind the outputs.
         watched: Last inputs of model exchange, because unchanged inputs cause no event.
         readable: Whether outputs can be read.
-
-    Args:
-        part: Function of a variable; variables of different parts are moved by calls of their own.
-        clocks: Signals of triggered input clocks, and of all other clocks.
     """
 
-    def __init__(
+    instance: Instance
+    watched: list[Any] | None = None
+    readable = False
+
+    def list_variables(
         self,
-        instance: Instance,
         connected: frozenset[str],
         recorded: frozenset[str],
         optional: frozenset[str] = frozenset(),
@@ -49,44 +50,41 @@ class Values:
         part: Callable[[Any], Hashable] = lambda variable: None,
         clocks: tuple[tuple[Signal, ...], tuple[Signal, ...]] = ((), ()),
     ) -> None:
-        self.instance, self._part = instance, part
-        self.description = description = instance.description
+        """List the variables to move, and their signals.
+
+        Args:
+            part: Function of a variable; variables of different parts are moved by calls of their own.
+            clocks: Signals of triggered input clocks, and of all other clocks.
+        """
+        description = self.instance.description
         self.clock_inputs, self.clock_outputs = clocks
-        self.watched: list[Any] | None = None
-        self.readable = False
-        self.variables = {v.name: v for v in description.modelVariables}
+        self.variables: dict[str, Any] = {}
+        for v in description.modelVariables:  # A name that stands twice means its first variable.
+            self.variables.setdefault(v.name, v)
         self._aliases = input_aliases(description)
         self.kinds = kinds_of(description.fmiVersion)
-        fed, unfed, outputs, others = list[Any](), list[Any](), list[Any](), list[Any]()
-        seen = set[str]()
-        for v in description.modelVariables:
-            if v.type not in self.kinds or v.name in seen:  # a name that stands twice means its first variable
-                continue
-            seen.add(v.name)
-            if v.causality == "output":
-                outputs.append(v)
-            elif v.causality != "input":
-                others += [v] if v.name in recorded else []
-            elif not connected.isdisjoint({v.name, *element_names(v)}):
-                fed.append(v)
-            elif v.name not in optional:
-                unfed.append(v)
-        self.fed, self.unfed = self._exchanges(fed), self._exchanges(unfed)
-        self.read = self._exchanges([*outputs, *others], {name for v in outputs for name in element_names(v)})
+        movable = [v for v in self.variables.values() if v.type in self.kinds]
+        inputs, outputs = ([v for v in movable if v.causality == kind] for kind in ("input", "output"))
+        others = [v for v in movable if v.name in recorded and v.causality not in {"input", "output"}]
+        fed = [v for v in inputs if not connected.isdisjoint({v.name, *element_names(v)})]
+        left_out = {v.name for v in fed} | optional
+
+        def exchanges(variables: Iterable[Any], outputs: Iterable[str] = ()) -> tuple[Exchange, ...]:
+            """Return an exchange per type, part and sign, doubles first."""
+            groups: dict[tuple[Any, Hashable], list[Any]] = {}
+            for variable in variables:
+                key = self.kinds[variable.type], (part(variable), is_negated(variable))
+                groups.setdefault(key, []).append(variable)
+            every = (Exchange(kind, group, {*outputs}) for (kind, _), group in groups.items())
+            return tuple(sorted(every, key=lambda exchange: exchange.kind.ctype is not ctypes.c_double))
+
+        self.fed, self.unfed = exchanges(fed), exchanges(v for v in inputs if v.name not in left_out)
+        self.read = exchanges([*outputs, *others], {name for v in outputs for name in element_names(v)})
         self.inward = (*self.fed, *self.unfed)
         self.inputs = self._signals(self.inward, beside=False) + self.clock_inputs
         self.exact_inputs = self._signals(self.inward, beside=True)
         self.outputs = self._signals(self.read, beside=False) + self.clock_outputs
         self.exact_outputs = self._signals(self.read, beside=True)
-
-    def _exchanges(self, variables: Iterable[Any], outputs: Iterable[str] = ()) -> tuple[Exchange, ...]:
-        """Return an exchange per type, part and sign, doubles first."""
-        groups: dict[tuple[Any, Hashable], list[Any]] = {}
-        for variable in variables:
-            part = self._part(variable), is_negated(variable)
-            groups.setdefault((self.kinds[variable.type], part), []).append(variable)
-        exchanges = (Exchange(kind, group, {*outputs}) for (kind, _), group in groups.items())
-        return tuple(sorted(exchanges, key=lambda exchange: exchange.kind.ctype is not ctypes.c_double))
 
     def _signals(self, exchanges: Iterable[Exchange], *, beside: bool) -> tuple[Signal, ...]:
         """Return the signals in the row, or beside the row."""
@@ -97,7 +95,7 @@ class Values:
             signal = Signal(
                 v.name,
                 unit,
-                unit_definition(self.description, unit),
+                unit_definition(self.instance.description, unit),
                 v.type,
                 items,
                 v.name if v.shape else "",
@@ -109,9 +107,8 @@ class Values:
             signals += [replace(signal, name=name) for name in element_names(v)]
         return tuple(signals)
 
-    def bind(self, row: Row, first: int, beside: list[Any] | None, first_beside: int) -> None:
-        """Set the places of the signals, inputs first."""
-        self.row = row
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        self._row = row
         self._beside = [None] * (len(self.exact_inputs) + len(self.exact_outputs)) if beside is None else beside
         place = {False: first, True: first_beside}
         for exchanges in (self.inward, self.read):
@@ -125,25 +122,31 @@ class Values:
             if exchanges is self.inward:
                 place[False] += len(self.clock_inputs)
 
+    def bind_nothing(self) -> None:
+        """Bind the signals to a private row."""
+        self.bind((ctypes.c_double * max(1, len(self.inputs) + len(self.outputs)))(), 0)
+
     def look_up(self) -> None:
         """Look up the functions that set and get values of the new instance."""
-        exchanges = (*self.inward, *self.read)
-        self._setters, self._getters = ({e: self._function(verb, e) for e in exchanges} for verb in ("Set", "Get"))
+        for exchange in (*self.inward, *self.read):
+            exchange.set, exchange.get = self._function("Set", exchange), self._function("Get", exchange)
 
     def _function(self, verb: str, exchange: Exchange) -> partial[int]:
         """Return a C function with its arguments, or one of FMPy for binary values."""
         if exchange.kind.ctype is None:
             return partial(self._move_binary, verb, exchange)
-        prepared, name = self.instance.prepared, f"{verb}{exchange.kind.function}"
-        return prepared(self.instance.exchange, name, self.instance.component, *exchange.arguments)
+        return self.instance.prepared(f"{verb}{exchange.kind.function}", *exchange.arguments)
 
     def _move_binary(self, verb: str, exchange: Exchange) -> int:
-        with self.instance.check_calls():
-            if verb == "Set":
-                self.instance.fmu.setBinary(exchange.vrs, exchange.buffer)
-            else:
-                exchange.buffer = self.instance.fmu.getBinary(exchange.vrs, exchange.count)
+        if verb == "Set":
+            self.instance.call("setBinary", exchange.vrs, exchange.buffer)
+        else:
+            exchange.buffer = self.instance.call("getBinary", exchange.vrs, exchange.count)
         return 0
+
+    def _judge(self, verb: str, exchange: Exchange, status: int, of: str = "") -> None:
+        """Handle a status other than OK."""
+        self.instance.judge(f"{self.instance.prefix}{verb}{exchange.kind.function}{of}", status)
 
     # -- all values --------------------------------------------------------------------------
 
@@ -172,11 +175,11 @@ class Values:
 
     def get_from(self, exchange: Exchange) -> None:
         """Read values of the FMU; raise SimulationError if an output is not finite."""
-        if status := self._getters[exchange]():
-            self.instance.judge(f"{self.instance.prefix}Get{exchange.kind.function}", status)
+        if status := exchange.get():
+            self._judge("Get", exchange, status)
         if not exchange.is_direct:
             self._target(exchange)[exchange.places] = exchange.decode()
-        if exchange.finite and not math.isfinite(sum(self.row[exchange.judged])):
+        if exchange.finite and not math.isfinite(sum(self._row[exchange.judged])):
             self._raise_not_finite(exchange)
 
     def content(self, exchange: Exchange) -> list[Any]:
@@ -196,17 +199,17 @@ class Values:
                     self.instance.time,
                     f"the input {reason}, the range of its type; scale or limit the value connected to it",
                 ) from None
-        if status := self._setters[exchange]():
-            self.instance.judge(f"{self.instance.prefix}Set{exchange.kind.function}", status)
+        if status := exchange.set():
+            self._judge("Set", exchange, status)
 
-    def set(self, values: Mapping[str, Any]) -> None:
+    def set_variables(self, values: Mapping[str, Any]) -> None:
         """Set variables; an array takes a list of values."""
         for name, value in values.items():
             variable = self.variables[name]
             exchange = Exchange(self.kinds[variable.type], [variable])
             exchange.encode(value if isinstance(value, (list, tuple)) else [value] * exchange.count)
             if status := self._function("Set", exchange)():  # FMPy's own setters drop the status.
-                self.instance.judge(f"{self.instance.prefix}Set{exchange.kind.function} of {name}", status)
+                self._judge("Set", exchange, status, f" of {name}")
 
     def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
         """Store the set values of inputs in the row, else their start values; FMUs need not let inputs be read.
@@ -217,28 +220,30 @@ class Values:
         values = self._with_aliases(values)
         for exchange in self.inward:
             try:
-                content = [
-                    x for v in exchange.variables for x in elements(exchange.kind, v, values.get(v.name, v.start))
-                ]
+                self._show(exchange, values)
+                continue
             except (TypeError, ValueError):  # No start value, or none of its type.
-                if readable:
-                    try:
-                        self.get_from(exchange)
-                        continue
-                    except SimulationError:
-                        if self.instance.fmu is None:
-                            raise
-                content = [exchange.kind.nothing] * exchange.count
-            self._target(exchange)[exchange.places] = content
+                pass
+            if readable:
+                try:
+                    self.get_from(exchange)
+                    continue
+                except SimulationError:
+                    if self.instance.fmu is None:
+                        raise
+            self._target(exchange)[exchange.places] = [exchange.kind.nothing] * exchange.count
+
+    def _show(self, exchange: Exchange, values: Mapping[str, Any], default: Any = None) -> None:
+        """Store the values of variables by name, else their start values, else the default."""
+        pairs = ((v, values.get(v.name, v.start)) for v in exchange.variables)
+        self._target(exchange)[exchange.places] = [
+            x for v, value in pairs for x in elements(exchange.kind, v, default if value is None else value)
+        ]
 
     def show_outputs(self, exchanges: Sequence[Exchange]) -> None:
         """Store the start values of variables that have no value until an event; without one, zero or no text."""
         for exchange in exchanges:
-            nothing = exchange.kind.nothing
-            values = ((v, nothing if v.start is None else v.start) for v in exchange.variables)
-            self._target(exchange)[exchange.places] = [
-                x for v, value in values for x in elements(exchange.kind, v, value)
-            ]
+            self._show(exchange, {}, exchange.kind.nothing)
 
     def show_changes(self, values: Mapping[str, Any]) -> None:
         """Store the values that an event has set for unconnected inputs in the row."""
@@ -262,11 +267,11 @@ class Values:
         return shown
 
     def _target(self, exchange: Exchange) -> Any:
-        return self._beside if exchange.kind.beside else self.row
+        return self._beside if exchange.kind.beside else self._row
 
     def _raise_not_finite(self, exchange: Exchange) -> None:
         """Raise SimulationError for the first output that is not finite."""
-        for name, value in zip(exchange.names, self.row[exchange.judged], strict=False):
+        for name, value in zip(exchange.names, self._row[exchange.judged], strict=False):
             if not math.isfinite(value):
                 raise NotFinite(
                     f"{self.instance.name}.{name}",
@@ -281,17 +286,16 @@ class Values:
         """Return C's calls to put and get values; None if values beside the row exist."""
         if any(exchange.kind.beside for exchange in (*self.fed, *self.read)):
             return None
-        puts = [move(self._setters[e].func, e, self.row) for e in self.fed]
-        gets = [move(self._getters[e].func, e, self.row) for e in self.read]
+        puts = [move(e.set.func, e, self._row) for e in self.fed]
+        gets = [move(e.get.func, e, self._row) for e in self.read]
         return puts, gets
 
-    def raise_error(self, reason: StopReason, plan: Plan) -> None:
+    def raise_error_of_move(self, reason: StopReason, plan: Plan) -> None:
         """Raise the error of a transfer by C; warnings are only logged."""
-        fed, read = self.fed, self.read
         if reason == StopReason.NOT_FINITE:
-            self._raise_not_finite(read[plan.moving])
+            self._raise_not_finite(self.read[plan.moving])
         elif reason == StopReason.UNFIT:
-            self.put_in(fed[plan.moving])
+            self.put_in(self.fed[plan.moving])
         else:
-            verb, exchanges = ("Set", fed) if plan.called == PUT else ("Get", read)
-            self.instance.judge(f"{self.instance.prefix}{verb}{exchanges[plan.moving].kind.function}", plan.status)
+            verb, exchanges = ("Set", self.fed) if plan.called == PUT else ("Get", self.read)
+            self._judge(verb, exchanges[plan.moving], plan.status)

@@ -17,8 +17,7 @@ from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError, SimulationError
 from cosim.files.archive import DESCRIPTION, description_of
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
-from cosim.fmi.wrapping.wrap import wrap
-from cosim.fmi.wrapping.wrapped_description import CannotWrap, parsed, set_starts, xml_of
+from cosim.fmi.wrapping.wrap import CannotWrap, parsed, set_starts, wrap, xml_of
 from cosim.residuals.drive import Drive
 from cosim.terms.code import TermCode
 

@@ -13,10 +13,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cosim.core.errors import InputError
 
+T = TypeVar("T")
 MODELS, PAGES, VERBS = "cosim.models", "cosim.pages", "cosim.verbs"  # entry point groups
 SOURCES = "cosim.sources"  # table formats: `cosim.files.table.Source`
 ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.blocks.coupling.Algorithm`
@@ -89,7 +90,7 @@ class Verb:
 
 def models() -> dict[str, ModelEntry]:
     """Return the registered models by their own names."""
-    return {e.name: e for name in names(MODELS) if isinstance(e := load(MODELS, name), ModelEntry)}
+    return {entry.name: entry for _, entry in registered(MODELS, ModelEntry)}
 
 
 def model_entry(name: str = BASE) -> ModelEntry:
@@ -116,17 +117,14 @@ def entry_of(kind: type) -> ModelEntry | None:
 def page_for(components: Iterable[Collection[str]]) -> Page | None:
     """Return the first page for any of the components."""
     sets = [frozenset(variables) for variables in components]
-    for name in names(PAGES):
-        if isinstance(page := load(PAGES, name), Page) and any(map(page.variables.issubset, sets)):
-            return page
-    return None
+    return next((page for _, page in registered(PAGES, Page) if any(map(page.variables.issubset, sets))), None)
 
 
-def added_verbs() -> Iterator[tuple[str, Verb]]:
-    """Yield (name, verb) for each verb that an installed package adds."""
-    for name in names(VERBS):
-        if isinstance(verb := load(VERBS, name), Verb):
-            yield name, verb
+def registered(group: str, kind: type[T]) -> Iterator[tuple[str, T]]:
+    """Yield (name, object) for each object of a class that installed packages register in a group."""
+    for name in names(group):
+        if isinstance(found := load(group, name), kind):
+            yield name, found
 
 
 def names(group: str) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -104,11 +105,11 @@ def parse(text: str) -> Unit | None:
         return None
     if len(words) == 1 and words[0][1] == 1:
         return SYMBOLS[words[0][0]]  # Within a compound unit like W/degC, a temperature is a difference.
-    size, exponents = 1.0, dict[str, int]()
+    size, exponents = 1.0, Counter[str]()
     for symbol, power in words:
         size *= SYMBOLS[symbol].factor ** power
         for name, count in SYMBOLS[symbol].exponents.items():
-            exponents[name] = exponents.get(name, 0) + power * count
+            exponents[name] += power * count
     return Unit({name: count for name, count in exponents.items() if count}, size)
 
 
@@ -267,26 +268,25 @@ def assume_si(written: str, of: str = "the model", cure: str = "leave the unit o
 
 def coherent(written: str) -> str:
     """Return the SI unit of the same dimension. For example rad/s for rpm, V for mV, m3/s for l/min."""
-    si: dict[str, int] = {}
+    si = Counter[str]()
     for symbol, power in _words(written) or ():
         unit = SYMBOLS[symbol]
         of_dimension = (s for s, u in SYMBOLS.items() if u.is_coherent and u.exponents == unit.exponents)
         same = symbol if unit.is_coherent else next(of_dimension, None)
         for name, count in {same: 1}.items() if same else unit.exponents.items():
-            si[name] = si.get(name, 0) + power * count
+            si[name] += power * count
     return _unit_text(si) or "1"
 
 
 def _unit_text(powers: Mapping[str, int]) -> str:
     """Return the text of symbols with powers, "" without any."""
-    above, below = list[str](), ""
-    for name, power in powers.items():
-        text = name if abs(power) == 1 else f"{name}{abs(power)}"
-        if name != "1" and power > 0:
-            above.append(text)
-        elif name != "1" and power < 0:
-            below += f"/{text}"
-    return (".".join(above) or "1" * bool(below)) + below
+
+    def side(sign: int, before: str) -> str:
+        factors = ((n, sign * power) for n, power in powers.items() if n != "1" and sign * power > 0)
+        return before.join(f"{name}{power if power > 1 else ''}" for name, power in factors)
+
+    above, below = side(1, "."), side(-1, "/")
+    return f"{above or '1'}/{below}" if below else above
 
 
 def square_unit(unit: str) -> str:
@@ -301,13 +301,13 @@ def unit_of_rate(unit: str) -> str:
 
 def unit_product(factors: Iterable[tuple[str, int]]) -> str:
     """Return a product of powers of units, "" without dimension or with an unknown unit: `N.s/m` for N over m/s."""
-    product: dict[str, int] = {}
+    product = Counter[str]()
     for unit, times in factors:
         words = _words(unit or "1")
         if words is None or any(symbol not in SYMBOLS for symbol, _ in words):
             return ""
         for symbol, power in words:
-            product[symbol] = product.get(symbol, 0) + times * power
+            product[symbol] += times * power
     return _unit_text(product)
 
 

@@ -6,7 +6,7 @@ import ctypes
 import itertools
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 EXACT_IN_A_DOUBLE = 2**53
@@ -18,18 +18,21 @@ class FmiType:
 
     Attributes:
         function: Suffix of its functions fmi2Get… and fmi2Set….
-        low: Smallest whole number; None for types beyond whole numbers.
-        high: Largest whole number, or None.
+        low: Smallest value; an integer for a type of whole numbers.
+        high: Largest value.
         beside: Whether values are stored beside the row, because doubles cannot hold them exactly.
-        largest: Largest magnitude of a type without `low` and `high`.
     """
 
     function: str
     ctype: Any
-    low: int | None = None
-    high: int | None = None
+    low: float = -math.inf
+    high: float = math.inf
     beside: bool = False
-    largest: float = math.inf
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether all values are whole numbers."""
+        return isinstance(self.low, int)
 
     @property
     def nothing(self) -> Any:
@@ -45,38 +48,34 @@ class FmiType:
                 return as_bytes(value)
             except ValueError:
                 raise ValueError(f"{str(value)[:40]!r} is no text of hexadecimal digits") from None
-        if self.low is None or self.high is None:
-            if self.largest < math.inf and abs(value) > self.largest:
-                raise ValueError(f"{value:g} is outside ±{self.largest:.7g}")
-            return value
-        if not math.isfinite(value) or int(value) != value:
+        if self.is_whole and not (math.isfinite(value) and int(value) == value):
             raise ValueError(f"{value!r} is no whole number")
-        if not self.low <= value <= self.high:
-            raise ValueError(f"{int(value)} is outside {self.low} … {self.high}")
-        return int(value)
+        if value < self.low or value > self.high:
+            limits = f"{self.low} … {self.high}" if self.is_whole else f"±{self.high:.7g}"
+            raise ValueError(f"{int(value) if self.is_whole else format(value, 'g')} is outside {limits}")
+        return int(value) if self.is_whole else value
 
 
-def _integer(function: str, bits: int, signed: bool) -> FmiType:
-    ctype = getattr(ctypes, f"c_{'' if signed else 'u'}int{bits}")
-    low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
-    return FmiType(function, ctype, low, high, beside=bits == 64)
+def _integer(bits: int, sign: str = "") -> FmiType:
+    """Return a type of whole numbers, unsigned with the sign U."""
+    ctype, high = getattr(ctypes, f"c_{sign.lower()}int{bits}"), 2 ** (bits if sign else bits - 1) - 1
+    return FmiType(f"{sign}Int{bits}", ctype, 0 if sign else -high - 1, high, beside=bits == 64)
 
 
-REAL, TEXT = FmiType("Real", ctypes.c_double), FmiType("String", ctypes.c_char_p, beside=True)
-INTEGER = _integer("Integer", 32, True)
+TEXT, INTEGER = FmiType("String", ctypes.c_char_p, beside=True), replace(_integer(32), function="Integer")
 FMI2 = {
-    "Real": REAL,
+    "Real": FmiType("Real", ctypes.c_double),
     "Integer": INTEGER,
     "Enumeration": INTEGER,
     "Boolean": FmiType("Boolean", ctypes.c_int, 0, 1),
     "String": TEXT,
 }
 FMI1 = {**FMI2, "Boolean": FmiType("Boolean", ctypes.c_ubyte, 0, 1)}
+LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
 FMI3 = {
     "Float64": FmiType("Float64", ctypes.c_double),
-    "Float32": FmiType("Float32", ctypes.c_float, largest=(2 - 2**-23) * 2.0**127),
-    **{f"Int{bits}": _integer(f"Int{bits}", bits, True) for bits in (8, 16, 32, 64)},
-    **{f"UInt{bits}": _integer(f"UInt{bits}", bits, False) for bits in (8, 16, 32, 64)},
+    "Float32": FmiType("Float32", ctypes.c_float, -LARGEST_FLOAT32, LARGEST_FLOAT32),
+    **{f"{sign}Int{bits}": _integer(bits, sign) for sign in ("", "U") for bits in (8, 16, 32, 64)},
     "Enumeration": FmiType("Int64", ctypes.c_int64, -EXACT_IN_A_DOUBLE, EXACT_IN_A_DOUBLE),
     "Boolean": FmiType("Boolean", ctypes.c_bool, 0, 1),
     "String": TEXT,
@@ -124,7 +123,11 @@ class Exchange:
         judged: Places of these.
         buffer: Values on their way; a list of bytes for binary data, which FMPy sets and reads.
         arguments: Arguments of an FMI function after the instance; the last one is of FMI 3.0 only.
+        set, get: Functions that move the buffer to an instance and back, and return a status.
     """
+
+    set: Any
+    get: Any
 
     def __init__(self, kind: FmiType, variables: Sequence[Any], outputs: Collection[str] = ()) -> None:
         self.kind, self.variables = kind, tuple(variables)

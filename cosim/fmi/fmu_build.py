@@ -113,12 +113,9 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
 
     sources = dict(_sources(recipe))
     module, class_name = recipe.slave
-    identity: tuple[object, ...] = (recipe.slave, recipe.values)
     if recipe.own:
         class_name = f"{recipe.own[1]}Plant"
-        identity += (class_name,)
-    identity += tuple(setting for setting in (recipe.substep, recipe.integrator) if setting is not None)
-    identity += recipe.starts
+    identity = recipe.slave, class_name, recipe.values, recipe.substep, recipe.integrator, recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
     # imports of the framework and of the carried packages, which in the FMU are those of its own package
@@ -131,25 +128,23 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
         source = re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
         file.write_bytes(source.encode())
     script = folder / f"{package}_slave.py"
-    lines = [f"from {package}.cosim.fmi.lifetime import keep"]
-    lines.append(f"from {package}.{module} import {recipe.slave[1]} as Base")
     has_substep = recipe.substep is not None or recipe.integrator is not None
-    has_model = bool(recipe.values or recipe.own or has_substep)
-    if has_model:
-        lines.append(f"from {package}.cosim.fmi.ports import model_ports")
-    if recipe.starts:
-        lines.append(f"from {package}.cosim.fmi.ports import with_starts")
-    if recipe.own:
-        lines.append(f"from {package}.{OWN_MODULE} import {recipe.own[1]} as Own")
-    lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
-    if has_model:
+    lines = [
+        f"from {package}.cosim.fmi.lifetime import keep",
+        f"from {package}.cosim.fmi.ports import model_ports, with_starts",
+        f"from {package}.{module} import {recipe.slave[1]} as Base",
+        f"from {package}.{OWN_MODULE} import {recipe.own[1]} as Own" if recipe.own else "",
+        f"class {class_name}(Base):",
+        f'    """{recipe.about.description}."""',
+    ]
+    if recipe.values or recipe.own or has_substep:
         model = "Own()" if recipe.own else "Base.model"
         model += f".with_values({dict(recipe.values)!r})" if recipe.values else ""
         model += f".with_substep({recipe.substep!r}, {recipe.integrator!r})" if has_substep else ""
-        lines += ["", f"    model = {model}", "    ports = model_ports(model)"]
+        lines += [f"    model = {model}", "    ports = model_ports(model)"]
     if recipe.starts:
-        lines += ["", f"    ports = with_starts(Base.ports, {dict(recipe.starts)!r})"]
-    script.write_text("\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n", encoding="utf-8")
+        lines.append(f"    ports = with_starts(Base.ports, {dict(recipe.starts)!r})")
+    script.write_text("\n".join([*lines, "", "keep(globals(), locals())"]) + "\n", encoding="utf-8")
     path, modules, keeps_none = list(sys.path), set(sys.modules), sys.dont_write_bytecode
     sys.dont_write_bytecode = True  # the folder is temporary
     try:

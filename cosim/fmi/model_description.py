@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any, Literal
+from string import Template
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 from cosim.core.units import DISPLAY, unit_definitions
@@ -20,19 +21,13 @@ from cosim.model.traits import Traits
 
 LICENCE = "MIT"
 ASSETS = Path(__file__).resolve().parent / "assets"
-STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #1c2430; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
-pre { background: #f4f6f8; padding: 1rem; overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: .9rem; }
-th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #d8dee6; vertical-align: top; }
-td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
-"""
-
 NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, inputs held.</p>"
 METHOD = {AUTO: "RK4", RK4: "RK4", STIFF: "RODAS, linearly implicit,"}
-SWITCHES = """<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects the base model lacks. At their
-start value an effect is dormant and costs nothing.</p>"""
+SWITCHES = (
+    "<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects the base model lacks. At their\n"
+    "start value an effect is dormant and costs nothing.</p>"
+)
+OF_FMI = ("input", "output", "parameter")  # causalities; other variables are local
 KINDS3 = {"Real": "Float64", "Boolean": "Boolean", "String": "String"}
 
 
@@ -69,42 +64,80 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
     """Return pythonfmu's model description with all missing content."""
     root: Any = fromstring(xml)
     root.attrib.pop("generationDateAndTime", None)  # Equal sources must give equal bytes.
+    interface, categories = root.find("CoSimulation"), root.find("LogCategories")
+    interface.attrib |= {
+        "canHandleVariableCommunicationStepSize": str(about.variable_step).lower(),
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    }
+    root[:] = [interface]
+    return described(root, categories, about, version, guid)
+
+
+def described(
+    root: Element,
+    categories: Element,
+    about: Description,
+    version: str,
+    guid: str,
+    *,
+    fmi: int = 2,
+    state: str = "json",
+    locals: Sequence[Port] = (),
+    dependencies: Mapping[str, Sequence[str]] | None = None,
+) -> bytes:
+    """Return a model description from its root with the interfaces.
+
+    Args:
+        categories: Log categories.
+        state: Format of the serialized FMU state.
+        locals: Variables of native FMUs.
+        dependencies: Dependencies of outputs and derivatives; by default those of the description.
+    """
+    variables = (*about.ports, *locals)
     root.attrib |= {
-        "guid": guid,
+        "guid" if fmi == 2 else "instantiationToken": guid,
         "description": about.description,
         "author": AUTHOR,
         "version": version,
         "license": LICENCE,
         "copyright": AUTHOR,
-        "variableNamingConvention": naming_convention(port.name for port in about.ports),
+        "variableNamingConvention": naming_convention(v.name for v in variables),
     }
-    capabilities, variables = root.find("CoSimulation"), root.find("ModelVariables")
-    capabilities.attrib |= {
-        "canHandleVariableCommunicationStepSize": str(about.variable_step).lower(),
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-    }
-    root.insert(list(root).index(capabilities) + 1, unit_definitions({p.unit for p in about.ports if p.unit}))
-    for element in (default_experiment(about), *vendor_annotations(about, "json")):
-        root.insert(list(root).index(variables), element)
-    for element in (variables, root.find("ModelStructure")):
-        root.remove(element)
-    root.append(model_variables(about))
-    root.append(model_structure(about))
-    return xml_bytes(root)
-
-
-def xml_bytes(root: Element) -> bytes:
-    """Return an indented XML file."""
+    times = {"startTime": "0", "stopTime": repr(about.stop), "stepSize": repr(about.step), "tolerance": "1e-6"}
+    content = [unit_definitions({v.unit for v in variables if v.unit}), categories, Element("DefaultExperiment", times)]
+    annotations = _annotations(about, state)
+    for annotation in annotations if fmi == 2 else ():  # FMI demands a single element in each
+        content.append(Element("VendorAnnotations"))
+        SubElement(content[-1], "Tool", name=TOOL).append(annotation)
+    content.append(model_variables(variables, fmi))
+    content.append(model_structure(variables, dependencies or about.dependencies, about.initial_dependencies, fmi))
+    if annotations and fmi == 3:
+        content.append(Element("Annotations"))
+        for annotation in annotations:
+            SubElement(content[-1], "Annotation", type=TOOL).append(annotation)
+    root.extend(content)
     indent(root)
     text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n"
 
 
-def default_experiment(about: Description) -> Element:
-    """Return the default experiment."""
-    times = {"startTime": "0", "stopTime": repr(about.stop), "stepSize": repr(about.step), "tolerance": "1e-6"}
-    return Element("DefaultExperiment", times)
+def _annotations(about: Description, state: str) -> list[Element]:
+    """Return annotations of cosim: traits, and the accepted step."""
+    annotations = []
+    if traits := about.traits:
+        annotations.append(node := Element("Traits", state=state))
+        for name, rate in traits.rates.items():
+            SubElement(node, "Rate", of=name, signal=rate)
+        for name, (low, high) in traits.bounds.items():
+            SubElement(node, "Limits", of=name, low=repr(low), high=repr(high))
+        if traits.planar:
+            SubElement(node, "PlanarFrame", {key: getattr(traits.planar, key) for key in FRAME})
+    if about.sampled:
+        annotations.append(node := Element("Sampled", parameter=about.sampled))
+        if optional := " ".join(port.name for port in about.ports if port.optional):
+            node.set("optional", optional)
+    return annotations
 
 
 def set_unit_and_limits(node: Element, unit: str, bounds: tuple[float, float] = (-math.inf, math.inf)) -> None:
@@ -118,124 +151,79 @@ def set_unit_and_limits(node: Element, unit: str, bounds: tuple[float, float] = 
             node.set(name, repr(float(limit)))
 
 
-def vendor_annotations(about: Description, state: str) -> list[Element]:
-    """Return `VendorAnnotations`, each with a single element as FMI demands: of traits, and of the accepted step.
-
-    Args:
-        state: Format of the serialized FMU state.
-    """
-    annotations = []
-
-    def add(tag: str, **attributes: str) -> Element:
-        annotations.append(Element("VendorAnnotations"))
-        return SubElement(SubElement(annotations[-1], "Tool", name=TOOL), tag, attributes)
-
-    if traits := about.traits:
-        node = add("Traits", state=state)
-        for name, rate in traits.rates.items():
-            SubElement(node, "Rate", of=name, signal=rate)
-        for name, (low, high) in traits.bounds.items():
-            SubElement(node, "Limits", of=name, low=repr(low), high=repr(high))
-        if traits.planar:
-            SubElement(node, "PlanarFrame", {key: getattr(traits.planar, key) for key in FRAME})
-    if about.sampled:
-        node = add("Sampled", parameter=about.sampled)
-        if optional := " ".join(port.name for port in about.ports if port.optional):
-            node.set("optional", optional)
-    return annotations
-
-
-@dataclass(frozen=True)
-class Local:
-    """A variable of native FMUs only."""
-
-    name: str
-    role: Literal["state", "derivative", "memory", "indicator"]
-    unit: str
-    doc: str
-
-
-def model_variables(about: Description, fmi: int = 2, locals: Sequence[Local] = ()) -> Element:
-    """Return ModelVariables: the ports and the local variables, without event indicators in FMI 2.0."""
-    ports = about.ports
-    variables = Element("ModelVariables")
+def model_variables(variables: Sequence[Port], fmi: int = 2) -> Element:
+    """Return ModelVariables, without event indicators in FMI 2.0."""
+    root = Element("ModelVariables")
     if fmi == 3:  # FMI 3.0 requires the time.
-        reference = str(len(ports) + len(locals))
+        reference = str(len(variables))
         head = {"name": "time", "valueReference": reference, "causality": "independent", "variability": "continuous"}
-        SubElement(variables, "Float64", head)
-
-    def add(kind: str, reference: int, name: str, doc: str, more: dict[str, str]) -> Element:
-        """Add a variable and return the element with the attributes of its type."""
-        head = {"name": name, "valueReference": str(reference), **({"description": doc} if doc else {}), **more}
-        if fmi == 3:
-            return SubElement(variables, KINDS3[kind], head)
-        return SubElement(SubElement(variables, "ScalarVariable", head), kind)
-
-    for k, port in enumerate(ports):
-        more = {"causality": port.causality, "variability": "continuous" if port.kind == "Real" else "discrete"}
-        if port.causality == "parameter":
-            more |= {"variability": "fixed", "initial": "exact"}
-        elif port.causality == "output":
-            more["initial"] = "calculated"
-        node = add(port.kind, k, port.name, port.doc, more)
-        if port.kind == "Real":
-            set_unit_and_limits(node, port.unit, port.bounds)
-        if port.causality == "output":
+        SubElement(root, "Float64", head)
+    states = iter([k for k, v in enumerate(variables) if v.causality == "state"])  # in the order of their derivatives
+    for k, v in enumerate(variables):
+        if v.causality == "indicator" and fmi == 2:
             continue
-        if isinstance(port.start, str):
-            start = port.start
-        else:
-            start = str(port.start).lower() if isinstance(port.start, bool) else repr(float(port.start))
-        if port.kind == "String" and fmi == 3:
+        head = {"name": v.name, "valueReference": str(k), **({"description": v.doc} if v.doc else {})}
+        head["causality"] = v.causality if v.causality in OF_FMI else "local"
+        is_continuous = v.kind == "Real" and v.causality != "memory"
+        head["variability"] = "continuous" if is_continuous else "discrete"
+        if v.causality == "parameter":
+            head |= {"variability": "fixed", "initial": "exact"}
+        elif v.causality != "input":
+            head["initial"] = "calculated"
+        node = SubElement(root, KINDS3[v.kind] if fmi == 3 else "ScalarVariable", head)
+        node = SubElement(node, v.kind) if fmi == 2 else node
+        if v.kind == "Real":
+            set_unit_and_limits(node, v.unit, v.bounds)
+        if v.causality == "derivative":
+            node.set("derivative", str(next(states) + (fmi == 2)))  # FMI 2.0 counts variables from 1.
+        if v.causality not in ("input", "parameter"):
+            continue
+        start = v.start
+        if not isinstance(start, str):
+            start = str(start).lower() if isinstance(start, bool) else repr(float(start))
+        if v.kind == "String" and fmi == 3:
             SubElement(node, "Start", value=start)
         else:
             node.set("start", start)
-    rates = [v.name for v in locals if v.role == "derivative"]
-    for k, v in enumerate(locals, len(ports)):
-        if v.role == "indicator" and fmi == 2:
-            continue
-        variability = "discrete" if v.role == "memory" else "continuous"
-        node = add(
-            "Real", k, v.name, v.doc, {"causality": "local", "variability": variability, "initial": "calculated"}
-        )
-        set_unit_and_limits(node, v.unit)
-        if v.role == "derivative":
-            # States come first. FMI 2.0 counts variables from 1.
-            node.set("derivative", str(len(ports) + rates.index(v.name) + (fmi == 2)))
-    return variables
+    return root
 
 
 def model_structure(
-    about: Description,
+    variables: Sequence[Port],
+    dependencies: Mapping[str, Sequence[str]],
+    starting: Mapping[str, Sequence[str]],
     fmi: int = 2,
-    locals: Sequence[Local] = (),
-    dependencies: Mapping[str, Sequence[str]] | None = None,
 ) -> Element:
-    """Return ModelStructure with dependencies, by default those of the description."""
-    variables: list[Port | Local] = [*about.ports, *locals]
+    """Return ModelStructure.
+
+    Args:
+        dependencies: Dependencies of outputs and derivatives.
+        starting: Dependencies of outputs during initialization.
+    """
     numbers = {v.name: k + (fmi == 2) for k, v in enumerate(variables)}
-    states, rates, indicators = ([v.name for v in locals if v.role == r] for r in ("state", "derivative", "indicator"))
-    outputs = [p.name for p in about.ports if p.causality == "output"]
-    dependencies, starting = dependencies or about.dependencies, about.initial_dependencies
-    initial = {**{n: starting[n] for n in outputs}, **dict.fromkeys((*states, *rates))}
+    outputs, states, rates, indicators = (
+        [v.name for v in variables if v.causality == kind] for kind in ("output", "state", "derivative", "indicator")
+    )
+    unknowns: tuple[tuple[str, str, Mapping[str, Sequence[str] | None]], ...] = (
+        ("Outputs", "Output", {n: dependencies[n] for n in outputs}),
+        ("Derivatives", "ContinuousStateDerivative", {n: dependencies[n] for n in rates}),
+        (
+            "InitialUnknowns",
+            "InitialUnknown",
+            {**{n: starting[n] for n in outputs}, **dict.fromkeys((*states, *rates))},
+        ),
+        ("", "EventIndicator", dict.fromkeys(indicators)),
+    )
     structure = Element("ModelStructure")
-
-    def add(parent: Element, tag: str, unknowns: Mapping[str, Sequence[str] | None]) -> None:
-        for name, sources in unknowns.items():
-            node = SubElement(parent, tag, {"index" if fmi == 2 else "valueReference": str(numbers[name])})
-            if sources is not None:
-                node.set("dependencies", " ".join(map(str, sorted(numbers[n] for n in sources))))
-
-    if fmi == 2:
-        add(SubElement(structure, "Outputs"), "Unknown", {n: dependencies[n] for n in outputs})
-        if rates:
-            add(SubElement(structure, "Derivatives"), "Unknown", {n: dependencies[n] for n in rates})
-        add(SubElement(structure, "InitialUnknowns"), "Unknown", initial)
-    else:
-        add(structure, "Output", {n: dependencies[n] for n in outputs})
-        add(structure, "ContinuousStateDerivative", {n: dependencies[n] for n in rates})
-        add(structure, "InitialUnknown", initial)
-        add(structure, "EventIndicator", dict.fromkeys(indicators))
+    for group, tag, sources in unknowns:
+        if fmi == 2 and not (group and sources):
+            continue
+        parent = SubElement(structure, group) if fmi == 2 else structure
+        for name, names in sources.items():
+            number = {"index" if fmi == 2 else "valueReference": str(numbers[name])}
+            node = SubElement(parent, "Unknown" if fmi == 2 else tag, number)
+            if names is not None:
+                node.set("dependencies", " ".join(map(str, sorted(numbers[n] for n in names))))
     return structure
 
 
@@ -263,10 +251,14 @@ def documentation(about: Description, text: str, version: str, guid: str, way: s
             if p.causality == causality
         )
         tables += f"<h2>{head}</h2><table><tr><th>Variable<th>Start<th>Unit<th>Meaning</tr>{rows}</table>"
-    page = (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-        f"<h1>{title}</h1><p>Version {escape(version)} · {way} · communication step {about.step} s<br>"
-        f'{AUTHOR} · licence {LICENCE} (<a href="license.txt">text</a>) · GUID <code>{guid}</code></p>'
-        f"{text}{tables}</html>\n"
+    page = Template((ASSETS / "page.html").read_text(encoding="utf-8")).substitute(
+        title=title,
+        version=escape(version),
+        way=way,
+        step=about.step,
+        author=AUTHOR,
+        licence=LICENCE,
+        guid=guid,
+        text=text + tables,
     )
     return {"index.html": page.encode(), "license.txt": (ASSETS / "license.txt").read_bytes()}

@@ -11,7 +11,7 @@ from cosim.model.quantities import INFINITY, Parameter, parameters_of
 
 Value = float | bool | str
 Kind = Literal["Real", "Boolean", "String"]
-Causality = Literal["input", "output", "parameter"]
+Causality = Literal["input", "output", "parameter", "state", "derivative", "memory", "indicator"]
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class Port:
     """An FMI variable; its index in the tuple of ports is its value reference.
 
     Attributes:
+        causality: That of FMI; for a local variable of a native FMU, what it is.
         optional: Whether the input may stay unconnected without record or warning.
     """
 

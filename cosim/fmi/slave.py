@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partialmethod
 from typing import Any, ClassVar
 
 from pythonfmu import Boolean, Fmi2Slave, Real, String
@@ -121,13 +122,11 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         values = self.values
         return [values[vr] for vr in vrs]
 
-    def get_boolean(self, vrs: list[int]) -> list[Any]:
-        self._check_kind(vrs, "Boolean")
+    def _get(self, kind: Kind, vrs: list[int]) -> list[Any]:
+        self._check_kind(vrs, kind)
         return [self.values[vr] for vr in vrs]
 
-    def get_string(self, vrs: list[int]) -> list[Any]:
-        self._check_kind(vrs, "String")
-        return [self.values[vr] for vr in vrs]
+    get_boolean, get_string = partialmethod(_get, "Boolean"), partialmethod(_get, "String")
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         for vr, value in zip(vrs, values):  # noqa: B905 - hot loop
@@ -142,18 +141,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             self.host_values.update(vrs)
             self.current = False
 
-    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        self._set_parameters(vrs, values, "Boolean")
-
-    def set_string(self, vrs: list[int], values: list[str]) -> None:
-        self._set_parameters(vrs, values, "String")
-
-    def _set_parameters(self, vrs: list[int], values: Sequence[Value], kind: Kind) -> None:
+    def _set_parameters(self, kind: Kind, vrs: list[int], values: Sequence[Value]) -> None:
         for vr, value in zip(vrs, values, strict=True):
             self._check_settable(vr, kind)
             self.values[vr] = value
         self.host_values.update(vrs)
         self.current = False
+
+    set_boolean, set_string = partialmethod(_set_parameters, "Boolean"), partialmethod(_set_parameters, "String")
 
     def _get_fmu_state(self) -> dict[str, Any]:
         return {

@@ -62,14 +62,15 @@ def _parts_of_native(data: bytes) -> tuple[list[float], int, int, int, list[Any]
         commands, and texts.
     """
     count = max(0, len(data) - GUID) // 8
-    numbers = np.frombuffer(data, count=count, offset=GUID).tolist() if count else []
-    if count < SIZES or not all(0 <= n < 1e9 for n in numbers[:SIZES]):
-        raise ValueError("not the state of an FMU of ours")
-    inputs, variables, states, memories, own, texts = map(int, numbers[:SIZES])
-    first, width = SIZES + FLAGS + 2 * variables, 1 + inputs
-    end = first + own
-    rows = int(numbers[end]) if end < count else -1
-    if rows < 0 or len(data) != GUID + 8 * (end + 1 + rows * width) + texts:
-        raise ValueError("not the state of an FMU of ours")
-    table = (numbers[k : k + width] for k in range(end + 1, end + 1 + rows * width, width))
-    return numbers[:end], first, first + states, memories, [[t, u] for t, *u in table], data[len(data) - texts :]
+    numbers = np.frombuffer(data[GUID:], count=count).tolist()
+    if count >= SIZES and all(0 <= n < 1e9 for n in numbers[:SIZES]):
+        inputs, variables, states, memories, own, texts = map(int, numbers[:SIZES])
+        first = SIZES + FLAGS + 2 * variables
+        end, split = first + own, first + states
+        rows = int(numbers[end]) if end < count else -1
+        size = rows * (1 + inputs)
+        if rows >= 0 and len(data) == GUID + 8 * (end + 1 + size) + texts:
+            table = np.reshape(numbers[end + 1 : end + 1 + size], (rows, 1 + inputs)).tolist()
+            history = [[t, u] for t, *u in table]
+            return numbers[:end], first, split, memories, history, data[len(data) - texts :]
+    raise ValueError("not the state of an FMU of ours")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from fmpy.model_description import DisplayUnit, ModelVariable, Unknown
 
-from cosim.files.archive import DESCRIPTION
+from cosim.files.archive import description_of
 
 TRUE = {"true", "1"}
 
@@ -30,32 +29,28 @@ class InverseDisplayUnit(DisplayUnit):  # type: ignore[misc]
 
 def add_unread_attributes(path: Path, description: Any) -> None:
     """Mark negated aliases, differences and inverse display units; add the dependencies of the outputs of FMI 1.0."""
-    with zipfile.ZipFile(path) as archive:
-        content = archive.read(DESCRIPTION)
+    content, is_first = description_of(path), description.fmiVersion == "1.0"
     words = b"relativeQuantity", b"inverse", b"\0"  # the last one in UTF-16
-    if description.fmiVersion != "1.0" and not any(word in content for word in words):
+    if not is_first and not any(word in content for word in words):
         return
     root = ElementTree.fromstring(content)
     nodes = {node.get("name"): node for node in root.iterfind("ModelVariables/*")}
+    variables = {variable.name: variable for variable in description.modelVariables}
+    outputs = []
     for variable in description.modelVariables:
         if (node := nodes.get(variable.name)) is None:
             continue
-        if description.fmiVersion == "1.0" and node.get("alias") == "negatedAlias":
-            variable.__class__ = NegatedAlias
         for part in (node, *node):
             if (relative := part.get("relativeQuantity")) is not None:
                 variable.relativeQuantity = relative in TRUE
-    if description.fmiVersion == "1.0":
-        # `dependencies` is None without the element `DirectDependency`.
-        variables = {variable.name: variable for variable in description.modelVariables}
-        outputs = []
-        for variable in description.modelVariables:
-            if variable.causality == "output" and (node := nodes.get(variable.name)) is not None:
-                direct = node.find("DirectDependency")
-                names = None if direct is None else [(name.text or "").strip() for name in direct.iterfind("Name")]
-                known = names is not None and all(name in variables for name in names)
-                dependencies = [variables[name] for name in names or ()] if known else None
-                outputs.append(Unknown(variable=variable, dependencies=dependencies))
+        if is_first and node.get("alias") == "negatedAlias":
+            variable.__class__ = NegatedAlias
+        if is_first and variable.causality == "output":
+            direct = node.find("DirectDependency")  # without it, the dependencies are not known
+            names = [None] if direct is None else [(name.text or "").strip() for name in direct.iterfind("Name")]
+            dependencies = [variables[name] for name in names] if variables.keys() >= {*names} else None
+            outputs.append(Unknown(variable=variable, dependencies=dependencies))
+    if is_first:
         description.outputs = outputs
     inverse = {
         (unit.get("name"), display.get("name"))

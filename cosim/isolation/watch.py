@@ -49,21 +49,18 @@ class ComponentTimes:
     Args:
         components: Names by number in `Rows.doing`.
         first_row: Number of rows of a stopped run, whose repetition is not counted.
-        clock: Wall clock [s].
     """
 
-    def __init__(
-        self, components: Sequence[str], first_row: int = 0, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._components, self._first_row, self._clock = components, first_row, clock
+    def __init__(self, components: Sequence[str], first_row: int = 0) -> None:
+        self._components, self._first_row = components, first_row
         self._seconds = [[0.0] * CALLS for _ in components]
         self._rest = self._waiting = 0.0
         self._readings = 0  # without those of waiting and of the worker's start
-        self._last = clock()
+        self._last = time.monotonic()
 
     def read(self, rows: int, doing: int) -> None:
         """Add the time since the last reading to the current call."""
-        now = self._clock()
+        now = time.monotonic()
         elapsed, self._last = now - self._last, now
         if rows < self._first_row:
             return

@@ -142,14 +142,14 @@ def _scalar(description: Any, variable: Any, value: Any) -> Any:
         value = convert_quantity(description, variable, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"it is a number [{unit or '1'}]")
-    if kind.low is not None and not float(value).is_integer():
+    if kind.is_whole and not float(value).is_integer():
         raise ValueError("it is a whole number")
     if items and int(value) not in items.values():
         raise ValueError(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
     low, high = bounds_of(description, variable)
     if not low <= value <= high:
         raise ValueError(f"it lies in [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip())
-    return int(value) if kind.low is not None else float(value)
+    return int(value) if kind.is_whole else float(value)
 
 
 NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -167,13 +167,12 @@ def bounds_of(description: Any, variable: Any) -> tuple[float, float]:
     kind = kinds_of(description.fmiVersion).get(variable.type)
     if kind is None or variable.type in NOT_NUMBERS:
         return -math.inf, math.inf
-    lowest, highest = (-kind.largest, kind.largest) if kind.low is None or kind.high is None else (kind.low, kind.high)
 
     def bound(end: str, default: float) -> float:
         ends = getattr(variable, end), getattr(variable.declaredType, end, None)
         return next((float(v) for v in ends if v is not None), default)
 
-    return max(lowest, bound("min", -math.inf)), min(highest, bound("max", math.inf))
+    return max(kind.low, bound("min", -math.inf)), min(kind.high, bound("max", math.inf))
 
 
 def convert_quantity(description: Any, variable: Any, text: str, difference: bool = False) -> float:

@@ -14,8 +14,7 @@ from cosim.core.errors import FmuError, InputError
 from cosim.core.messages import CheckWarning, with_severity
 from cosim.core.scratch import temporary_folder
 from cosim.files.artefact import Checking
-from cosim.fmi.description import read_description, takes_any_step
-from cosim.fmi.guard import validation
+from cosim.fmi.description import read_description, takes_any_step, validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough

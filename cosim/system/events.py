@@ -9,11 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.clocks import PERIODIC, Timing, read_clocks
-from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.event_mode import PERIODIC, EventFmu, ScheduledFmu, Timing, read_clocks
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
-from cosim.blocks.scheduled import ScheduledFmu
 from cosim.blocks.sources import SourceBlock
 from cosim.core.text import did_you_mean
 from cosim.core.times import first_point

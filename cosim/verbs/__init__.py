@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from cosim.core.registry import VERBS as ADDED
-from cosim.core.registry import ExtensionWarning, Verb, added_verbs, names
+from cosim.core.registry import ExtensionWarning, Verb, names, registered
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
@@ -78,4 +78,4 @@ def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
             text = f"{name}: an installed package registers a verb that cosim has; it is ignored"
             warnings.warn(text, ExtensionWarning, stacklevel=2)
     if only not in VERBS:
-        yield from ((name, verb) for name, verb in added_verbs() if name not in VERBS)
+        yield from ((name, verb) for name, verb in registered(ADDED, Verb) if name not in VERBS)

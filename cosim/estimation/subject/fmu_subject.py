@@ -26,8 +26,7 @@ from cosim.estimation.subject.probed_model import probed_model
 from cosim.fmi.building.file import LoadedModel
 from cosim.fmi.description import display_units, read_description, takes_any_step
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
-from cosim.fmi.wrapping.wrap import wrap
-from cosim.fmi.wrapping.wrapped_description import CannotWrap
+from cosim.fmi.wrapping.wrap import CannotWrap, wrap
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 from shutil import copyfile
-from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError, refuse
@@ -17,18 +17,18 @@ from cosim.core.settings import ModelName, Names
 from cosim.core.text import did_you_mean
 from cosim.files.files import FilePath, check_folder, named_path
 from cosim.files.yaml_file import YamlFile
+from cosim.fmi.building.declared import ModelText
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.refined import NoNearest, names_refine, refined_file
-from cosim.fmi.building.source import ModelText
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import PLATFORMS, CompilerFailed, NoCompiler, commands
 from cosim.fmi.ports import Value
 from cosim.model.model import Model
 
 if TYPE_CHECKING:
-    from cosim.fmi.native.native_description import Native
-    from cosim.fmi.native.package import NativeFmu
+    from cosim.fmi.native.package import Native, NativeFmu
 
+Made = TypeVar("Made")
 PLANT = "plant.fmu"
 SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
@@ -82,12 +82,18 @@ def build(
     for name, place in places.items():
         recipe: Recipe = resolve(place)()
         recipes[name] = recipe.with_starts(starts[name]) if name in starts else recipe
-    with temporary_folder("build") as drafts:
-        for name, recipe in recipes.items():
-            draft = build_fmu(recipe, drafts / name)
-            with draft_of(folder / name) as target:
-                copyfile(draft, target)
+    _write(folder, {name: partial(build_fmu, recipe) for name, recipe in recipes.items()})
     return [folder / name for name in recipes]
+
+
+def _write(folder: Path, makers: Mapping[str, Callable[[Path], Made]]) -> dict[str, Made]:
+    """Write the files that functions of a path make, or none after a failure."""
+    with temporary_folder("build") as drafts:
+        made = {name: make(drafts / name) for name, make in makers.items()}
+        for name in makers:
+            with draft_of(folder / name) as target:
+                copyfile(drafts / name, target)
+    return made
 
 
 def build_native(
@@ -124,13 +130,11 @@ def build_native(
     native_names = model_entry(loaded.source).native if is_model(loaded.source) else {}
     if starts and not any(f"{name}.fmu" in starts for name in native_names):
         raise InputError.at(Path("--design"), "names no controller that has a native FMU; build it without --native")
-    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded, starts)]
-    with temporary_folder("build") as drafts:  # all archives, or none after a failure
-        built = {file: _compile(native, drafts / file, fmi, platforms) for file, native in natives}
-        for file, one in built.items():
-            with draft_of(folder / file) as draft:
-                draft.write_bytes(one.path.read_bytes())
-    return [replace(one, path=folder / file) for file, one in built.items()]
+    makers = {
+        f"{name}{SUFFIX[fmi]}": partial(_compile, native, fmi=fmi, platforms=platforms)
+        for name, native in _natives(loaded, starts)
+    }
+    return [replace(built, path=folder / file) for file, built in _write(folder, makers).items()]
 
 
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:
@@ -142,16 +146,14 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
         InputError: The build is impossible.
     """
     _check_compiler(())
-    natives, model = _of_class.setdefault(type(loaded.model), {}), loaded.model
-    key = loaded.source, model.chosen_substep, model.chosen_integrator
-    if key not in natives:
-        bare = type(model)().with_substep(model.chosen_substep, model.chosen_integrator)
-        _, natives[key] = next(_natives(LoadedModel(bare, loaded.source), {}))
-    return _compile(natives[key], path).path
+    model, kind = loaded.model, cast(Any, type(loaded.model))
+    return _compile(_native_of(kind, loaded.source, model.chosen_substep, model.chosen_integrator), path).path
 
 
-# checked native models of this process, by class, source, substep and integrator
-_of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
+@lru_cache(16)
+def _native_of(kind: type[Model], source: str, substep: float | None, integrator: str | None) -> Native:
+    """Return the checked native model of a class."""
+    return next(_natives(LoadedModel(kind().with_substep(substep, integrator), source), {}))[1]
 
 
 def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> Iterator[tuple[str, Native]]:

@@ -5,49 +5,104 @@ All faults are reported at once with line and remedy, before any log is read.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import math
 import sys
+import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar, get_args, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from cosim.core.errors import Fault, refuse
 from cosim.core.text import did_you_mean
 from cosim.core.units import parse
-from cosim.fmi.building.source import ModelText
 from cosim.fmi.ports import model_ports
 from cosim.model.delay import Delay, Gain
 from cosim.model.integrate import Stepper
-from cosim.model.model import INTEGRATORS, Effect, Equations, Model, Validity, overrides
+from cosim.model.model import INTEGRATORS, Effect, Equations, Model, overrides
 from cosim.model.namespaces import SCALAR, Namespace, SymbolNamespace
 from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import Quantity, parameters_of
 from cosim.model.sensors import LeverArm, SensorError
 from cosim.model.symbolic.symbols import symbolic
 
+FUNCTIONS = ", ".join(f"m.{name}" for name in vars(Namespace) if not name.startswith("_"))
+TRUTH_TEST = "truth value of"  # sympy's words for the truth test of a symbol
+FOREIGN = ("Cannot convert expression to float", "must be real number", "ufunc", "Namespace' object has no attribute")
+
+
+class ModelText:
+    """The text of a model file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.classes: list[str] = []
+        self._places: dict[tuple[str, str], tuple[int, int]] = {}
+        try:
+            tree = ast.parse(path.read_bytes())
+        except (OSError, SyntaxError, ValueError):  # Loading the file reports this error.
+            return
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                self.classes.append(node.name)
+                self._places[node.name, ""] = node.lineno, node.col_offset + 1
+                for part in node.body:
+                    names = [n.id for n in ast.walk(part) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+                    if isinstance(part, ast.FunctionDef):
+                        names = [part.name]
+                    self._places |= {(node.name, name): (part.lineno, part.col_offset + 1) for name in names}
+
+    def fault(self, owner: type, attribute: str, message: str) -> Fault:
+        """Return a fault at a class's declaration, else at the class."""
+        keys = [(c.__name__, attribute) for c in owner.__mro__ if c.__module__ == owner.__module__]
+        place = next((key for key in keys if key in self._places), (owner.__name__, ""))
+        return Fault(self.path, *self._places.get(place, (0, 0)), message)
+
+    def convert_error(self, error: BaseException, doing: str) -> Fault:
+        """Return the fault of an exception, with line and known remedy."""
+        text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
+        cure = ""
+        if isinstance(error, TypeError) and TRUTH_TEST in text:
+            where = "m.where(condition, then, otherwise) works on symbols too"
+            cure = f"; no `if`, `max`, `min` or `and` on a number: {where}"
+        elif isinstance(error, (TypeError, AttributeError)) and any(words in text for words in FOREIGN):
+            cure = f"; functions come from m, which has {FUNCTIONS}"
+        name = f"{doing}: {type(error).__name__}: {text}".removesuffix(": ")
+        return Fault(self.path, *self._raised_at(error), f"{name}{cure}")
+
+    def _raised_at(self, error: BaseException) -> tuple[int, int]:
+        if isinstance(error, SyntaxError) and error.filename == str(self.path):
+            return error.lineno or 0, max(1, error.offset or 1)
+        for frame in reversed(traceback.extract_tb(error.__traceback__)):
+            if frame.filename == str(self.path):
+                return frame.lineno or 0, (frame.colno or 0) + 1
+        return 0, 0
+
+
 Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
 COMMA = "with a comma even after a single one"
 MAX_NUMBER = sys.float_info.max
 MAX_TOLERANCE = 2.0  # share of a value; larger tolerances are meaningless
-TUPLES: tuple[tuple[str, type, str], ...] = (
-    ("catalogue", type, f"catalogue is a tuple of subclasses of Effect, {COMMA}"),
-    ("sensors", type, f"sensors is a tuple of subclasses of SensorError, {COMMA}"),
-    ("forced", str, f'forced is a tuple of names, {COMMA}: ("name",)'),
-    ("calibrated", str, f'calibrated is a tuple of names, {COMMA}: ("name",)'),
-    ("measured", str, f'measured is a tuple of names, {COMMA}: ("name",)'),
-    ("valid", Validity, 'valid is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)'),
-)
-MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and values, written form
-    ("suspect", str, tuple, '{"parameter": ("input",)}'),
-    ("drawn_against", str, tuple, '{"effect": ("signal",)}'),
-    ("sensor_variance", str, (int, float), '{"output": variance}'),
-    ("start_variance", str, (int, float), '{"state": variance}'),
-    ("excursion", str, (int, float), '{"input or output": how far from its start}'),
-    ("told_apart_by", frozenset, str, '{frozenset({"name", "name"}): "what an experiment needs"}'),
-)
+DICTIONARY = "is a dictionary"
+FORMS = {  # declaration → its form; its type is the annotation of `Model`
+    **dict.fromkeys(("base_states", "inputs", "outputs"), f"is a tuple of quantities, {COMMA}"),
+    "catalogue": f"is a tuple of subclasses of Effect, {COMMA}",
+    "sensors": f"is a tuple of subclasses of SensorError, {COMMA}",
+    **dict.fromkeys(("forced", "calibrated", "measured"), f'is a tuple of names, {COMMA}: ("name",)'),
+    "valid": 'is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)',
+    "suspect": f'{DICTIONARY}: {{"parameter": ("input",)}}',
+    "drawn_against": f'{DICTIONARY}: {{"effect": ("signal",)}}',
+    "sensor_variance": f'{DICTIONARY}: {{"output": variance}}',
+    "start_variance": f'{DICTIONARY}: {{"state": variance}}',
+    "excursion": f'{DICTIONARY}: {{"input or output": how far from its start}}',
+    "told_apart_by": f'{DICTIONARY}: {{frozenset({{"name", "name"}}): "what an experiment needs"}}',
+}
 
 
 def make_model(kind: type[Model], source: ModelText) -> Model:
@@ -55,12 +110,13 @@ def make_model(kind: type[Model], source: ModelText) -> Model:
     refuse(source.fault(*fault) for fault in _form_faults(kind))
     declared = [*_effect_faults(kind)]
     values = [*_parameter_faults(kind)]
-    faults = [source.fault(*f) for f in (*declared, *_name_faults(kind), *_number_faults(kind), *values)]
+    trial = _Trial(source)
+    trial.faults += [source.fault(*f) for f in (*declared, *_name_faults(kind), *_number_faults(kind), *values)]
     if not values:
-        faults += _equation_faults(kind, source)
-    if not faults:
-        faults += _effect_trial_faults(kind, source)
-    refuse(faults)
+        _try_model(trial, kind)
+    if not trial.faults:
+        _try_effects(trial, kind)
+    refuse(trial.faults)
     model = kind()
     variables = "inputs, outputs, parameters and start values"
     refuse(
@@ -77,44 +133,36 @@ def _form_faults(kind: type[Model]) -> Faults:
     """Yield faults of missing or mistyped declarations, and of classes that are no dataclasses."""
     if kind.equations is Model.equations:
         yield kind, "", f"{kind.__name__} has no equations; give it `def equations(self, m)` that returns Equations"
-    for name in ("base_states", "inputs", "outputs"):
-        value = getattr(kind, name, None)
-        if value is None:
+    annotations = get_type_hints(Model) | {"sensors": ClassVar[tuple[type[SensorError], ...]]}
+    for name, form in FORMS.items():
+        if not hasattr(kind, name):
             yield kind, "", f'{kind.__name__} has no {name}; add {name} = (Quantity("name", "unit", "meaning"),)'
-        elif not _is_tuple_of(value, Quantity):
-            yield kind, name, f"{name} is a tuple of quantities, {COMMA}"
-    owners: list[type] = [kind]
-    for name, item, reason in TUPLES:
-        value = getattr(kind, name)
-        base = {"catalogue": Effect, "sensors": SensorError}.get(name, object)
-        if item is type and isinstance(value, (tuple, list)):
-            owners += [one for one in value if isinstance(one, type)]
-        if not (_is_tuple_of(value, item) and all(item is not type or issubclass(one, base) for one in value)):
-            yield kind, name, reason
-            continue
-        for owner in value if item is type else ():  # an effect or sensor error
-            for label in ("name", "equation"):
-                if not isinstance(getattr(owner, label, None), str):
-                    yield owner, label, f'{owner.__name__} has no {label}; add {label} = "…"'
-            if "." in (label := str(getattr(owner, "name", ""))):
-                yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
-            for group in ("states", "memory"):
-                if not _is_tuple_of(getattr(owner, group), Quantity):
-                    yield owner, group, f"{group} is a tuple of quantities, {COMMA}"
-    for name, key, item, form in MAPPINGS:
-        value = getattr(kind, name)
-        if not isinstance(value, Mapping) or not (
-            _is_tuple_of((*value,), key) and _is_tuple_of((*value.values(),), item)
-        ):
-            yield kind, name, f"{name} is a dictionary: {form}"
-    for owner in owners:
-        if name := next((n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)), ""):
+        elif not _is_of(getattr(kind, name), *get_args(annotations[name])):
+            yield kind, name, f"{name} {form}"
+    groups = (value for value in (kind.catalogue, kind.sensors) if isinstance(value, (tuple, list)))
+    owners = [one for value in groups for one in value if isinstance(one, type)]
+    for owner in (one for one in owners if issubclass(one, Effect)):  # an effect or sensor error
+        for label in ("name", "equation"):
+            if not isinstance(getattr(owner, label, None), str):
+                yield owner, label, f'{owner.__name__} has no {label}; add {label} = "…"'
+        if "." in (label := str(getattr(owner, "name", ""))):
+            yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
+        for group in ("states", "memory"):
+            if not _is_of(getattr(owner, group), tuple[Quantity, ...]):
+                yield owner, group, f"{group} {FORMS['inputs']}"
+    for cls in (kind, *owners):
+        if name := next((n for n, v in vars(cls).items() if isinstance(v, dataclasses.Field)), ""):
             reason = "is no field: put @dataclass(frozen=True, kw_only=True) above the class"
-            yield owner, name, f"{owner.__name__}.{name} {reason}"
+            yield cls, name, f"{cls.__name__}.{name} {reason}"
 
 
-def _is_tuple_of(value: Any, kind: Any) -> bool:
-    return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
+def _is_of(value: Any, annotation: Any) -> bool:
+    """Return whether a value is of an annotated type, without conversion."""
+    try:
+        TypeAdapter(annotation, config=ConfigDict(strict=True, arbitrary_types_allowed=True)).validate_python(value)
+    except ValidationError:
+        return False
+    return True
 
 
 def _parameter_faults(kind: type[Model]) -> Faults:
@@ -313,15 +361,15 @@ class _Trial:
             return FAILED
 
 
-def _equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
-    """Return the faults of `equations` and start values, evaluated on floats and on symbols.
+def _try_model(trial: _Trial, kind: type[Model]) -> None:
+    """Note the faults of `equations` and start values, evaluated on floats and on symbols.
 
     No effect is active on floats. All effects are active on symbols, for both values of Boolean parameters.
     """
-    trial = _Trial(source)
+    before = len(trial.faults)
     model = trial.attempt("cannot be made", kind)
     if model is FAILED:
-        return trial.faults
+        return
     for hook, quantities in (("start_state", model.base_states), ("start_input", model.inputs)):
         values = trial.attempt(f"`{hook}` raises", getattr(model, hook))
         names = [q.name for q in quantities]
@@ -330,7 +378,7 @@ def _equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
         for name in values.keys() - set(names) if isinstance(values, dict) else ():
             reason = f'`{hook}` gives a value for "{name}"{did_you_mean(str(name), names)}'
             trial.note(kind, hook, f"{reason} (allowed: {', '.join(names)})")
-    if not trial.faults:
+    if len(trial.faults) == before:
         arguments = 0.0, model.start(), model.start_command()
         _try_equations(trial, model, SCALAR, arguments, _number_objection)
     flags = any(isinstance(p.default, bool) for p in model.parameters)
@@ -341,7 +389,6 @@ def _equation_faults(kind: type[Model], source: ModelText) -> list[Fault]:
         m = SymbolNamespace()
         trial.attempt("`start_state` raises", s.model.start_state, m)
         _try_equations(trial, s.model, m, (s.time, s.state, s.command), _symbol_objection)
-    return trial.faults
 
 
 Objection = Callable[[Any], str]  # why a value is unsuitable, "" if it is suitable
@@ -388,14 +435,14 @@ def _symbol_objection(value: Any) -> str:
     return "" if is_expression else f"{type(value).__name__}, no number,"
 
 
-def _effect_trial_faults(kind: type[Model], source: ModelText) -> list[Fault]:
-    """Return the faults of effects and sensor errors.
+def _try_effects(trial: _Trial, kind: type[Model]) -> None:
+    """Note the faults of effects and sensor errors.
 
     A substep is computed with each effect alone at its typical size. Commands are shaped and readings taken as symbols.
     """
     import sympy
 
-    model, trial, m = kind(), _Trial(source), SymbolNamespace()
+    model, m = kind(), SymbolNamespace()
     for owner in kind.catalogue:
         typical = {
             p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
@@ -434,4 +481,3 @@ def _effect_trial_faults(kind: type[Model], source: ModelText) -> list[Fault]:
             trial.note(sensor, hook, f"{doing} reads {names}; it is of {', '.join(sensor.affected())}")
         elif text := next(filter(None, map(_symbol_objection, readings.values())), ""):
             trial.note(sensor, hook, f"{doing} gives {text} for a reading; return a number")
-    return trial.faults

@@ -25,9 +25,8 @@ from cosim.files.artefact import CODE, MODEL, kind_by_keys
 from cosim.files.files import write_text
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, YamlFile
-from cosim.fmi.building.declared import make_model
+from cosim.fmi.building.declared import ModelText, make_model
 from cosim.fmi.building.refined import names_refine, refined_file
-from cosim.fmi.building.source import ModelText
 from cosim.model.model import Model
 from cosim.terms.language import Term
 

@@ -26,9 +26,9 @@ from cosim.core.messages import Note
 from cosim.core.registry import is_model
 from cosim.core.text import amount, plain
 from cosim.files.artefact import Checking
+from cosim.fmi.building.declared import ModelText
 from cosim.fmi.building.file import LoadedModel, load_model, only_model, read_model
 from cosim.fmi.building.own_run import RunLog, command_rows, moments
-from cosim.fmi.building.source import ModelText
 from cosim.model.integrate import Stepper, substeps
 from cosim.model.model import AUTO, RK4, STIFF, Model, Values
 from cosim.model.symbolic.linearize import Linearizer

@@ -11,7 +11,10 @@ import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
+
+import numpy as np
 
 from cosim.fmi.native.printing import ModelPrinter, UnprintableModel
 from cosim.model.integrate import Stepper
@@ -38,23 +41,14 @@ Difference = tuple[str, str, float, float]  # quantity, method of the model, val
 
 @dataclass(frozen=True)
 class EvaluationPoint:
-    """A point of evaluation: states and memory (those of dormant effects too), inputs, and parameters by FMI name."""
+    """A point of evaluation: states x and memory (those of dormant effects too), inputs u, parameters by FMI name."""
 
     t: float
     h: float
-    state: Sequence[float]
-    command: Sequence[float]
+    x: Sequence[float]
+    u: Sequence[float]
     memory: Sequence[float]
     values: Mapping[str, float | bool]
-
-
-class _Math:
-    """Functions of `math` with NaN or infinity as result, as in C, instead of exceptions."""
-
-    def __getattr__(self, name: str) -> Any:
-        import numpy as np
-
-        return getattr(np, name, None) or getattr(math, name)
 
 
 class GeneratedCode:
@@ -70,22 +64,21 @@ class GeneratedCode:
             ("shape", "t h u memory p", trace.shaping, [*trace.shaped, *trace.remembered]),
             ("remember", "t memory p", (), trace.started),
         )
-        self._functions: dict[str, Any] = {"math": _Math()}
+        # functions of numpy give NaN or infinity, as in C, where those of `math` raise exceptions
+        self._functions: dict[str, Any] = {"math": SimpleNamespace(**{**vars(math), **vars(np)})}
         self._signatures = {name: (arguments.split(), len(results)) for name, arguments, _, results in functions}
         for name, arguments, blocks, results in functions:
             exec(function(Python(), name, arguments, blocks, results, places), self._functions)
 
     def values(self, name: str, at: EvaluationPoint, awake: set[str]) -> list[float]:
         """Return the values of the function `name` at a point, with the effects in `awake` active."""
-        import numpy as np
-
-        arguments: dict[str, Any] = {"t": at.t, "h": at.h, "x": at.state, "u": at.command, "memory": at.memory}
-        arguments["p"] = [at.values[n] for n in self.names]
-        numbers = {k: np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for k, v in arguments.items()}
-        order, size = self._signatures[name]
+        arguments, size = self._signatures[name]
+        numbers = {**vars(at), "p": [at.values[n] for n in self.names]}
+        ordered = (numbers[argument] for argument in arguments)
+        cells = (np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for v in ordered)
         out = [math.nan] * size
         with np.errstate(all="ignore"):
-            self._functions[name](*(numbers[a] for a in order), [n in awake for n in self.flags], out)
+            self._functions[name](*cells, [n in awake for n in self.flags], out)
         return [float(v) for v in out]
 
 
@@ -116,10 +109,9 @@ class Check:
                 pairs = [(quantity, hook, float(a), b) for quantity, hook, a, b in self.compare(case, at, code)]
             except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
-            for pair in pairs:
-                python, other = pair[2:]
+            for quantity, hook, python, other in pairs:
                 if math.isfinite(python) and not abs(python - other) <= TOLERANCE * max(1.0, abs(python)):
-                    return pair
+                    return quantity, hook, python, other
             count += 1
             if count == POINTS:
                 break
@@ -135,10 +127,9 @@ class Check:
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
         states = [q.name for q in self.printer.states]
         acting = [q.name for q in stepper.model.states]
-        state = tuple(at.state[states.index(name)] for name in acting)
-        command = tuple(at.command)
-        rates = dict.fromkeys(states, 0.0)
-        rates |= zip(acting, stepper.derivative(at.t, state, command), strict=True)
+        state = tuple(at.x[states.index(name)] for name in acting)
+        command = tuple(at.u)
+        rates = dict.fromkeys(states, 0.0) | dict(zip(acting, stepper.derivative(at.t, state, command), strict=True))
         for (name, rate), other in zip(rates.items(), code.values("derivatives", at, names), strict=True):
             yield f"der({name})", "equations", rate, other
         outputs = stepper.output(at.t, state, command)

@@ -58,9 +58,9 @@ PLATFORMS = {
 
 def this_platform() -> Platform | None:
     """Return this machine's platform, None if not listed."""
-    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}.get(sys.platform, sys.platform)
-    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
-    return next((p for p in PLATFORMS.values() if p.fmi3 == f"{machine}-{system}"), None)
+    import fmpy
+
+    return next((p for p in PLATFORMS.values() if p.fmi3 == fmpy.platform_tuple), None)
 
 
 def glibc_floor(library: bytes) -> str:

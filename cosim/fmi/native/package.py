@@ -2,22 +2,82 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement
 
 from cosim.core.drafts import draft_of
+from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
-from cosim.fmi.model_description import ASSETS, Local, documentation
+from cosim.fmi.model_description import ASSETS, Description, described, documentation
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.compiler import PLATFORMS, commands, fmi_headers, glibc_floor, library_of
-from cosim.fmi.native.native_description import Native, describe_native
 from cosim.fmi.native.printing import ModelPrinter
-from cosim.fmi.ports import model_ports
+from cosim.fmi.ports import Port, model_ports
+from cosim.fmi.sampled import TOOL
 from cosim.model.model import Model
+
+LOG = {"logStatusWarning": "what the model was not made for", "logStatusError": "why a call was refused"}
+
+
+@dataclass(frozen=True)
+class Native:
+    """Everything needed for a native FMU.
+
+    Value references are those of the ports of `about`, then those of the local variables.
+
+    Attributes:
+        body: Generated C code, `model.c`.
+        sizes: Definitions of `config.h`.
+        parts: C files to follow `model.c`.
+        text: Documentation in HTML.
+        locals: States, their derivatives in the same order, memory, event indicators.
+        dependencies: Output or derivative → names of the inputs and states on which it depends.
+    """
+
+    name: str
+    about: Description
+    body: str
+    sizes: Mapping[str, object]
+    parts: Mapping[str, bytes]
+    text: str
+    locals: tuple[Port, ...] = ()
+    dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def named(self, role: str) -> list[str]:
+        """Return the names of the local variables of a role."""
+        return [v.name for v in self.locals if v.causality == role]
+
+
+def describe_native(native: Native, fmi: int, identifier: str, version: str, guid: str) -> bytes:
+    """Return modelDescription.xml of FMI 2.0 or 3.0; that of 2.0 names the sources in `all.c`."""
+    about, is2 = native.about, fmi == 2
+    root = Element("fmiModelDescription", {"fmiVersion": f"{fmi}.0", "modelName": native.name})
+    root.set("generationTool", f"{TOOL} {version}")
+    state = "FMUstate" if is2 else "FMUState"
+    common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
+    common |= {f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}
+    if is2:
+        root.set("numberOfEventIndicators", str(len(native.named("indicator"))))
+        common["canNotUseMemoryManagementFunctions"] = "true"
+    if native.named("state"):
+        common["providesDirectionalDerivative" if is2 else "providesDirectionalDerivatives"] = "true"
+        SubElement(root, "ModelExchange", common)
+    steps = {"canHandleVariableCommunicationStepSize": str(about.variable_step).lower()}
+    SubElement(root, "CoSimulation", common | steps)
+    for interface in root if is2 else ():
+        SubElement(SubElement(interface, "SourceFiles"), "File", name="all.c")
+    categories = Element("LogCategories")
+    for category, meaning in LOG.items():
+        SubElement(categories, "Category", name=category, description=meaning)
+    more, own = native.locals, native.dependencies
+    return described(root, categories, about, version, guid, fmi=fmi, state="doubles", locals=more, dependencies=own)
+
 
 FOLDER = Path(__file__).resolve().parent
 COMMON = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
@@ -58,37 +118,36 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
     printer = ModelPrinter(model, recipe.about.ports)
     body, sizes = printer.sources()
     Check(model, printer).run()
-    variables = [Local(f"{q.name}_state", "state", q.unit, f"state: {q.doc}") for q in printer.states]
+    variables = [Port(f"{q.name}_state", "state", 0.0, q.unit, f"state: {q.doc}") for q in printer.states]
     for q in printer.states:
-        per_second = f"{q.unit}2" if q.unit.endswith("/s") else "1/s" if q.unit in ("", "1") else f"{q.unit}/s"
-        variables.append(Local(f"der({q.name}_state)", "derivative", per_second, f"derivative: {q.doc}"))
+        unit = unit_of_rate(q.unit)
+        variables.append(Port(f"der({q.name}_state)", "derivative", 0.0, unit, f"derivative: {q.doc}"))
     for effect, q in printer.remembering:
-        variables.append(Local(f"{effect.name}.{q.name}_memory", "memory", q.unit, f"remembered: {q.doc}"))
+        variables.append(Port(f"{effect.name}.{q.name}_memory", "memory", 0.0, q.unit, f"remembered: {q.doc}"))
     for k in range(int(str(sizes["KINKS"]))):
-        variables.append(Local(f"event_indicator_{k + 1}", "indicator", "", "passes through zero at a kink"))
+        variables.append(Port(f"event_indicator_{k + 1}", "indicator", 0.0, "", "passes through zero at a kink"))
     # output or derivative → inputs and states on which it depends, for any active effects and switches
-    sources: dict[str, set[str]] = {}
+    sources = defaultdict[str, set[str]](set)
     inputs, states = [q.name for q in model.inputs], [f"{q.name}_state" for q in printer.states]
     for trace in printer.variants:
-        symbols = (*trace.s.state, *trace.s.command)
-        reach: dict[Any, set[str]] = {s: {name} for s, name in zip(symbols, (*states, *inputs), strict=True)}
+        symbols = zip((*trace.s.state, *trace.s.command), (*states, *inputs), strict=True)
+        reach = defaultdict[Any, set[str]](set, {symbol: {name} for symbol, name in symbols})
 
         def sources_of(expression: Any, reach: Mapping[Any, set[str]] = reach) -> set[str]:
-            return set().union(*(reach.get(s, set()) for s in expression.free_symbols))
+            return set().union(*(reach[s] for s in expression.free_symbols))
 
         for block in (*trace.shaping, *trace.blocks):
             for symbol, e in (*block.values.items(), *block.dormant.items()):
-                reach.setdefault(symbol, set()).update(sources_of(e))
+                reach[symbol] |= sources_of(e)
         for q, e in zip(model.outputs, trace.outputs, strict=True):
-            sources.setdefault(q.name, set()).update(sources_of(e))
+            sources[q.name] |= sources_of(e)
         acting = dict(zip(inputs, trace.shaped, strict=True))
         for state, e in zip(states, trace.derivative, strict=True):
             direct = sources_of(e)  # The acting command is shaped.
-            shaped = (sources_of(acting[n]) for n in direct & acting.keys())
-            sources.setdefault(f"der({state})", set()).update(direct, *shaped)
+            sources[f"der({state})"] |= direct.union(*(sources_of(acting[n]) for n in direct & acting.keys()))
     dependencies = {output: sorted(direct) for output, direct in sources.items()}
-    parts = {"equations.c": part("equations.c")}
-    return Native(name, recipe.about, body, sizes, parts, recipe.text, tuple(variables), dependencies)
+    equations = {"equations.c": part("equations.c")}
+    return Native(name, recipe.about, body, sizes, equations, recipe.text, tuple(variables), dependencies)
 
 
 def part(name: str) -> bytes:

@@ -15,7 +15,7 @@ from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.blocks import extract_calls, function, kinks, tangent
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.symbols import number_guard
-from cosim.model.symbolic.trace import Block, Trace, Untraceable
+from cosim.model.symbolic.trace import Trace, Untraceable
 
 MOST_SWITCHES = 4  # each doubles the generated code
 LANGUAGE = C()
@@ -142,18 +142,14 @@ class ModelPrinter:
         """Return a text that determines all generated functions, as key of the cache."""
         from sympy import srepr
 
-        def as_text(blocks: Sequence[Block]) -> list[Any]:
-            return [(srepr(list(b.values.items())), srepr(list(b.dormant.items())), b.effect, b.title) for b in blocks]
-
         parts: list[Any] = [fingerprint(("cosim.model.symbolic", "cosim.fmi.native"))]
         for trace in self.variants:
-            ends = (trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.started, trace.memory)
-            symbols = (trace.s.time, trace.step, *trace.s.state, *trace.s.command)
-            places = [(name, self.place[name], srepr(s)) for name, s in trace.s.parameters.items()]
-            remembering = [bool(e.memory) for e in trace.effects]
-            parts.append([as_text(trace.blocks), as_text(trace.shaping), *map(srepr, (*ends, list(symbols)))])
-            parts.append([places, remembering])
-        return repr((parts, [self.place[name] for name in self.switches]))
+            blocks = [[[*vars(block).values()] for block in each] for each in (trace.blocks, trace.shaping)]
+            ends = [trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.started, trace.memory]
+            symbols = [trace.s.time, trace.step, *trace.s.state, *trace.s.command]
+            places = [[name, self.place[name], s] for name, s in trace.s.parameters.items()]
+            parts.append([blocks, ends, symbols, places, [bool(e.memory) for e in trace.effects]])
+        return str(srepr([parts, [self.place[name] for name in self.switches]]))
 
     def _functions(self) -> tuple[list[str], int, int, int]:
         """Return C functions, and the numbers of kinks of derivatives and outputs, of all kinks, and of calls."""

@@ -10,8 +10,7 @@ from pathlib import Path
 from cosim.core.units import parse
 from cosim.fmi.model_description import Description
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
-from cosim.fmi.native.native_description import Native
-from cosim.fmi.native.package import build_native, part
+from cosim.fmi.native.package import Native, build_native, part
 from cosim.fmi.native.printing import variable_tables
 from cosim.fmi.ports import Port
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,11 +11,14 @@ from dataclasses import dataclass
 from math import prod
 from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.etree import ElementTree
 
 from cosim.core.drafts import draft_of
+from cosim.core.units import unit_definitions
 from cosim.files.archive import DESCRIPTION, description_of
 from cosim.fmi.description import REALS, read_description, scalars, states_of, takes_any_step
 from cosim.fmi.fmu_build import archive_member, digest
+from cosim.fmi.model_description import set_unit_and_limits
 from cosim.fmi.native.compiler import (
     PLATFORMS,
     CompilerFailed,
@@ -26,10 +30,167 @@ from cosim.fmi.native.compiler import (
     this_platform,
 )
 from cosim.fmi.native.package import EXPORTS
-from cosim.fmi.native.printing import number, quote
-from cosim.fmi.wrapping.forwarding import forwarding_code, function_table
-from cosim.fmi.wrapping.wrapped_description import CannotWrap, describe_wrapped, xml_of
+from cosim.fmi.native.printing import number, quote, table
 from cosim.terms.code import TermCode
+
+TYPEDEF = re.compile(r"typedef\s+([^;()]*?)\b(fmi[23]\w+)TYPE\s*\(([^;]*?)\)\s*;", re.DOTALL)
+COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+PARAMETER = re.compile(r"(?P<type>.*?[\s*])?(?P<name>\w+)\s*(?P<array>\[\])?", re.DOTALL)
+# a function of FMI that is hand-written in C, without its prefix; others are forwarded as they are
+WRITTEN = re.compile(r"^(?:DERIVATIVE\(|(?!static|typedef)[\w ]+[ *](?:fmi\d|FMI\())(\w+)\)?[(\n]", re.MULTILINE)
+# Functions that need no current inputs: before them nothing is computed.
+UNRELATED = ("Set", "Cancel", "Terminate", "EnterConfigurationMode", "ExitConfigurationMode")
+HEAD = "/* Generated from FMI's headers. */"
+
+
+# -- C code that forwards FMI functions, from FMI's own headers ---------------------------------------
+
+
+def function_table(header: str) -> str:
+    """Return C: the table of functions `Functions`, and their names with their places in it, `SYMBOLS`."""
+    names = [name for _, name, _ in TYPEDEF.findall(COMMENT.sub("", header))]
+    table = [f"    {name}TYPE *{name[4:]};" for name in names]
+    symbols = [f'    {{"{name}", offsetof(Functions, {name[4:]})}},' for name in names]
+    head = [HEAD, "typedef struct {", *table, "} Functions;", ""]
+    head += ["static const struct {", "    const char *name;", "    size_t place;", "} SYMBOLS[] = {"]
+    return "\n".join([*head, *symbols, "};", ""])
+
+
+def forwarding_code(header: str, wrapper: str) -> str:
+    """Return C of all functions that only forward, those that are not in the C code of the wrapper.
+
+    Pending inputs are sent to the original before it is asked for anything.
+    """
+    functions, written = [HEAD], {name.lower() for name in WRITTEN.findall(wrapper)}
+    for result, name, text in TYPEDEF.findall(COMMENT.sub("", header)):
+        plain = name[4:]
+        if plain.lower() in written:
+            continue
+        parameters: list[str] = []
+        for part in map(str.strip, text.split(",")):
+            match = PARAMETER.fullmatch(part)
+            if match is None or part == "void":
+                continue
+            is_named = match["type"] is not None and match["type"].strip() not in ("", "const")
+            kind = match["type"] if is_named else f"{match['type'] or ''}{match['name']}"
+            parameters.append(f"{' '.join(kind.split())} a{len(parameters)}{match['array'] or ''}")
+        arguments = "".join(f", a{k}" for k in range(1, len(parameters)))
+        call = f"FORWARD_SETTLED({plain}, (w->component{arguments}))"
+        if plain.startswith(UNRELATED):
+            call = f"FORWARD({plain}{arguments})"
+        functions.append(f"{result.strip()} {name}({', '.join(parameters)})\n{{\n    {call};\n}}\n")
+    return "\n".join(functions)
+
+
+# -- the model description: that of the original with the parameters of the terms ---------------------
+
+INTERFACES = ("ModelExchange", "CoSimulation", "ScheduledExecution")
+SLOPES = ("providesDirectionalDerivative", "providesDirectionalDerivatives", "providesAdjointDerivatives")
+INPUT_SLOPES = ("canInterpolateInputs", "recommendedIntermediateInputSmoothness")
+OUTPUT_SLOPES = ("maxOutputDerivativeOrder",)
+STEP_FLAGS = {2: ("completedIntegratorStepNotNeeded", "false"), 3: ("needsCompletedIntegratorStep", "true")}
+NONE = {"false", "0"}  # values of an absent capability
+
+
+class CannotWrap(ValueError):
+    """Error: terms cannot be added to an FMU."""
+
+
+def xml_of(root: Any) -> bytes:
+    """Return the XML file of a root element of lxml."""
+    from lxml import etree
+
+    text: bytes = etree.tostring(root.getroottree(), encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def parsed(text: bytes) -> Any:
+    """Return the root element of a model description, with its comments and annotations."""
+    from lxml import etree
+
+    return etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
+
+
+def set_starts(root: Any, values: Mapping[str, float], file: str) -> None:
+    """Set the start values of variables in a model description.
+
+    Raises:
+        CannotWrap: A variable has no start value in the file.
+    """
+    nodes = {node.get("name"): node for node in root.find("ModelVariables")}
+    for name, value in values.items():
+        node = nodes[name] if root.get("fmiVersion").startswith("3") else nodes[name].find("Real")
+        if node.get("start") is None:
+            raise CannotWrap(f"{name} of {file} has no start value; only variables with one take another")
+        node.set("start", repr(float(value)))
+
+
+def describe_wrapped(
+    text: bytes, file: str, kept: Iterable[str], terms: TermCode, values: Mapping[str, float], first: int
+) -> tuple[Any, list[str]]:
+    """Return the root of a wrapped FMU's description, with the original's token, and what the wrapper withdraws.
+
+    Everything that is not edited stays, comments and annotations included.
+
+    Args:
+        kept: Interfaces in which the terms act.
+        first: Value reference of the first parameter of the terms.
+    """
+    from lxml import etree
+
+    root = parsed(text)
+    fmi, parameters = int(root.get("fmiVersion")[0]), terms.parameters
+    withdrawn: list[str] = []
+    for interface in [node for node in root if node.tag in INTERFACES]:
+        if interface.tag not in kept:
+            root.remove(interface)
+            withdrawn.append(interface.tag)
+        for sources in interface.findall("SourceFiles"):  # the original's, of which the library is not made
+            interface.remove(sources)
+    interfaces = [node for node in root if node.tag in INTERFACES]
+    lost: list[str] = []
+    if any(values.get(p.name, p.default) != p.neutral for p in parameters if p.neutral is not None):
+        lost += SLOPES
+    if "shape_all" in terms.hooks or "port_inputs" in terms.hooks or terms.delay:
+        lost += INPUT_SLOPES
+    if "readings" in terms.hooks:
+        lost += OUTPUT_SLOPES
+    for interface in interfaces:
+        for name in lost:
+            if interface.attrib.pop(name, "false") not in NONE and name not in withdrawn:
+                withdrawn.append(name)
+        if interface.tag == "ModelExchange" and (terms.memory or terms.delay):
+            interface.set(*STEP_FLAGS[fmi])  # the host reports each step of its solver
+    variables, structure = root.find("ModelVariables"), root.find("ModelStructure")
+    if structure is not None and ("port_inputs" in terms.hooks or "added_rates" in terms.hooks):
+        # Forces change dependencies of derivatives, and of outputs that depend on inputs; without them, an unknown
+        # depends on everything. A variable is numbered by its position in FMI 2.0, by its value reference in FMI 3.0.
+        declared = [node for node in variables if isinstance(node.tag, str)]
+        numbers = {n.get("name"): str(k) if fmi == 2 else n.get("valueReference") for k, n in enumerate(declared, 1)}
+        changed = {numbers[name] for name in terms.inputs}
+        for unknown in structure.iter():
+            dependencies = unknown.get("dependencies")
+            is_rate = unknown.tag == "ContinuousStateDerivative" or unknown.getparent().tag == "Derivatives"
+            if dependencies is not None and (is_rate or changed & set(dependencies.split())):
+                for name in ("dependencies", "dependenciesKind"):
+                    unknown.attrib.pop(name, None)
+    set_starts(root, {name: values[name] for name in values.keys() - {p.name for p in parameters}}, file)
+    units, group = {p.unit for p in parameters if p.unit}, root.find("UnitDefinitions")
+    if group is None and units:
+        interfaces[-1].addnext(group := etree.Element("UnitDefinitions"))
+    for unit in unit_definitions(units - {unit.get("name") for unit in group}) if units else ():
+        group.append(etree.fromstring(ElementTree.tostring(unit)))
+    for k, p in enumerate(parameters):
+        head = {"name": p.name, "valueReference": str(first + k), "description": p.doc, "causality": "parameter"}
+        head |= {"variability": "fixed", "initial": "exact"}
+        node = etree.SubElement(variables, "ScalarVariable" if fmi == 2 else "Float64", head)
+        node = etree.SubElement(node, "Real") if fmi == 2 else node
+        set_unit_and_limits(node, p.unit, p.bounds)
+        node.set("start", repr(float(values.get(p.name, p.default))))
+    return root, withdrawn
+
+
+# -- the archive ----------------------------------------------------------------------------------------
 
 FOLDER = Path(__file__).resolve().parent
 ORIGINAL = "resources/original/"  # the whole original inside the wrapped FMU
@@ -87,16 +248,18 @@ def wrap(
     root, withdrawn = describe_wrapped(description_of(original), original.name, interfaces, terms, values, first)
     headers = {p.name: p.read_text(encoding="utf-8") for p in sorted(fmi_headers().glob(f"fmi{fmi}*.h"))}
     types = headers[f"fmi{fmi}FunctionTypes.h"]
+    files = "loading.c", "history.c", "wrapper.c", f"wrapper{fmi}.c"
+    own = {name: (FOLDER / name).read_text(encoding="utf-8") for name in files}
     order = ["config.h", f"fmi{fmi}Functions.h", "functions.h", "loading.c", "terms.c", f"wrapper{fmi}.c", "forward.c"]
     texts = {
         "all.c": "#define _GNU_SOURCE\n" + "".join(f'#include "{name}"\n' for name in order),
         "functions.h": function_table(types),
-        "forward.c": forwarding_code(types, fmi),
+        "forward.c": forwarding_code(types, own["wrapper.c"] + own[f"wrapper{fmi}.c"]),
         "terms.c": f"/* Terms added to the original. */\n#include <math.h>\n\n{terms.source}\n",
         **headers,
+        **own,
     }
     sources = {name: text.encode() for name, text in texts.items()}
-    sources |= {n: (FOLDER / n).read_bytes() for n in ("loading.c", "history.c", "wrapper.c", f"wrapper{fmi}.c")}
     with zipfile.ZipFile(original) as old:
         content = repr(sorted((m.filename, m.CRC, m.file_size) for m in old.infolist()))
         hashed = digest({**sources, "config.h": config.encode()}, xml_of(root) + content.encode())
@@ -165,16 +328,14 @@ def _config(
                 raise CannotWrap(f"{name} of {file} is no real scalar; terms act on real scalars")
         return [int(variables[name].valueReference) for name in names]
 
-    names = [p.name for p in parameters]
-    own = {name: float(value) for name, value in values.items() if name not in names}
-    dampings = [d.parameter for d in terms.directions]
-    own = {name: own.get(name, float(variables[name].start or 0.0)) for name in dampings} | own
+    names, dampings = [p.name for p in parameters], [d.parameter for d in terms.directions]
+    own = {name: float(variables[name].start or 0.0) for name in dampings}
+    own |= {name: float(value) for name, value in values.items() if name not in names}
     rates = [unknown.variable for unknown in about.derivatives] if "ModelExchange" in interfaces else []
-    rates = [] if any(v.shape for v in rates) else rates
     roles = {
         "input": references(terms.inputs),
         "output": references(terms.outputs),
-        "rate": [int(v.valueReference) for v in rates],
+        "rate": [] if any(v.shape for v in rates) else [int(v.valueReference) for v in rates],
         "own": references(own),
     }
     # places of a variable that is not only forwarded among inputs, outputs, derivatives and own values; its elements
@@ -211,9 +372,9 @@ def _config(
         "OWN_REFERENCE": roles["own"],
     }
     real = {
-        "INPUT_START": [float(variables[name].start or 0.0) for name in terms.inputs],
+        "INPUT_START": [variables[name].start or 0.0 for name in terms.inputs],
         "OWN_START": [*own.values()],
-        "PARAMETER_START": [float(values.get(p.name, p.default)) for p in parameters],
+        "PARAMETER_START": [values.get(p.name, p.default) for p in parameters],
         "PARAMETER_NEUTRAL": [math.nan if p.neutral is None else p.neutral for p in parameters],
     }
     direction = ""
@@ -226,32 +387,19 @@ def _config(
         real["DAMPING_HIGH"] = [d.high for d in terms.directions]
         real["SPEED"] = [d.speed for d in terms.directions]
         direction = "#define library_direction(k, i, t, x, u, p) ((x)[NX * ((k) + 1) + (i)]) /* behind the states */\n"
-    # Arrays end with one more element, because C has no empty arrays.
-    tables = {f"unsigned int {name}": [f"{value}u" for value in row] for name, row in whole.items()}
-    tables |= {f"double {name}": [number(value) for value in row] for name, row in real.items()}
-    lines = [
-        "/* The variables on which the terms act, and which FMU this is. */",
-        "#include <math.h>",
-        *(f"#define {name} {value}" for name, value in sizes.items()),
-        *(
-            f"static const unsigned int {n}[] = {{{', '.join([*(f'{r}u' for r in k), '0'])}}};"
-            for n, k in whole.items()
-        ),
-        *(f"static const double {n}[] = {{{', '.join([*map(number, v), '0.0'])}}};" for n, v in real.items()),
-        f"static const char *const PARAMETER_NAME[] = {{{', '.join([*map(quote, names), quote('')])}}};",
-        "",
-        "/* Places of a variable among inputs, outputs, derivatives and own values, and its elements. */",
-        "typedef struct {",
-        "    unsigned int reference;",
-        "    int input, output, rate, own, size;",
-        "} Special;",
-        "",
-        "static const Special SPECIAL[] = {",
-        *(f"    {{{', '.join(map(str, row))}}}," for row in rows),
-        "    {0, -1, -1, -1, -1, 1}};",
-        "",
-    ]
-    return "\n".join(lines) + direction
+    return "".join(
+        [
+            "/* The variables on which the terms act, and which FMU this is. */\n#include <math.h>\n",
+            *(f"#define {name} {value}\n" for name, value in sizes.items()),
+            *(table("unsigned int", name, (f"{reference}u" for reference in row)) for name, row in whole.items()),
+            *(table("double", name, map(number, row)) for name, row in real.items()),
+            table("char *const", "PARAMETER_NAME", map(quote, names)),
+            "/* Places of a variable among inputs, outputs, derivatives and own values, and its elements. */\n",
+            "typedef struct {\n    unsigned int reference;\n    int input, output, rate, own, size;\n} Special;\n",
+            table("Special", "SPECIAL", (f"{{{', '.join(map(str, row))}}}" for row in rows)),
+            direction,
+        ]
+    )
 
 
 def _libraries(

@@ -251,10 +251,10 @@ static void begin(Wrapper *w)
     memset(c, 0, sizeof *c);
     c->length = SUBSTEP > 0.0 ? SUBSTEP : 1e-3;
     c->coming = HUGE_VAL;
-    memcpy(c->u, INPUT_START, sizeof c->u);
-    memcpy(c->before, INPUT_START, sizeof c->before);
+    memcpy(c->u, INPUT_START, sizeof(double) * NU);
+    memcpy(c->before, INPUT_START, sizeof(double) * NU);
     memcpy(c->p, PARAMETER_START, sizeof(double) * PARAMETERS);
-    memcpy(c->own, OWN_START, sizeof c->own);
+    memcpy(c->own, OWN_START, sizeof(double) * OWNS);
     wake(c);
 }
 
