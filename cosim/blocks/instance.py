@@ -7,6 +7,7 @@ The calls go through FMPy's classes, in this order: load, prepare, (start values
 from __future__ import annotations
 
 import ctypes
+import functools
 import os
 import shutil
 import tempfile
@@ -57,6 +58,25 @@ WARNING, DISCARD, FATAL = 1, 2, 4
 LONGEST_MESSAGE = 1000  # characters
 KEPT_FIRST, KEPT_LAST = 50, 50  # messages
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
+
+
+@functools.cache
+def with_known_signatures(module: str, name: str) -> Any:
+    """Return a class of FMPy that inspects the signatures of the FMI functions for its first instance only."""
+    kind = getattr(import_module(module), name)
+    signatures: dict[str, tuple[Any, Any, Any]] = {}
+
+    def load(fmu: Any) -> None:
+        if not signatures:
+            kind._loadFunctions(fmu)
+            signatures.update({n: (f.argnames, f.argtypes, f.restype) for n, f in fmu._functions.items()})
+            return
+        for function, (names, types, result) in signatures.items():
+            of_library = f"{fmu.modelIdentifier}_{function.replace('fmi1', 'fmi')}" if name[3] == "1" else function
+            loaded = fmu._functions[function] = getattr(fmu.dll, of_library)
+            loaded.argnames, loaded.argtypes, loaded.restype = names, types, result
+
+    return type(name, (kind,), {"_loadFunctions": load})
 
 
 @dataclass(eq=False)
@@ -232,7 +252,7 @@ class Instance:
 
     def _load_library(self, folder: Path, library: Path) -> None:
         """Load the library; failures raise bare Exceptions."""
-        kind = getattr(import_module(f"fmpy.fmi{self.version}"), f"FMU{self.version}{self.fmpy_class}")
+        kind = with_known_signatures(f"fmpy.fmi{self.version}", f"FMU{self.version}{self.fmpy_class}")
         # FMPy derives the library's path from the identifier. In FMI 1.0 the names of functions begin with it.
         names = {"modelIdentifier": library.stem}
         if self.version == 1:

@@ -221,8 +221,9 @@ def claim(path: Path) -> list[str]:
                 )
     brought = code.needed & {name for name, _ in code.libraries}
     maps = []
-    with suppress(OSError):  # none except on Linux
-        maps = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines() if brought]
+    if brought:
+        with suppress(OSError):  # none except on Linux
+            maps = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines()]
     for file in sorted({parts[5] for parts in maps if len(parts) == 6 and ".so" in parts[5]}):
         name, digest = _soname_and_digest(file)
         if name in brought and (name, digest) not in code.libraries:
