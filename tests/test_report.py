@@ -205,7 +205,7 @@ def test_a_page_with_criteria_draws_the_judged_signals_first_the_missed_ones_bef
     names = ("tank.flow", "tank.level", "tank.other")
     results = Results(np.arange(3.0), names, np.ones((3, 3)), {"tank.level": "m"})
     panels = judged_panels(Run(results, {"criteria": goals}))
-    assert [(p.title, p.limits) for p in panels] == [("tank.level", (0.4, 0.6)), ("tank.flow", (-4.0, 4.0))]
+    assert [(p.title, p.limits) for p in panels] == [("tank.level", (0.4, 0.6)), ("tank.flow", (4.0,))]
     charts = embedded(page(tmp_path, results, {"criteria": goals}))["charts"]
     assert [chart["title"] for chart in charts] == ["tank.level", "tank.flow", "tank"]
 
