@@ -46,7 +46,7 @@ def weighed(result: SearchResult) -> Weighed:
     """Return the decision on a search."""
     bundle = bundle_of(result.search, result.candidates, result.hidden)
     decision = decide(bundle)
-    best = next(h for h in result.search.tried.values() if frozenset(h.names) == decision.nearest)
+    best = result.search.tried[decision.nearest]
     return Weighed(bundle, decision, best)
 
 

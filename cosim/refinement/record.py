@@ -445,13 +445,13 @@ def _reason(claims: Claims, h: Hypothesis, behind: float) -> str:
     Args:
         behind: Log odds of the most probable hypothesis to it.
     """
-    parts, decision = frozenset(h.names), claims.decision
+    parts, decision = h.key, claims.decision
     if decision.is_rival(parts):
         return f"a rival: probability {percent(decision.rivals[parts - decision.aside])}"
-    if claims.claimed is not None and h.names == claims.claimed.names and claims.name != "ambiguous":
+    if claims.claimed is not None and parts == claims.claimed.key and claims.name != "ambiguous":
         return "claimed"
     if parts == decision.nearest:
         return "nothing more is missing" if claims.name == "no_effect" else "most probable, but not claimed"
     if not h.ended:
         return "screened: the logs speak against it"
-    return f"e^{behind:.1f} times less probable than {text_of(frozenset(claims.tried[0][0].names))}"
+    return f"e^{behind:.1f} times less probable than {text_of(claims.tried[0][0].key)}"

@@ -50,7 +50,7 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
 
     Noise levels are integrated out by Schur complement; a level that the likelihood pushes beyond its limit is fixed.
     """
-    known = search.evidences.get(h.names)
+    known = search.evidences.get(h.key)
     if known is not None and known[0] is h:
         return known[1]
     problem, count = search.problem, len(h.fit.free)
@@ -70,7 +70,7 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
     block, logs = blocks_of_time(at.scored.of_each_log(at.scored.rows))
     moved = gradients[own] - across.T @ gradients[nuisance]
     found = Evidence(
-        parts=frozenset(h.names),
+        parts=h.key,
         parameters=tuple(prior_of(search, h, f) for f in h.fit.free),
         log_likelihoods=-np.bincount(block, at.scored.terms, len(logs)).astype(np.float64),
         gradients=np.stack([np.bincount(block, row, len(logs)) for row in moved], axis=1)
@@ -80,7 +80,7 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
         logs=logs,
         among=math.prod(c.among for c in h.candidates),
     )
-    search.evidences[h.names] = h, found
+    search.evidences[h.key] = h, found
     return found
 
 
@@ -122,8 +122,11 @@ def optima(search: Search) -> list[Hypothesis]:
     any gain.
     """
     ended = [h for h in search.tried.values() if h.ended]
-    bounds = {h.names: [o.fit.objective for o in ended if set(o.names) < set(h.names)] for h in ended}
-    return [h for h in ended if h.fit.objective < min(bounds[h.names], default=math.inf) + 1.0]
+
+    def bound(h: Hypothesis) -> float:
+        return min((o.fit.objective for o in ended if o.key < h.key), default=math.inf)
+
+    return [h for h in ended if h.fit.objective < bound(h) + 1.0]
 
 
 def bundle_of(search: Search, candidates: Sequence[Candidate], hidden: Sequence[str]) -> Bundle:
@@ -134,12 +137,11 @@ def bundle_of(search: Search, candidates: Sequence[Candidate], hidden: Sequence[
     evidences = [evidence(search, h) for h in optima(search)]
     sets, _ = posterior(evidences, len(candidates))
     probable = [parts for parts, p in folded(sets, ()).items() if p > POSSIBLE][:COMPARED]
-    of = {frozenset(h.names): h for h in search.tried.values()}
     apart = [(one, other) for one, other in combinations(probable, 2) if not (one <= other or other <= one)]
     return Bundle(
         hypotheses=evidences,
         kinds={c.name: kind_within(c, search.subject) for c in candidates},
-        equivalent=[pair for pair in apart if act_alike(search, *(of[parts] for parts in pair))],
+        equivalent=[pair for pair in apart if act_alike(search, *(search.tried[parts] for parts in pair))],
         families=families(candidates),
         hidden=frozenset(hidden),
     )

@@ -61,7 +61,7 @@ class Claims:
     @property
     def best(self) -> Hypothesis:
         """Return the hypothesis of the most probable class."""
-        return next(h for h, _ in self.tried if frozenset(h.names) == self.decision.nearest)
+        return next(h for h, _ in self.tried if h.key == self.decision.nearest)
 
     @property
     def delivered(self) -> Hypothesis:
@@ -73,9 +73,9 @@ class Claims:
         """Return the claimed candidates, first those that are most probable alone."""
         if self.claimed is None:
             return ()
-        alone = {h.names: odds for h, odds in self.tried if len(h.names) == 1}
+        alone = {h.key: odds for h, odds in self.tried}
         claimed = [c for c in self.claimed.candidates if c.name in self.decision.claimed]
-        return tuple(sorted(claimed, key=lambda c: -alone.get((c.name,), -math.inf)))
+        return tuple(sorted(claimed, key=lambda c: -alone.get(frozenset({c.name}), -math.inf)))
 
     @property
     def rivals(self) -> tuple[str, ...]:

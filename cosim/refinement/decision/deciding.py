@@ -49,8 +49,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     subject, search = study.subject, result.search
     bundle = bundle_of(search, result.candidates, result.hidden)
     first = decide(bundle)
-    hypotheses = {frozenset(h.names): h for h in search.tried.values()}
-    base, best = hypotheses[frozenset()], hypotheses[first.nearest]
+    base, best = search.tried[frozenset()], search.tried[first.nearest]
     units = {"time": "s", **{q.name: q.unit for q in subject.states}}
     units |= {f"{RATE}{q.name}": unit_of_rate(q.unit) for q in subject.states}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
@@ -98,14 +97,14 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     decision = decide(bundle)
     tried = _ranked(search, bundle, decision.dispersion)
     delivered = _delivered(decision, [h for h, _ in tried])
-    if claimed is None or delivered is None or delivered.names != claimed.names:
+    if claimed is None or delivered is None or delivered.key != claimed.key:
         claimed = with_intervals(search, delivered) if delivered else None
-    shown = [hypotheses[parts] for parts in [*decision.classes][:SHOWN] if parts]
+    shown = [search.tried[parts] for parts in [*decision.classes][:SHOWN] if parts]
     ladder = _ladder(search, base, [*shown, *([claimed] if claimed else [])])
     nearest = None
     if decision.grade != "claimed":  # the most probable class that predicts logs left out no worse than the given model
         most = float(np.mean(ladder[0][1]))
-        better = {frozenset(h.names): h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
+        better = {h.key: h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
         nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))
     rivals = tuple(decision.rivals)
     return Claims(
@@ -134,11 +133,11 @@ def _delivered(decision: Decision, ranked: Sequence[Hypothesis]) -> Hypothesis |
     claimed = frozenset(decision.claimed)
     if not claimed:
         return None
-    nearest = next(h for h in ranked if frozenset(h.names) == decision.nearest)
+    nearest = next(h for h in ranked if h.key == decision.nearest)
     if decision.verdict == "ambiguous" and claimed <= decision.nearest:
         return nearest  # the certain parts alone may fit worse than the given model
     numbers = {n for n in decision.uncertain if decision.verdict != "ambiguous"} - decision.disputed
-    suited = (h for h in ranked if h.ended and claimed <= frozenset(h.names) <= claimed | numbers)
+    suited = (h for h in ranked if h.ended and claimed <= h.key <= claimed | numbers)
     return next(suited, nearest)
 
 
@@ -163,7 +162,7 @@ def _ladder(search: Search, base: Hypothesis, others: Sequence[Hypothesis]) -> l
 
     The first model is the given one, None.
     """
-    every = sorted({h.names: h for h in others}.values(), key=lambda h: len(h.names))
+    every = sorted({h.key: h for h in others}.values(), key=lambda h: len(h.names))
     return [(h, held_out_errors(search, h, base.fit)) for h in (None, base, *every)]
 
 
@@ -173,10 +172,10 @@ def _ranked(search: Search, bundle: Bundle, kappa: float) -> list[tuple[Hypothes
     Of a hypothesis without evidence, since it was only screened or stopped far from its optimum, the odds are those of
     its score.
     """
-    count, base = len(bundle.kinds), search.tried[()]
+    count, base = len(bundle.kinds), search.tried[frozenset()]
     weights = {e.parts: log_evidence(e, kappa) + log_prior(len(e.parts), count) for e in bundle.hypotheses}
     zero = weights[frozenset()]
-    every = [(h, weights.get(frozenset(h.names), zero + (base.score - h.score) / kappa)) for h in search.tried.values()]
+    every = [(h, weights.get(h.key, zero + (base.score - h.score) / kappa)) for h in search.tried.values()]
     return [(h, weight - zero) for h, weight in sorted(every, key=lambda pair: -pair[1])]
 
 

@@ -88,7 +88,7 @@ def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float 
 
 def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fit:
     """Return the fit of a hypothesis to all logs except `log`, from the cache if possible."""
-    key = (h.names, log)
+    key = (h.key, log)
     if key not in search.cross_fits:
         others = [k for k in range(len(problem.logs)) if k != log]
         refit = fit(problem, search.free(h.candidates), h.fit.values, h.fit.noise, others, SCREEN_ITERATIONS)

@@ -39,11 +39,11 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     if not any(gain > unknown_input_gain(problem) for gain in noise_gains(result.search.problem, result.best.fit)):
         return result
     progress("predicting with the equations trusted", 0.0)
-    given = {h.names: (h, error(result.search, h)) for h in (result.search.tried[()], result.best)}
+    given = {h.key: (h, error(result.search, h)) for h in (result.search.tried[frozenset()], result.best)}
     trusted = with_equations_trusted(subject, problem)
     search = Search(subject, coarsen(trusted), len(candidates), progress)
     if all(error(search, search.hypothesis(h.candidates, h.fit)) > free - CLEARLY for h, free in given.values()):
         return result
     other = Attributor(subject, trusted, candidates, progress).run()
-    is_better = error(other.search, other.best) < given[result.best.names][1] - CLEARLY
+    is_better = error(other.search, other.best) < given[result.best.key][1] - CLEARLY
     return replace(other, free_noise=result.best.fit.noise) if is_better else result

@@ -220,9 +220,9 @@ def posterior_rows(r: Refinement) -> Rows:
         if e["model"] != "before"
     }
     claimed = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # of rivals, the whole set is no claim
-    delivered = {frozenset(h.names): outcome for h, outcome in ((near, "nearest model"), (claim, claimed)) if h}
-    sealed = {frozenset[str](): "recalibrated"} | ({frozenset(near.names): "nearest"} if near else {})
-    sealed |= {frozenset(claim.names): "after"} if claim else {}
+    delivered = {h.key: outcome for h, outcome in ((near, "nearest model"), (claim, claimed)) if h}
+    sealed = {frozenset[str](): "recalibrated"} | ({near.key: "nearest"} if near else {})
+    sealed |= {claim.key: "after"} if claim else {}
     others = []
     for entry in record["posterior"]:
         names, probability = frozenset[str](entry["names"]), entry["probability"]

@@ -22,7 +22,7 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import MIXTURE, Evidence, log_prior
+from cosim.refinement.decision.posterior import MIXTURE, Evidence, Names, log_prior
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
@@ -39,9 +39,9 @@ Progress = Callable[[str, float], None]
 Item = TypeVar("Item")
 
 
-def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
-    """Return the sorted names of candidates as key."""
-    return tuple(sorted(c.name for c in parts))
+def key_of(parts: Sequence[Candidate]) -> Names:
+    """Return the names of candidates as a set."""
+    return frozenset(c.name for c in parts)
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,11 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Return the sorted names of the candidates."""
+        return tuple(sorted(self.key))
+
+    @property
+    def key(self) -> Names:
+        """Return the names of the candidates as a set."""
         return key_of(self.candidates)
 
     @property
@@ -101,18 +106,18 @@ class Search:
     Attributes:
         price: Score cost of each parameter, ½·ln N.
         on_trial: Number of candidates.
-        tried: Names → hypothesis.
-        cross_fits: Names and held-out log → fit to the remaining logs.
-        evidences: Names → hypothesis and its evidence.
+        tried: Key → hypothesis.
+        cross_fits: Key and held-out log → fit to the remaining logs.
+        evidences: Key → hypothesis and its evidence.
     """
 
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
         self.subject, self.problem, self.progress = subject, problem, progress
         self.price = 0.5 * np.log(max(2, problem.samples))
         self.on_trial = on_trial
-        self.tried: dict[tuple[str, ...], Hypothesis] = {}
-        self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
-        self.evidences: dict[tuple[str, ...], tuple[Hypothesis, Evidence]] = {}
+        self.tried: dict[Names, Hypothesis] = {}
+        self.cross_fits: dict[tuple[Names, int], Fit] = {}
+        self.evidences: dict[Names, tuple[Hypothesis, Evidence]] = {}
 
     def hypothesis(
         self,
@@ -219,14 +224,14 @@ class Search:
 
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
             fitted = self.hypothesis(*start, loosen=False)
-            earlier = self.tried.get(fitted.names)
+            earlier = self.tried.get(fitted.key)
             enough = CONVERGED * self.problem.scatter
             if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - enough:
                 fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
-            ended = [h for h in self.tried.values() if h.ended and {*h.names} < {*fitted.names}]
+            ended = [h for h in self.tried.values() if h.ended and h.key < fitted.key]
             best = min(ended, key=lambda h: h.fit.objective, default=fitted)
             if best.fit.objective < fitted.fit.objective:
-                added = [c for c in fitted.candidates if c.name not in best.names and c.kind != "parameter"]
+                added = [c for c in fitted.candidates if c.name not in best.key and c.kind != "parameter"]
                 free = [f for c in added for f in c.free]
                 values = dict(chain.from_iterable(c.starts[0].items() for c in added))
                 values |= {f.name: f.neutral for f in free if f.neutral is not None}
@@ -247,7 +252,7 @@ class Search:
             return h
 
         fitted = in_parallel(fit_and_report, todo)
-        self.tried |= {h.names: h for h in fitted}
+        self.tried |= {h.key: h for h in fitted}
         report_ranking(self.progress, [*self.tried.values()])
         return fitted
 
