@@ -22,7 +22,7 @@ from cosim.estimation.kernel.nameless import KNOTS, LOCAL, RATE, READING, bump, 
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.refinement.decision.posterior import CERTAIN, LITTLE
-from cosim.refinement.search.missing import Smoothed, smooth_unknown_inputs
+from cosim.refinement.search.missing import MissingInput, smooth_logs
 from cosim.refinement.search.periods import innovations_of_logs, spectrum_along
 
 EVERY = 4  # rows between linearizations, sufficient for a regression
@@ -97,10 +97,8 @@ class Shape:
     def columns(self, signals: Signals) -> Array:
         """Return the regressor of each coefficient, shape (rows, coefficients)."""
         over = self.per * (values_of(signals, self.of) - self.place)
-        count = KNOTS if self.kind == "spline" else 1
-        basis = [bump(over - k) for k in range(count)]
-        if self.kind != "spline":
-            basis = {"bump": basis, "step": [rise(over)], "wave": [np.sin(over), np.cos(over)]}[self.kind]
+        others = {"bump": [bump], "step": [rise], "wave": [np.sin, np.cos]}
+        basis = [f(over) for f in others.get(self.kind, ())] or [bump(over - k) for k in range(KNOTS)]
         return np.stack(basis, axis=1) * (values_of(signals, self.times)[:, None] if self.times else 1.0)
 
 
@@ -109,19 +107,17 @@ def values_of(signals: Signals, names: Sequence[str]) -> Array:
     return signals[names[0]] - signals[names[1]] if len(names) > 1 else signals[names[0]]
 
 
-def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
+def signals_of(problem: Problem, missing: MissingInput) -> dict[str, Array]:
     """Return name → values of the signals for local shapes."""
-    layout, states = problem.layout, np.vstack([m.states for _, m in parts])
-    commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
-    time, named = np.concatenate([m.time for _, m in parts]), dict(zip(layout.states, states.T, strict=True))
+    layout, commands = problem.layout, missing.of_logs([log.u for log in problem.logs])
+    named = dict(zip(layout.states, missing.states.T, strict=True))
     own = {n: z for n, z in named.items() if not n.startswith((DISTURBANCE, CONSTANT))}
     if layout.is_free_run:
         own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
-        ends, steps = np.cumsum([len(m.time) for _, m in parts])[:-1], [problem.logs[k].step for k, _ in parts]
         for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
-            each = zip(np.split(own[rate.removeprefix(RATE)], ends), steps, strict=True)
-            own[rate] = np.concatenate([np.diff(z, prepend=z[:1]) / step for z, step in each])
-    return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
+            each = zip(missing.by_log(own[rate.removeprefix(RATE)]), problem.logs, strict=False)
+            own[rate] = np.concatenate([np.diff(z, prepend=z[:1]) / log.step for z, log in each])
+    return {"time": missing.time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
 def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
@@ -137,12 +133,13 @@ def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) ->
     if not names:
         return [], 0, {}
     with np.errstate(invalid="ignore", over="ignore"):
-        parts, missing, sigma = smooth_unknown_inputs(problem, at, EVERY)
-    signals = {n: z for n, z in signals_of(problem, parts).items() if n in names}
-    if not all(np.isfinite(z).all() for z in (missing, *signals.values())):
+        missing = smooth_logs(problem, at, EVERY)
+    signals = {n: z for n, z in signals_of(problem, missing).items() if n in names}
+    if not all(np.isfinite(z).all() for z in (missing.value, *signals.values())):
         return [], 0, signals
     shapes, tried = [], 0
-    for equation, value, variance in zip(problem.layout.forced, missing.T, np.mean(sigma**2, axis=0), strict=True):
+    variances = np.mean(missing.sigma**2, axis=0)
+    for equation, value, variance in zip(missing.equations, missing.value.T, variances, strict=True):
         own = [signals[equation]] if equation in signals else []
         others = orthonormal(np.column_stack([np.ones(len(value)), *own]))
         lacking = value - others @ (others.T @ value)
@@ -156,7 +153,7 @@ def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) ->
             if net > best.get(shape.kind, (0.0, shape))[0]:
                 best[shape.kind] = net, shape
         shapes += [shape for _, shape in best.values()]
-    waves, lines = _likely_waves(test, parts, signals)
+    waves, lines = _likely_waves(test, missing, signals)
     prefix = f"{LOCAL}.1.to."
     places = [n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)]
     for wave, place in product(waves, places):  # innovations show an error of a reading times a rate of the signal
@@ -190,22 +187,21 @@ def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[st
                 yield from (replace(shape, kind="bump", place=p, width=width, times=factor) for p in bumps)
 
 
-def _likely_waves(test: ScoreTest, parts: Smoothed, signals: Signals) -> tuple[list[Shape], int]:
+def _likely_waves(test: ScoreTest, missing: MissingInput, signals: Signals) -> tuple[list[Shape], int]:
     """Return the wave over time, and that over another signal, with the highest lines of spectra; the lines tried.
 
     Spectra are those of the innovations, times a factor.
     """
     commands = [n for n in signals if n.startswith("command ")]
-    innovations = innovations_of_logs(test)
-    tables = [innovations[k][m.rows(test.problem.logs[k])] for k, m in parts]
-    ends, tried, found = np.cumsum([len(m.time) for _, m in parts])[:-1], 0, dict[bool, tuple[float, Shape]]()
+    tables = missing.by_log(missing.of_logs(innovations_of_logs(test)))
+    tried, found = 0, dict[bool, tuple[float, Shape]]()
     for name, z in signals.items():
         if np.unique(z).size <= KNOTS:
             continue
         low = 2.0 * KNOTS * float(np.ptp(z)) / len(z)
         for factor in {n: None for n in ("", test.problem.layout.rates.get(name, ""), *commands) if n != name}:
             by = values_of(signals, (factor,))[:, None] if factor else np.ones((len(z), 1))
-            own = zip(np.split(z, ends), tables, np.split(by, ends), strict=True)
+            own = zip(missing.by_log(z), tables, missing.by_log(by), strict=True)
             frequency, height = spectrum_along([(q, table * times) for q, table, times in own], low)
             line = 2 + int(np.argmax(height[2:]))  # one period in the travel at least
             over = float(height[line] / np.mean(height)) if height.any() else 0.0  # of logs at rest
