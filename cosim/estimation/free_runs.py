@@ -54,7 +54,7 @@ def _next(problem: Problem, values: Mapping[str, float], noise: Noise, index: in
         return nll if np.isfinite(nll) else np.inf
 
     moved, before = x0.copy(), objective(x0)
-    moved[places] = problem.run(values, noise, index, states=True).states[-1][places]
+    moved[places] = problem.run(values, noise, index).states[-1][places]
     for each in (moved, 0.5 * (x0 + moved)):
         if np.isfinite(each).all() and objective(each) < before - ENOUGH:
             return each

@@ -119,7 +119,7 @@ def _range(problem: Problem) -> Array:
 
     All ranges are 0 if the simulation leaves the measurements by more than their span, as for an unstable model.
     """
-    runs = [problem.own_run(index) for index in range(len(problem.logs))]
+    runs = [problem.simulate(problem.values, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
         measured = np.isfinite(log.y)
         error = np.abs(np.where(measured, run.outputs - np.where(measured, log.y, 0.0), 0.0)).max(axis=0)
@@ -178,17 +178,13 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
         return horizon
     noise = initial_fit(problem).noise
     for index, log in enumerate(problem.logs):
-        data, first, run = (
-            problem.data(values, index),
-            count_unscored(log),
-            problem.run(values, noise, index, states=True),
-        )
+        data, first, run = problem.data(values, index), count_unscored(log), problem.run(values, noise, index)
         length = int(min(round(min(horizon, len(data.u) * data.step) / data.step), len(data.u) - first - 1))
         spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT)
         moving = [k for k, name in enumerate(layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
         if length < 2 or not moving or not np.isfinite(spreads).all():
             continue
-        spread, p = problem.readings[index].spread, problem.numbers(problem.of_log(values, index))
+        spread, p = problem.readings[index].spread, problem.parameters(values, index)
         steps = np.vstack([np.zeros(len(spreads)), np.diag(DISPLACEMENT * spreads)[moving]])
         for row in np.unique(np.linspace(first, len(data.u) - 1 - length, STARTS).astype(int)).tolist():
             start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
@@ -217,12 +213,12 @@ def halve_log(problem: Problem) -> Problem:
     else:
         halves = [log.rows(0, half), log.rows(half, len(log.u))]
         following = replace(problem, trusted=False, sensing=None)
-        run = following.run(problem.values, following.plain, 0, states=True)
+        run = following.run(problem.values, following.plain, 0)
         reached = problem.drop_unknown_inputs(run.states[half])
         for origin in problem.origins:
             # A start from a reading depends on the group's parameter value.
-            p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
-            read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
+            first = halves[1].rows(0, 1)
+            read, y = problem.simulate(problem.values, 0, reached, first).outputs[0], first.y[0]
             reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
     readings = list(map(readings_of, halves))
     return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=[*problem.origins] * 2)

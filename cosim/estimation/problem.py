@@ -170,7 +170,10 @@ class Problem:
         if all(map(follows, range(len(short.logs)))):
             return short
         # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
-        runs = [np.where(np.isfinite(log.y), short.own_run(k).outputs, np.nan) for k, log in enumerate(short.logs)]
+        runs = [
+            np.where(np.isfinite(log.y), short.simulate(self.values, k).outputs, np.nan)
+            for k, log in enumerate(short.logs)
+        ]
         return replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
 
     def first_rows(self, rows: int) -> Problem:
@@ -235,6 +238,10 @@ class Problem:
         """Return the parameter values as an array in the kernel's order; missing values come from the problem."""
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
+    def parameters(self, values: Mapping[str, float], index: int) -> Array:
+        """Return the parameter values for a log as an array in the kernel's order."""
+        return self.numbers(self.of_log(values, index))
+
     def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
         """Return the parameter values for a log, with those of its group."""
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
@@ -253,11 +260,10 @@ class Problem:
         x[places] = [value for value, _ in own.values()]
         factor[places, range(len(places))] = spreads
         if own and (initial := self.origins[index].initial):
-            first, p = self.logs[index].rows(0, 1), self.numbers(self.of_log(values, index))
+            first = self.logs[index].rows(0, 1)
 
             def read(state: Array) -> Array:
-                outputs = self.kernel.simulate(first, p, state, np.zeros(layout.memory)).outputs
-                return outputs[0, list(initial.values())]
+                return self.simulate(values, index, state, first).outputs[0, list(initial.values())]
 
             def slope(place: int) -> Array:
                 step = STEP * max(1.0, abs(float(x[place])))
@@ -319,13 +325,13 @@ class Problem:
         return r + np.exp(noise.timing) * speed**2
 
     def run(
-        self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None
+        self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = True, data: Data | None = None
     ) -> Filtered:
         """Filter a log.
 
         Args:
             index: Number of the log.
-            states: Return the filtered states too.
+            states: Return the filtered states and their covariances too.
             data: Measurements to filter, by default those of the log.
         """
         return self.kernel.run(*self._inputs(values, noise, index, data), states=states)
@@ -346,19 +352,19 @@ class Problem:
 
         A late reading arrives after the row of its measurement.
         """
-        filtered = self.run(values, noise, index, states=True, data=data)
+        filtered = self.run(values, noise, index, data=data)
         late = {k: n for k, by in self.in_rows(self.late, values, index).items() if (n := round(by)) > 0}
         states = filtered.states.copy()
         for row in rows if late else ():
             y = data.y.copy()
             for k, n in late.items():
                 y[max(0, row - n + 1) : row + 1, k] = np.nan
-            states[row] = self.run(values, noise, index, states=True, data=replace(data, y=y)).states[row]
+            states[row] = self.run(values, noise, index, data=replace(data, y=y)).states[row]
         return replace(filtered, states=states)
 
     def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
         """Return innovations and variances of a log (rows, outputs)."""
-        return self._aligned(self.run(values, noise, index), values, index)
+        return self._aligned(self.run(values, noise, index, states=False), values, index)
 
     def _aligned(self, filtered: Filtered, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
         """Return innovations and variances at the rows of the readings, not at those of their measurement."""
@@ -376,10 +382,18 @@ class Problem:
         state[places] = filtered.states[-1][places]
         return self.drop_unknown_inputs(state)
 
-    def own_run(self, index: int) -> Simulated:
-        """Return the noise-free response to a log's commands."""
-        p, memory = self.numbers(self.of_log(self.values, index)), np.zeros(self.layout.memory)
-        return self.kernel.simulate(self.logs[index], p, self.start(self.values, index)[0], memory)
+    def simulate(
+        self, values: Mapping[str, float], index: int, state: Array | None = None, data: Data | None = None
+    ) -> Simulated:
+        """Return the noise-free response to a log's commands.
+
+        Args:
+            state: First state, by default the start state of the log.
+            data: Commands, by default those of the log.
+        """
+        state = self.start(values, index)[0] if state is None else state
+        data = self.logs[index] if data is None else data
+        return self.kernel.simulate(data, self.parameters(values, index), state, np.zeros(self.layout.memory))
 
     def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""

@@ -28,7 +28,7 @@ def noise_levels(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
     the level of both together.
     """
     noise, both = {}, {}
-    runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
+    runs = [problem.simulate(problem.values, index).outputs for index in range(len(problem.logs))]
     for j, name in enumerate(problem.layout.outputs):
         columns = [log.y[:, j] for log in problem.logs]
         simulated = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]

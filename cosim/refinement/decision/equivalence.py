@@ -111,10 +111,9 @@ def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
 
 def _outputs(problem: Problem, data: Data, values: Mapping[str, float]) -> Array:
     """Return noise-free readings from the start of the first log, shape (rows, outputs); NaN if the FMU fails."""
-    p, state = problem.numbers(problem.of_log(values, 0)), problem.start(values, 0)[0]
     lags = problem.in_rows(problem.lagging, values, 0)
     try:
-        run = problem.kernel.simulate(data, p, state, np.zeros(problem.layout.memory))
+        run = problem.simulate(values, 0, data=data)
     except (FmuError, SimulationError):
         return np.full(data.y.shape, np.nan)
     return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))

@@ -131,11 +131,11 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
     every = len(data.u)
     length = every // PARTS if math.isinf(horizon) else round(horizon / data.step)
     length = max(2, min(length, (every - first) // 2))
-    run, p = problem.run(f.values, f.noise, index, states=True), problem.numbers(problem.of_log(f.values, index))
+    run, p = problem.run(f.values, f.noise, index), problem.parameters(f.values, index)
     rows = range(first, every - length, length)
     if problem.layout.is_free_run:
-        begin, memory = problem.begin_replay(run, first), np.zeros(problem.layout.memory)
-        predicted = lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
+        begin = problem.begin_replay(run, first)
+        predicted = lagged_table(problem.simulate(f.values, index, begin, data).outputs, data.lags)
         replays = [(data.y[row + 1 : row + 1 + length], predicted[row + 1 : row + 1 + length]) for row in rows]
     else:
         back = rows_of_delay(problem, p, data.step)

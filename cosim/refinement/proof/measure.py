@@ -275,7 +275,7 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
         return {}
     problem, ends = with_logs(variant.subject, problem, logs), dict[str, float]()
     for index, origin in enumerate(problem.origins):
-        last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index, states=True).states[-1])
+        last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index).states[-1])
         for name, place in problem.layout.constants.items():
             ends |= {own(name, origin.group): float(last[place]), spread(name, origin.group): 0.0}
     return ends
@@ -353,7 +353,7 @@ class _KernelReplays:
         """Return outputs of simulations from given states, infinite where they diverge, NaN elsewhere."""
         problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-        p, outputs = problem.numbers(problem.of_log(values, self.index)), np.full(data.y.shape, np.nan)
+        p, outputs = problem.parameters(values, self.index), np.full(data.y.shape, np.nan)
         parts = {k: data.rows(0, min(k + length, len(data.u) - 1) + 1) for k in self.rows}
         begins: list[Begin] = [(part, p, starts[k], self.filtered.memory[k], kicks, k) for k, part in parts.items()]
         for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):

@@ -110,7 +110,7 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     for variant, noise in pairs:
         parts = []
         for k, data in enumerate(problem.logs):
-            run = problem.run(variant.values, noise, k)
+            run = problem.run(variant.values, noise, k, states=False)
             first = min(count_unscored(data), max(0, len(run.errors) - 2))
             scaled = (run.errors / np.sqrt(run.variances))[first:]
             parts.append(np.where(np.isfinite(scaled), scaled, np.nan))
@@ -275,7 +275,9 @@ def _compare_reading(
     """Compare the innovations of an output with an unnamed term of its reading."""
     name = entry["equation"].removeprefix(READING)
     runs = [problem.innovations(best.values, best.noise, k) for k in range(len(missing.rows))]
-    errors, variances = (missing.of_logs(tables)[:, problem.layout.outputs.index(name)] for tables in zip(*runs, strict=True))
+    errors, variances = (
+        missing.of_logs(tables)[:, problem.layout.outputs.index(name)] for tables in zip(*runs, strict=True)
+    )
     read, (against, term) = np.isfinite(errors), _local(entry, signals)
     return EffectComparison(
         f"{entry['local']['kind']} over {against.name}",
@@ -317,7 +319,7 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit
     names, parts, noise = problem.layout.outputs, [], loosen_noise(problem, claim.noise)
     neutral = {**claim.values, **{n: problem.values[n] for n in c.parameters}}
     for index in smoothed_logs(problem):
-        data, run = problem.logs[index], problem.run(claim.values, noise, index, states=True)
+        data, run = problem.logs[index], problem.run(claim.values, noise, index)
         count = min(len(data.u), MOST_ROWS) - 1
         clean = outputs_along(problem, index, neutral, run, count)
         wrong, times = outputs_along(problem, index, claim.values, run, count), data.times[:count]

@@ -68,7 +68,7 @@ def steps_of(problem: Problem, index: int, values: Mapping[str, float]) -> Step:
 
     It returns the state at the next row and the outputs at each row. Unknown inputs keep their usual correlation time.
     """
-    data, p = problem.logs[index], problem.numbers(problem.of_log(values, index))
+    data, p = problem.logs[index], problem.parameters(values, index)
     back = rows_of_delay(problem, p, data.step)
     return lambda *points: single_steps(problem.kernel, data, p, points, back)
 
@@ -83,9 +83,7 @@ def outputs_along(problem: Problem, index: int, values: Mapping[str, float], run
     """Return the outputs of the first rows along filtered states, or of a free run."""
     if not problem.layout.is_free_run:
         return steps_of(problem, index, values)(np.arange(count), run.states, run.memory)[1]
-    begin, p = problem.begin_replay(run, 0), problem.numbers(problem.of_log(values, index))
-    simulated = problem.kernel.simulate(problem.logs[index], p, begin, np.zeros(problem.layout.memory))
-    return np.asarray(simulated.outputs[:count])
+    return problem.simulate(values, index, problem.begin_replay(run, 0)).outputs[:count]
 
 
 def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool = False) -> MissingInput:
@@ -99,39 +97,36 @@ def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool
     names, reached = layout.uncertain, list(layout.stochastic)
     places = [k for k, name in enumerate(names) if name.startswith(DEVIATION)] if deviations else list(layout.noisy)
     for index in smoothed_logs(problem):
-        data, run = problem.data(base.values, index), problem.run(base.values, noise, index, states=True)
+        data, run = problem.data(base.values, index), problem.run(base.values, noise, index)
         count = min(len(data.u), MOST_ROWS)
-        x, last = run.states[:count, reached], count if deviations else count - 1
-        scored = slice(min(count_unscored(data), last), last)
+        last = count if deviations else count - 1
+        scored, x = slice(min(count_unscored(data), last), last), run.states[:count, reached]
         if run.covariances is None:  # the filtered inputs, as uncertain as before any reading
             sigma = np.tile(np.exp(0.5 * noise.power), (count, 1))
         else:
-            P = run.covariances[:count].copy()
+            P = run.covariances[:count]
             if not deviations:
-                x = _smooth(problem, base, noise, index, run, x, P, every)
+                if layout.is_free_run:
+                    F = _transitions_of_deviations(problem, base.values, noise, index)[:count]
+                    ahead = np.einsum("kij,kj->ki", F, x)
+                else:
+                    ahead, F = _linear(problem, steps_of(problem, index, base.values), run, count, every)
+                x, P = _smooth(x, P, ahead, F, np.diag(problem.densities(noise)) * data.step)
             sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
         found.append((scored, data.times[scored], x[scored, places], sigma[scored], run.states[scored]))
     rows, *parts = zip(*found, strict=True)
     return MissingInput(layout.forced, rows, *map(np.concatenate, parts))
 
 
-def _smooth(
-    problem: Problem, base: Fit, noise: Noise, index: int, run: Filtered, x: Array, P: Array, every: int
-) -> Array:
-    """Return the smoothed random states of a log; `P` becomes their covariances."""
-    Q = np.diag(problem.densities(noise)) * problem.logs[index].step
-    if problem.layout.is_free_run:
-        F = _transitions_of_deviations(problem, base.values, noise, index)[: len(x)]
-        ahead = np.einsum("kij,kj->ki", F, x)
-    else:
-        ahead, F = _linear(problem, steps_of(problem, index, base.values), run, len(x), every)
-    smooth = x.copy()
+def _smooth(x: Array, P: Array, ahead: Array, F: Array, Q: Array) -> tuple[Array, Array]:
+    """Return the smoothed states and their covariances, from the filtered ones, their predictions and transitions."""
+    x, P = x.copy(), P.copy()
     for k in range(len(x) - 2, -1, -1):
         spread = F[k] @ P[k] @ F[k].T + Q
         gain = least_squares(spread, F[k] @ P[k]).T
-        smooth[k] += gain @ (smooth[k + 1] - ahead[k])
+        x[k] += gain @ (x[k + 1] - ahead[k])
         P[k] += gain @ (P[k + 1] - spread) @ gain.T
-    return smooth
+    return x, P
 
 
 def _transitions_of_deviations(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> Array:
@@ -169,7 +164,7 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
         matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
         orders = [1 + bool(matrix[:, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
-    runs = [problem.run(at.values, at.noise, k, states=True) for k in range(len(problem.logs))]
+    runs = [problem.run(at.values, at.noise, k) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [
             np.diff(run.states[count_unscored(d) :, place], kinds[name][1]) / d.step
@@ -196,7 +191,7 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
     """
     layout, data = problem.layout, problem.logs[index]
-    runs = [problem.run(f.values, f.noise, index, states=True) for f in (base, after)]
+    runs = [problem.run(f.values, f.noise, index) for f in (base, after)]
     if layout.is_free_run:
         change = (runs[1].states - runs[0].states)[:, layout.forced_places]
         return np.asarray(change[min(count_unscored(data), len(change) - 1) : MOST_ROWS])
