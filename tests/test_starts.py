@@ -15,9 +15,8 @@ from scipy.linalg import expm
 
 from cosim.core.arrays import Array
 from cosim.estimation import fit as fitting
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.library_kernel import propagation
-from cosim.estimation.posing import build_problem
+from cosim.estimation.posing import build_problem, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.logs.log import Log
 from cosim.refinement.decision.scatter import replay_errors

@@ -16,9 +16,8 @@ from scipy.optimize import brentq
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, pseudo_inverse
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem, Scored
+from cosim.estimation.problem import Noise, Problem, Scored
 from cosim.estimation.subject.candidates import Free
 from cosim.logs.channel_noise import NORMAL_95
 

@@ -16,9 +16,8 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, orthonormal, pseudo_inverse
 from cosim.estimation.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem
+from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import Candidate
 
 SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral

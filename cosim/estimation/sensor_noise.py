@@ -10,8 +10,7 @@ import numpy as np
 from cosim.core.arrays import Array, Flags
 from cosim.core.text import join_names, plain, written
 from cosim.estimation.fit import Fit
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import Problem
+from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
 

@@ -21,7 +21,7 @@ from cosim.model.quantities import Quantity
 from cosim.probing.log_runs import Fmu, limits_of
 
 Job = Callable[..., Any]
-MODULES = ("cosim.probing.exchange_points", "cosim.probing.misbehaviour", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
+MODULES = ("cosim.probing.model_exchange", "cosim.probing.misbehaviour", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
 LIMITS = Limits(step=20.0, load=60.0)
 USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]
 SLOW = 30.0  # time limit of a trial as a multiple of the time of an ordinary simulation

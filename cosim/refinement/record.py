@@ -13,29 +13,23 @@ from cosim.core.arrays import Array
 from cosim.core.text import percent
 from cosim.core.version import __version__
 from cosim.estimation.fit import Fit
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import expected_values, own
+from cosim.estimation.problem import Noise
 from cosim.estimation.subject.candidates import Kind, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict
-from cosim.refinement.proof.measure import Floor, ReplayedLogs, rmse
+from cosim.refinement.proof.measure import OTHER_HORIZONS, Floors, Part, Replayed, Replays, rmse
 from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
-from cosim.residuals.residual_statistics import FREE_RUN
-
-OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Likelihood = Annotated[  # null if the filter diverged
     Finite | None, BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None)
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
-Part = Literal["estimation", "validation"]
 Parts = dict[Part, Channels]
-Floors = Mapping[Part, Floor]
-Replayed = Mapping[str, Mapping[Part, Mapping[float, ReplayedLogs]]]  # model → set of logs → horizon
 
 
 class Estimate(BaseModel):
@@ -212,20 +206,6 @@ class Errors(BaseModel):
     recalibrated: Parts
     after: Parts
     nearest: Parts | None = None
-
-
-class Replays(BaseModel):
-    """FMUs used for the replays.
-
-    why: why not natively; empty where it was
-    log: the log that plant.fmu has replayed too
-    apart: relative difference of the two there
-    """
-
-    through: Literal["native", "python", "own"]
-    why: str = ""
-    log: str = ""
-    apart: Finite | None = None
 
 
 class Record(BaseModel):

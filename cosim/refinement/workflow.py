@@ -19,9 +19,8 @@ import numpy as np
 from cosim.core.errors import Fault, TimedOut, refuse
 from cosim.core.text import counted, join_names, plain, showing
 from cosim.estimation.fit import Fit, initial_fit
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.per_log import drop_own_parameters
-from cosim.estimation.posing import build_problem, predictable_horizon
+from cosim.estimation.posing import build_problem, predictable_horizon, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import cell_warnings, noise_levels, noise_warnings
 from cosim.estimation.subject.candidates import Candidate
@@ -40,12 +39,15 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
-from cosim.refinement.decision.claims import Claims, floor_warning, sentence
-from cosim.refinement.decision.deciding import claims_of
+from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
 from cosim.refinement.decision.scatter import fit_given_model
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
+    Floors,
+    LogSets,
+    Replayed,
+    Replays,
     Variant,
     final_log_parameters,
     find_rises,
@@ -53,11 +55,11 @@ from cosim.refinement.proof.measure import (
     noise_floor,
     refined_subject,
     remaining_on_sealed_logs,
+    replay_variants,
     rmse,
     variant_of,
 )
-from cosim.refinement.proof.proof_replays import LogSets, replay_variants
-from cosim.refinement.record import Floors, Replayed, Replays, record, unfinished
+from cosim.refinement.record import record, unfinished
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Hypothesis, SearchResult
 from cosim.refinement.search.input_hold import between_rows, late_input

@@ -19,9 +19,8 @@ from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.kernel.c_filter import CompiledKernel
-from cosim.estimation.kernel.generate import Generated
+from cosim.estimation.kernel.generate import LOCAL, PREFIX, Generated
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated
-from cosim.estimation.kernel.nameless import LOCAL, PREFIX
 from cosim.fmi.description import reals, takes_any_step
 from cosim.isolation.limits import Limits
 from cosim.probing.fmu_structure import START_STEP

@@ -154,7 +154,7 @@ class Subject(Protocol):
         """Return a filter kernel for logs with these measured outputs.
 
         Args:
-            unnamed: Include unnamed terms (`cosim.estimation.kernel.nameless`), if available.
+            unnamed: Include unnamed terms (`cosim.estimation.kernel.generate`), if available.
             constant: Parameters as constant states, estimated in the filter.
 
         Raises:

@@ -13,8 +13,8 @@ from typing import Any, Literal, Self
 
 from cosim.core.units import DISPLAY
 from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.generate import Known, bases
 from cosim.estimation.kernel.kernel import Data, Kernel
-from cosim.estimation.kernel.nameless import Known, bases
 from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Subject, Workplace
 from cosim.fmi.building.build import class_fmu

@@ -15,8 +15,8 @@ from scipy.optimize import least_squares
 
 from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
+from cosim.estimation.data import lagged_table
 from cosim.estimation.kernel.kernel import Data
-from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import WIDTHS
 from cosim.refinement.decision.posterior import MIXTURE

@@ -19,11 +19,10 @@ from functools import partial
 import numpy as np
 
 from cosim.core.arrays import Array, Rows
-from cosim.estimation.data import count_unscored
+from cosim.estimation.data import count_unscored, lagged_table
 from cosim.estimation.fit import Fit, fit, inverse, slopes, with_flat_directions
 from cosim.estimation.kernel.kernel import Begin, simulate_all
 from cosim.estimation.parallel import in_parallel, raise_if_cancelled
-from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.per_log import fit_for_held_out
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored

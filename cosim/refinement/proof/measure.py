@@ -9,27 +9,27 @@ through the kernel, which gives the same results.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from cosim.core.arrays import Array, Rows
-from cosim.core.errors import SimulationError
+from cosim.core.errors import InputError, SimulationError
 from cosim.core.linear_algebra import square_roots
+from cosim.core.text import plain
+from cosim.estimation.data import past_reading, replayed
 from cosim.estimation.fit import Fit
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, Filtered, simulate_all
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.past_readings import past_reading, replayed
 from cosim.estimation.per_log import expected_values, group_values, own, spread
-from cosim.estimation.posing import with_logs
-from cosim.estimation.problem import Problem, Settings
-from cosim.estimation.subject.interface import Replayer, Start, Subject
+from cosim.estimation.posing import with_likely_starts, with_logs
+from cosim.estimation.problem import Noise, Problem, Settings
+from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.refinement.search.fits import Hypothesis
@@ -40,8 +40,14 @@ FLOOR_SEED = 20121
 DRAWS = 20
 PARTS = 8  # parts of a free run, each counted as one replay
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
+EQUAL = 1e-9  # largest difference of fast replays from those of the delivered object, relative to max(1, largest value)
 
+OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
+
+Part = Literal["estimation", "validation"]
+LogSets = Mapping[Part, Sequence[Log]]
 ReplayedLogs = list[tuple[Log, Replay]]
+Replayed = Mapping[str, Mapping[Part, Mapping[float, ReplayedLogs]]]  # model → set of logs → horizon
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +249,9 @@ class Floor:
     scatter: Mapping[str, float]
 
 
+Floors = Mapping[Part, Floor]
+
+
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
     """Return the noise floor: errors of the model against itself, simulated with random noise.
 
@@ -414,3 +423,75 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
         sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
         ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
     return ratios
+
+
+# Replays of every variant on every set of logs, through a fast replayer if equal to the delivered object.
+#
+# The delivered object replays a log for comparison. If the results differ, or no fast replayer exists, the delivered
+# object replays every log, and the record states this.
+
+
+class Replays(BaseModel):
+    """FMUs used for the replays.
+
+    why: why not natively; empty where it was
+    log: the log that plant.fmu has replayed too
+    apart: relative difference of the two there
+    """
+
+    through: Literal["native", "python", "own"]
+    why: str = ""
+    log: str = ""
+    apart: Annotated[float, Field(allow_inf_nan=False)] | None = None
+
+
+def replay_variants(
+    variants: Mapping[str, Variant], problem: Problem, sets: LogSets, place: Workplace
+) -> tuple[Replayed, Replays]:
+    """Replay every variant on every set of logs; return the replays and the FMU used."""
+
+    def replay_all(replayer_of: Callable[[Subject], Replayer]) -> Replayed:
+        done: dict[int, dict[Part, dict[float, ReplayedLogs]]] = {}
+        for variant in variants.values():
+            if id(variant) not in done:  # one that stands twice is replayed once
+                source = variant, replayer_of(variant.subject), problem
+                horizons = list(OTHER_HORIZONS.values())
+                done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in sets.items()}
+        return {name: done[id(variant)] for name, variant in variants.items()}
+
+    def replay_delivered() -> Replayed:
+        return replay_all(lambda subject: subject.replayer(place))
+
+    after = variants["after"]
+    own = after.subject.replayer(place)
+    ways, why = dict[int, Replayer](), ""
+    subjects = {id(v.subject): v.subject for v in variants.values()}
+    try:
+        ways = {key: way for key, s in subjects.items() if (way := s.quick_replayer(place)) is not None}
+    except InputError as error:
+        why = error.faults[0].message
+    if len(ways) < len(subjects):
+        return replay_delivered(), Replays(through=own.through, why=why)
+    played = replay_all(lambda subject: ways[id(subject)])
+    part: Part = "validation" if "validation" in sets else "estimation"
+    k, log = min(enumerate(sets[part]), key=lambda entry: entry[1].rows)
+    horizon, name = after.subject.horizon, log.path.name
+    replay = replay_logs(after, own, problem, [log])[horizon][0][1]
+    apart = difference(played["after"][part][horizon][k][1], replay)
+    if apart <= EQUAL:
+        return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
+    why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
+    finite = apart if math.isfinite(apart) else None
+    return replay_delivered(), Replays(through=own.through, why=why, log=name, apart=finite)
+
+
+def difference(one: Replay, other: Replay) -> float:
+    """Return the largest relative difference of outputs, possibly infinite."""
+    largest = 0.0
+    for name, values in one.outputs.items():
+        others, rows = other.outputs[name], np.isfinite(other.outputs[name])
+        if not np.array_equal(rows, np.isfinite(values)):
+            return float("inf")
+        apart = np.max(np.abs(values[rows] - others[rows]), initial=0.0)
+        largest = max(largest, float(apart) / float(np.max(np.abs(others[rows]), initial=1.0)))
+    return largest

@@ -12,16 +12,14 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.text import MISSING, counted, display, displayed, finer, percent, plain, shown_unit
 from cosim.core.units import unit_of_rate
-from cosim.estimation.data import count_unscored
+from cosim.estimation.data import count_unscored, past_reading
 from cosim.estimation.fit import Fit
-from cosim.estimation.kernel.nameless import READING
-from cosim.estimation.past_readings import past_reading
+from cosim.estimation.kernel.generate import READING
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.proof.measure import ReplayedLogs
-from cosim.refinement.record import Part
+from cosim.refinement.proof.measure import Part, ReplayedLogs
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.missing import (
     MOST_ROWS,
@@ -32,7 +30,7 @@ from cosim.refinement.search.missing import (
     smooth_logs,
     smoothed_logs,
 )
-from cosim.refinement.search.shapes import Shape, Signals, signals_of, values_of
+from cosim.refinement.search.unnamed import Shape, Signals, signals_of, values_of
 from cosim.report.charts import Abscissa, Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.report import neighbours

@@ -33,7 +33,7 @@ from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import error_text, rounded
 from cosim.refinement.decision.posterior import CERTAIN
-from cosim.refinement.record import OTHER_HORIZONS, Part
+from cosim.refinement.proof.measure import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import innovations, modes, runs, shown_effects
 from cosim.refinement.search.fits import Hypothesis

@@ -19,9 +19,8 @@ import numpy as np
 from scipy.stats import norm
 
 from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import coarsen, with_finer_steps
+from cosim.estimation.posing import coarsen, with_finer_steps, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps

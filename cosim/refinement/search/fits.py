@@ -16,10 +16,9 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.estimation.fit import CONVERGED, ITERATIONS, Fit, fit, initial_fit
-from cosim.estimation.free_runs import fit_growing, leaves_the_motion
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem
+from cosim.estimation.posing import fit_growing, leaves_the_motion
+from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import MIXTURE, Evidence, Names, log_prior

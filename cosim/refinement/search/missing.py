@@ -23,8 +23,7 @@ from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
 from cosim.estimation.kernel.kernel import DEVIATION, Filtered, single_steps
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import Problem
+from cosim.estimation.problem import Noise, Problem
 from cosim.refinement.decision.posterior import CERTAIN
 
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
