@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.estimation.data import count_unscored, data_of, first_measured, readings_of, start_state
 from cosim.estimation.fit import Fit, fit, initial_fit
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Begin, simulate_all
@@ -34,7 +34,7 @@ def build_problem(
     subject: Subject,
     logs: Sequence[Log],
     unnamed: bool = False,
-    noise: Mapping[str, float] = MappingProxyType({}),
+    noise: NamedValues = MappingProxyType({}),
     settings: Settings = NO_SETTINGS,
 ) -> Problem:
     """Return the fitting problem; outputs absent from a log are missing readings.
@@ -129,7 +129,7 @@ def _range(problem: Problem) -> Array:
     return np.asarray(np.ptp(np.vstack([run.states for run in runs]), axis=0))
 
 
-def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
+def coarsen(problem: Problem, values: NamedValues | None = None) -> Problem:
     """Return the problem with the fewest substeps that give the same likelihood.
 
     Args:
@@ -148,7 +148,7 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
     return problem
 
 
-def with_finer_steps(problem: Problem, values: Mapping[str, float], noise: Noise) -> Problem:
+def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Problem:
     """Return the problem with as many substeps as the likelihood at a fit needs; the same problem if they suffice.
 
     A fit may leave the region in which the substeps of the given model integrate it exactly enough.
@@ -234,9 +234,7 @@ def halve_log(problem: Problem) -> Problem:
 ENOUGH = 0.5  # decrease of the negative log-likelihood of a log by the last estimate
 
 
-def with_likely_starts(
-    problem: Problem, values: Mapping[str, float] | None = None, noise: Noise | None = None
-) -> Problem:
+def with_likely_starts(problem: Problem, values: NamedValues | None = None, noise: Noise | None = None) -> Problem:
     """Return the problem with the start states of free runs that its logs make likely; others are unchanged.
 
     The filter is linear in the start states; this is its Gauss-Newton iteration.
@@ -255,7 +253,7 @@ def with_likely_starts(
     return problem
 
 
-def _next(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> Array:
+def _next(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
     """Return a likelier start of a log, the same array without one."""
     places, x0 = problem.layout.start_places, problem.x0[index]
 
@@ -282,7 +280,7 @@ def leaves_the_motion(problem: Problem, at: Fit) -> bool:
     return problem.layout.is_free_run and bool(np.any(at.noise.power > problem.noise.plain))
 
 
-def fit_growing(problem: Problem, free: Sequence[Free], start: Mapping[str, float]) -> Fit:
+def fit_growing(problem: Problem, free: Sequence[Free], start: NamedValues) -> Fit:
     """Return a fit to all rows.
 
     It starts from the values of fits to fewer rows, with unknown inputs at a detectable level.

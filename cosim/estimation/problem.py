@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Flags, NamedValues, Rows
 from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
@@ -37,7 +37,7 @@ class Settings:
     """
 
     interpolated: frozenset[str] = frozenset()
-    tolerance: Mapping[str, float] = field(default_factory=dict)
+    tolerance: NamedValues = field(default_factory=dict)
     per_log: tuple[str, ...] = ()
     groups: Mapping[Path, str] = field(default_factory=dict)
 
@@ -95,7 +95,7 @@ class Problem:
     kernel: Kernel
     logs: Sequence[Data]
     r: Array
-    values: Mapping[str, float]
+    values: NamedValues
     settings: Settings
     late: Mapping[str, Sequence[int]]
     lagging: Mapping[str, Sequence[int]]
@@ -112,7 +112,7 @@ class Problem:
     origins: Sequence[Origin] = ()
     ranges: list[NoiseRange] = field(default_factory=list)  # of process noise; shared by problems made from this one
 
-    def with_noise(self, levels: Mapping[str, float]) -> Problem:
+    def with_noise(self, levels: NamedValues) -> Problem:
         """Return the problem with initial noise levels (standard deviations) of some outputs."""
         guess = [levels.get(name, 0.0) ** 2 for name in self.layout.outputs]
         return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r), ranges=[])
@@ -233,19 +233,19 @@ class Problem:
         plain[self.layout.noise_places] = 0.0
         return plain
 
-    def numbers(self, values: Mapping[str, float]) -> Array:
+    def numbers(self, values: NamedValues) -> Array:
         """Return the parameter values as an array in the kernel's order; missing values come from the problem."""
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
-    def parameters(self, values: Mapping[str, float], index: int) -> Array:
+    def parameters(self, values: NamedValues, index: int) -> Array:
         """Return the parameter values for a log as an array in the kernel's order."""
         return self.numbers(self.of_log(values, index))
 
-    def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
+    def of_log(self, values: NamedValues, index: int) -> NamedValues:
         """Return the parameter values for a log, with those of its group."""
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
-    def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
+    def start(self, values: NamedValues, index: int) -> tuple[Array, Array]:
         """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0.
 
         L has shape (stochastic states, parameters per log). A state initialized from its first reading satisfies the
@@ -274,7 +274,7 @@ class Problem:
             x[states] += gain @ (x0[states] - y)
         return x, factor[list(layout.stochastic)]
 
-    def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
+    def _own(self, values: NamedValues, index: int) -> dict[str, tuple[float, float]]:
         """Return the parameters with a separate value per log: name → (value, standard deviation) for this log."""
         constants = {}
         for name in self.layout.constants:
@@ -292,13 +292,13 @@ class Problem:
         q[list(self.layout.noisy)] = 2.0 * np.exp(noise.power) / np.exp(noise.memory)
         return q
 
-    def in_rows(self, of: Mapping[str, Sequence[int]], values: Mapping[str, float], index: int) -> dict[int, float]:
+    def in_rows(self, of: Mapping[str, Sequence[int]], values: NamedValues, index: int) -> dict[int, float]:
         """Return output index → time of its sensor (`late` or `lagging`) in rows; empty if all are zero."""
         step, values = self.logs[index].step, self.of_log(values, index) if of else values
         rows = {k: values.get(name, self.values[name]) / step for name, places in of.items() for k in places}
         return rows if any(rows.values()) else {}
 
-    def data(self, values: Mapping[str, float], index: int) -> Data:
+    def data(self, values: NamedValues, index: int) -> Data:
         """Return a log with late readings moved to the rows of their measurement, and with the lags of its sensors.
 
         Readings move by whole rows; the filter accounts for the remaining fraction.
@@ -324,7 +324,7 @@ class Problem:
         return r + np.exp(noise.timing) * speed**2
 
     def run(
-        self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = True, data: Data | None = None
+        self, values: NamedValues, noise: Noise, index: int, *, states: bool = True, data: Data | None = None
     ) -> Filtered:
         """Filter a log.
 
@@ -335,7 +335,7 @@ class Problem:
         """
         return self.kernel.run(*self._inputs(values, noise, index, data), states=states)
 
-    def _inputs(self, values: Mapping[str, float], noise: Noise, index: int, data: Data | None = None) -> Inputs:
+    def _inputs(self, values: NamedValues, noise: Noise, index: int, data: Data | None = None) -> Inputs:
         """Return the arguments of the kernel's filter for a log."""
         data = self.data(values, index) if data is None else data
         x0, more = self.start(values, index)
@@ -345,7 +345,7 @@ class Problem:
         return data, p, x0, P0, self.densities(noise), self.variances(noise, index)
 
     def filter_causally(
-        self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
+        self, data: Data, values: NamedValues, noise: Noise, index: int, rows: Sequence[int]
     ) -> Filtered:
         """Filter given measurements with the inputs of a log; states in `rows` use only readings that have arrived.
 
@@ -361,11 +361,11 @@ class Problem:
             states[row] = self.run(values, noise, index, data=replace(data, y=y)).states[row]
         return replace(filtered, states=states)
 
-    def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
+    def innovations(self, values: NamedValues, noise: Noise, index: int) -> tuple[Array, Array]:
         """Return innovations and variances of a log (rows, outputs)."""
         return self._aligned(self.run(values, noise, index, states=False), values, index)
 
-    def _aligned(self, filtered: Filtered, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
+    def _aligned(self, filtered: Filtered, values: NamedValues, index: int) -> tuple[Array, Array]:
         """Return innovations and variances at the rows of the readings, not at those of their measurement."""
         e, s = filtered.errors, filtered.variances
         for k, late in self.in_rows(self.late, values, index).items():
@@ -382,7 +382,7 @@ class Problem:
         return self.drop_unknown_inputs(state)
 
     def simulate(
-        self, values: Mapping[str, float], index: int, state: Array | None = None, data: Data | None = None
+        self, values: NamedValues, index: int, state: Array | None = None, data: Data | None = None
     ) -> Simulated:
         """Return the noise-free response to a log's commands.
 
@@ -394,7 +394,7 @@ class Problem:
         data = self.logs[index] if data is None else data
         return self.kernel.simulate(data, self.parameters(values, index), state, np.zeros(self.layout.memory))
 
-    def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
+    def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""
         errors, variances, rows = [], [], []
         chosen = range(len(self.logs)) if only is None else only

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.core.arrays import Array, Flags
+from cosim.core.arrays import Array, Flags, NamedValues
 from cosim.core.text import join_names, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Noise, Problem
@@ -109,7 +108,7 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     return (text,) if cells else ()
 
 
-def _line(levels: Mapping[str, float]) -> str:
+def _line(levels: NamedValues) -> str:
     return f"`noise: {{{', '.join(f'{name}: {level:.2g}' for name, level in levels.items())}}}`"
 
 

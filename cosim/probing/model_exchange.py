@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
@@ -12,7 +12,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from cosim.blocks.derivatives import DifferentiableFmu
-from cosim.core.arrays import Array, Flags
+from cosim.core.arrays import Array, Flags, NamedValues
 from cosim.core.errors import FmuError, InputError, SimulationError
 from cosim.fmi.description import reals, scalars, states_of
 from cosim.probing.fmu_structure import Connection, Damping, Pair, Port, ProbedParameter, Structure
@@ -369,7 +369,7 @@ def dampings(
     if not trials or not able:
         return ()
 
-    def react(values: Mapping[str, float]) -> Array:
+    def react(values: NamedValues) -> Array:
         """Return the reactions with parameter values, shape (trials, points, 4, columns)."""
         table: Array = prober.call(reactions, prober.with_values(values), course, places)[1]
         return table.reshape(len(trials), -1, 4, table.shape[1])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.text import percent
 from cosim.core.version import __version__
 from cosim.estimation.fit import Fit
@@ -285,7 +285,7 @@ def record(
     played: Replayed,
     floors: Floors,
     way: Replays,
-    ends: Mapping[str, float],
+    ends: NamedValues,
     seconds: float,
 ) -> Record:
     """Return the content of refine.json.
@@ -367,7 +367,7 @@ def unfinished(study: Study, tried: Sequence[Hypothesis]) -> dict[str, Any]:
     return {**shared, "finished": False, "candidates": candidates}
 
 
-def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
+def keep_finite(channels: NamedValues) -> dict[str, float]:
     """Return the channels with finite values."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
@@ -392,7 +392,7 @@ def _effects(subject: Subject, claims: Claims) -> list[EffectEntry]:
     return entries
 
 
-def _per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
+def _per_log(study: Study, f: Fit, ends: NamedValues) -> dict[str, PerLog]:
     """Return the entry of every parameter per log."""
     declared, entries = study.subject.declared, {}
     for name in study.settings.per_log:

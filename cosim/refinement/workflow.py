@@ -53,7 +53,7 @@ from cosim.refinement.proof.measure import (
     find_rises,
     log_noise,
     noise_floor,
-    refined_subject,
+    refined_variant,
     remaining_on_sealed_logs,
     replay_variants,
     rmse,
@@ -139,7 +139,7 @@ def _refine(
     allowed = study.content.limits
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
-        variants = _variants(study, result, claims, unfitted)
+        variants = _variants(result, claims, unfitted)
         files = [*variants["after"].subject.write(scratch, folder, "refined")]
         if "nearest" in variants:
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
@@ -291,19 +291,18 @@ def _candidates(study: Study) -> list[Candidate]:
     return [c for c in candidates if c.name not in unread]
 
 
-def _variants(study: Study, result: SearchResult, claims: Claims, unfitted: Fit) -> dict[str, Variant]:
+def _variants(result: SearchResult, claims: Claims, unfitted: Fit) -> dict[str, Variant]:
     """Return the variants to replay: before, recalibrated, after, and the nearest model if the claim is incomplete.
 
     Args:
         unfitted: Given model with fitted unknown inputs.
     """
-    subject, settings, free_noise = study.subject, study.settings, result.free_noise
+    about, free_noise = (result.search.subject, result.search.problem), result.free_noise
     named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
     named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
-    made = {id(None): variant_of(subject, settings, unfitted, free_noise)}  # one that stands twice is replayed once
+    made = {id(None): variant_of(*about, unfitted, free_noise)}  # one that stands twice is replayed once
     for h in filter(None, named.values()):
-        refined = refined_subject(subject, result.search.problem, h)
-        made[id(h)] = variant_of(refined, settings, h.fit, free_noise)
+        made[id(h)] = refined_variant(*about, h, free_noise)
     return {"before": made[id(None)], **{name: made[id(h)] for name, h in named.items()}}
 
 

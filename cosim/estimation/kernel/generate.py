@@ -85,28 +85,30 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     stochastic = tuple(names.index(n) for n in random)
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
-    symbols, shaping, local = (
-        body.symbols,
-        body.shaping,
-        [(s.factor, s.shape, s.sums, s.value, s.slopes) for s in shapes],
-    )
-    library = _library_inputs(body)
+    symbols, shaping, library = body.symbols, body.shaping, _library_inputs(body)
+    local = [(s.factor, s.shape, s.sums, s.value, s.slopes) for s in shapes]
     key = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time, library])
     key += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
     stiff = model.integrator == STIFF
     version = (stochastic, stiff, fingerprint(("cosim.model.symbolic", "cosim.estimation.kernel", "cosim.terms")))
-    text: str = load_or_make(f"{version} {key}", lambda: _print_functions(body, (f, g), (stochastic, x), shapes, stiff))
+
+    def print_functions() -> str:
+        random = _slopes([f[i] for i in stochastic], x, shapes)
+        functions = {"deriv": f, "jacobian": random, "measure": g, "measure_jacobian": _slopes(g, x, shapes)}
+        if stiff:
+            functions["state_jacobian"] = _slopes(f, symbols.state, shapes)
+        texts = [body.function(C(), name, e, _stages(shapes)) for name, e in functions.items()]
+        return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
+
+    text: str = load_or_make(f"{version} {key}", print_functions)
     if library:
         text += body.function(C(), "library_inputs", library)
-    layout = Layout(
-        parameters=tuple(body.parameters),
+    layout = _layout(
+        body,
+        measured,
         states=tuple(names),
-        inputs=tuple(q.name for q in model.inputs),
-        outputs=tuple(measured),
         stochastic=stochastic,
         noisy=tuple(range(len(uncertain), len(uncertain) + len(unknown))),
-        memory=len(body.shaping.remembered),
-        delay=body.delay,
         driven=tuple(names.index(n) for n in driven),
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
@@ -157,15 +159,12 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
             places[model.outputs[place].name] = None
     prefixes = (EARLIER, DISTURBANCE, DEVIATION)
     states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
-    layout = Layout(
-        parameters=tuple(body.parameters),
+    layout = _layout(
+        body,
+        measured,
         states=states,
-        inputs=tuple(q.name for q in model.inputs),
-        outputs=tuple(measured),
         stochastic=tuple(range(len(names), len(states))),
         noisy=tuple(range(len(measured), 2 * len(measured))),
-        memory=len(body.shaping.remembered),
-        delay=body.delay,
         rates=known.rates,
         is_free_run=True,
         along=along,
@@ -185,31 +184,12 @@ def _library_inputs(body: Body) -> list[Any]:
         return [sympy.sympify(e) for e in s.model.library_inputs(SymbolNamespace(), s.state, s.command)]
 
 
-def _print_functions(
-    body: Body,
-    expressions: tuple[Sequence[Any], Sequence[Any]],
-    random: tuple[Sequence[int], Sequence[Any]],
-    shapes: Sequence[LocalShape],
-    stiff: bool,
-) -> str:
-    """Return the functions of the kernel as C code.
-
-    Args:
-        expressions: Derivatives and readings.
-        random: Indices and symbols of the stochastic states.
-    """
-    (f, g), (stochastic, x) = expressions, random
-    functions = {
-        "deriv": f,
-        "jacobian": _slopes([f[i] for i in stochastic], x, shapes),
-        "measure": g,
-        "measure_jacobian": _slopes(g, x, shapes),
-    }
-    if stiff:
-        functions["state_jacobian"] = _slopes(f, body.symbols.state, shapes)
-    stages = _stages(shapes)
-    texts = [body.function(C(), name, e, stages) for name, e in functions.items()]
-    return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
+def _layout(body: Body, measured: Sequence[str], **more: Any) -> Layout:
+    inputs = tuple(q.name for q in body.symbols.model.inputs)
+    memory = len(body.shaping.remembered)
+    return Layout(
+        tuple(body.parameters), inputs=inputs, outputs=tuple(measured), memory=memory, delay=body.delay, **more
+    )
 
 
 def _nameless(

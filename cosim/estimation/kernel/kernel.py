@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedValues, Rows
 
 DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
 CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
@@ -55,7 +55,7 @@ class Layout:
     carrying: tuple[int, ...] = ()
     rates: Mapping[str, str] = field(default_factory=dict)
     is_free_run: bool = False
-    along: Mapping[str, float] = field(default_factory=dict)
+    along: NamedValues = field(default_factory=dict)
     positions: tuple[int, ...] = ()
 
     @property

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import InputError
 from cosim.core.units import unit_of_rate, unit_product
 from cosim.estimation.kernel.backend import kernel
@@ -163,7 +163,7 @@ class FmuSubject(ModelSubject):
         own = {START + with_place(s.name): s.quantity.start for s in self.structure.starts}
         return {q.name: q.start for q in self.states} | own
 
-    def start_of_log(self, readings: Mapping[str, float]) -> dict[str, float]:
+    def start_of_log(self, readings: NamedValues) -> dict[str, float]:
         """Return the start value of each state, of a start state from the output that shows it."""
         start, outputs = self.start(), self.outputs
         for s in self.structure.starts:
@@ -183,7 +183,7 @@ class FmuSubject(ModelSubject):
         """Return None: outliers are found by their neighbours."""
         return None
 
-    def refined(self, claims: Mapping[str, float]) -> FmuSubject:
+    def refined(self, claims: NamedValues) -> FmuSubject:
         """Return the subject with claimed values."""
         return FmuSubject(super().refined(claims).loaded, self.structure, self.limits)
 
@@ -253,7 +253,7 @@ class LibraryReplayer(Replayer):
     through: str
 
     def replays(
-        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+        self, log: Log, data: Data, values: NamedValues, starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
         names = [q.name for q in self.subject.outputs]

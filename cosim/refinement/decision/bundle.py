@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import expit, logsumexp
 from scipy.stats import chi2, norm
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.fit import Fit, inverse, slopes
 from cosim.estimation.problem import Problem
@@ -224,10 +224,10 @@ def drifts(problem: Problem, f: Fit) -> dict[str, tuple[float, float]]:
 
 def misfit_of(
     by_chance: float,
-    moves: Mapping[str, float],
-    errors: Mapping[str, Mapping[str, float]],
-    floor: Mapping[str, float],
-    beside: Mapping[str, float],
+    moves: NamedValues,
+    errors: Mapping[str, NamedValues],
+    floor: NamedValues,
+    beside: NamedValues,
 ) -> Misfit:
     """Return the lack of fit of a hypothesis.
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.text import MOST_NAMED, amount, append_unit, finer, join_names, percent, plain, written
 from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import Fit
@@ -50,7 +50,7 @@ from cosim.refinement.proof.measure import (
     log_noise,
     noise_floor,
     predicted_errors,
-    refined_subject,
+    refined_variant,
     variant_of,
 )
 from cosim.refinement.search.fits import TOGETHER, Hypothesis, Progress, Search, SearchResult
@@ -83,7 +83,7 @@ class Claims:
     experiment: str  # input that separates the rivals
     equivalent: Sequence[Sequence[str]]  # groups of names that act alike for every input
     residual: Mapping[str, Any]  # deficient equation, its signals and process noise
-    moves: Mapping[str, float]  # forced state → size of its unknown input relative to its derivative
+    moves: NamedValues  # forced state → size of its unknown input relative to its derivative
     hidden: Sequence[str]  # effects that these logs cannot show
     still: bool  # whether nothing moves in the logs
     ladder: Sequence[tuple[Hypothesis | None, Any]]  # models with log errors on each log left out, simplest first
@@ -149,7 +149,7 @@ def sentence(
     c: Claims,
     subject: Subject,
     risen: Mapping[str, tuple[float, float]],
-    remaining: Mapping[str, float],
+    remaining: NamedValues,
     inputs: str,
     *,
     is_restricted: bool,
@@ -310,7 +310,7 @@ def _dependence_text(c: Claims) -> str:
     return f"depends on {signal}{how}{by}"
 
 
-def _remaining_texts(c: Claims, remaining: Mapping[str, float], file: str) -> Iterator[str]:
+def _remaining_texts(c: Claims, remaining: NamedValues, file: str) -> Iterator[str]:
     """Yield sentences on the error that a claim or the nearest model leaves."""
     misfit = c.decision.misfit
     if c.decision.disputed:
@@ -424,16 +424,12 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     beside = {}
     if leftover.fit is not None and best.candidates:
         beside = beside_unnamed_terms(search, best, leftover.fit, first.dispersion, len(bundle.kinds))
-    settings = study.settings
 
     def refined(f: Fit) -> Variant:
-        fitted = refined_subject(subject, search.problem, replace(best, fit=f))
-        return variant_of(fitted, settings, f, result.free_noise)
+        return refined_variant(subject, search.problem, replace(best, fit=f), result.free_noise)
 
-    logs, given = (
-        study.logs,
-        variant_of(subject, settings, fit_given_model(search.problem, base.fit), result.free_noise),
-    )
+    logs, unfitted = study.logs, fit_given_model(search.problem, base.fit)
+    given = variant_of(subject, search.problem, unfitted, result.free_noise)
     # a single log has no others
     fits = [best.fit if len(logs) == 1 else fit_without(search, search.problem, best, k) for k in range(len(logs))]
     errors = {

@@ -7,13 +7,12 @@ base parameters within their tolerances, adapt to the predictions of the other. 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import FmuError, SimulationError
 from cosim.estimation.data import lagged_table
 from cosim.estimation.kernel.kernel import Data
@@ -109,7 +108,7 @@ def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
     return replace(first, u=u, late=None)
 
 
-def _outputs(problem: Problem, data: Data, values: Mapping[str, float]) -> Array:
+def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
     """Return noise-free readings from the start of the first log, shape (rows, outputs); NaN if the FMU fails."""
     lags = problem.in_rows(problem.lagging, values, 0)
     try:

@@ -7,7 +7,7 @@ each parameter (half of BIC), and −ln of the prior of so many parts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from operator import attrgetter
@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from cosim.core.arrays import NamedValues
 from cosim.estimation.fit import CONVERGED, ITERATIONS, Fit, fit, initial_fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import fit_growing, leaves_the_motion
@@ -33,7 +34,7 @@ HALVINGS = 2  # of promised sizes, until the logs are no less likely
 TOGETHER = " + "  # separator between the names of a rival with several candidates
 
 Parts = tuple[Candidate, ...]
-Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
+Trial = tuple[Parts, NamedValues | None]  # candidates and start values of their fit
 Progress = Callable[[str, float], None]
 Item = TypeVar("Item")
 
@@ -71,7 +72,7 @@ class Hypothesis:
         """Return the parameters of the candidates."""
         return tuple(n for c in self.candidates for n in c.parameters)
 
-    def loss_without(self, c: Candidate, neutral: Mapping[str, float]) -> float:
+    def loss_without(self, c: Candidate, neutral: NamedValues) -> float:
         """Return the estimated log-likelihood loss without a part."""
         away = np.array([self.fit.values[f.name] - neutral[f.name] for f in c.free])
         return 0.5 * float(away @ self.fit.marginal(c.parameters) @ away)
@@ -124,7 +125,7 @@ class Search:
         start: Fit | None,
         goal: float = np.inf,
         *,
-        promised: Mapping[str, float] | None = None,
+        promised: NamedValues | None = None,
         loosen: bool = True,
         screen: bool = False,
     ) -> Hypothesis:
@@ -184,7 +185,7 @@ class Search:
         return replace(h, fit=best, score=best.objective + self.cost(h.candidates))
 
     def _toward(
-        self, promised: Mapping[str, float], base: Mapping[str, float], free: Sequence[Free], noise: Noise, nll: float
+        self, promised: NamedValues, base: NamedValues, free: Sequence[Free], noise: Noise, nll: float
     ) -> dict[str, float]:
         """Return the values from `base` to the promised ones: sizes are halved until the logs are no less likely.
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
@@ -62,7 +62,7 @@ class MissingInput:
 Step = Callable[[Rows, Array, Array], tuple[Array, Array]]
 
 
-def steps_of(problem: Problem, index: int, values: Mapping[str, float]) -> Step:
+def steps_of(problem: Problem, index: int, values: NamedValues) -> Step:
     """Return a function that steps from rows of a log with given states and memories.
 
     It returns the state at the next row and the outputs at each row. Unknown inputs keep their usual correlation time.
@@ -78,7 +78,7 @@ def rows_of_delay(problem: Problem, p: Array, step: float) -> int:
     return 2 + math.ceil(p[delay] / step if delay >= 0 else 0.0)
 
 
-def outputs_along(problem: Problem, index: int, values: Mapping[str, float], run: Filtered, count: int) -> Array:
+def outputs_along(problem: Problem, index: int, values: NamedValues, run: Filtered, count: int) -> Array:
     """Return the outputs of the first rows along filtered states, or of a free run."""
     if not problem.layout.is_free_run:
         return steps_of(problem, index, values)(np.arange(count), run.states, run.memory)[1]
@@ -128,7 +128,7 @@ def _smooth(x: Array, P: Array, ahead: Array, F: Array, Q: Array) -> tuple[Array
     return x, P
 
 
-def _transitions_of_deviations(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> Array:
+def _transitions_of_deviations(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
     """Return the transition of a free run's random states from each row to the next.
 
     These are the deviations a row earlier, what drives the deviations, the deviations, and constants.
