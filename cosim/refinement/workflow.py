@@ -127,13 +127,9 @@ def _refine(
     between = between_rows(result.search.problem, claims.base)
     unfitted = fit_given_model(result.search.problem, claims.base.fit)
     noise = log_noise(claims.best.fit.noise, result.free_noise)
-    warnings, late = [*noise_warnings(problem, noise, subject)], None
-    if claims.best.fit.free:
-        late = late_input(result.search.problem, claims.best)
-    if late is None or late.gain < between.gain:
-        warnings += between.warnings
-    else:
-        warnings.append(late.warning(result.search.problem.logs[0].step))
+    late = late_input(result.search.problem, claims.best) if claims.best.fit.free else None
+    other = between if late is None or late.gain < between.gain else late
+    warnings = [*noise_warnings(problem, noise, subject), *([other.warning] if other.warning else [])]
     if subject.probed:
         warnings += cell_warnings(problem, subject)
     allowed = study.content.limits
