@@ -17,8 +17,7 @@ from cosim.core.errors import FmuError, InputError, SimulationError
 from cosim.fmi.description import reals, scalars, states_of
 from cosim.probing.fmu_structure import Connection, Damping, Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, Run, nominal_of, simulate
-from cosim.probing.parameter_trials import tried_parameters
-from cosim.probing.prober import Prober, quantities, separate_pairs
+from cosim.probing.prober import Prober, quantities, separate_pairs, tried_parameters
 from cosim.terms.language import RatioFactor
 
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input

@@ -39,8 +39,8 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
+from cosim.refinement.decision.bundle import fit_given_model
 from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
-from cosim.refinement.decision.scatter import fit_given_model
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,

@@ -22,7 +22,20 @@ from cosim.estimation.sensor_noise import at_rest
 from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.decision.bundle import beside_unnamed_terms, bundle_of, chance_of, drifts, misfit_of, prior_of
+from cosim.refinement.decision.bundle import (
+    beside_unnamed_terms,
+    bundle_of,
+    chance_of,
+    drifts,
+    fit_given_model,
+    fit_without,
+    held_out_errors,
+    misfit_of,
+    noise_gains,
+    prior_of,
+    unknown_input_gain,
+    with_intervals,
+)
 from cosim.refinement.decision.posterior import (
     CERTAIN,
     LITTLE,
@@ -35,14 +48,6 @@ from cosim.refinement.decision.posterior import (
     decide,
     log_evidence,
     log_prior,
-)
-from cosim.refinement.decision.scatter import (
-    fit_given_model,
-    fit_without,
-    held_out_errors,
-    noise_gains,
-    unknown_input_gain,
-    with_intervals,
 )
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,

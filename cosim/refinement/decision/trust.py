@@ -19,7 +19,7 @@ from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.scatter import held_out_errors, noise_gains, unknown_input_gain
+from cosim.refinement.decision.bundle import held_out_errors, noise_gains, unknown_input_gain
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Hypothesis, Progress, Search, SearchResult
 

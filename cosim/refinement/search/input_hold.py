@@ -17,8 +17,8 @@ from scipy.stats import norm
 from cosim.core.text import counted, join_names, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
+from cosim.refinement.decision.bundle import steadiness
 from cosim.refinement.decision.posterior import CERTAIN, MISFIT
-from cosim.refinement.decision.scatter import steadiness
 from cosim.refinement.search.fits import Hypothesis
 
 Way = Literal["held", "interpolated"]
