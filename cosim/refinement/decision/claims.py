@@ -12,11 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.core.arrays import Array, NamedValues
+from cosim.core.arrays import NamedValues
 from cosim.core.text import MOST_NAMED, amount, append_unit, finer, join_names, percent, plain, written
-from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import Fit
-from cosim.estimation.kernel.generate import RATE
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest
 from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free, kind_within
@@ -60,7 +58,7 @@ from cosim.refinement.proof.measure import (
 )
 from cosim.refinement.search.fits import TOGETHER, Hypothesis, Progress, Search, SearchResult
 from cosim.refinement.search.missing import unknown_inputs
-from cosim.refinement.search.unnamed import Leftover, Shape, find_unnamed_terms
+from cosim.refinement.search.unnamed import Leftover, Shape, find_unnamed_terms, signal_units
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
@@ -91,7 +89,7 @@ class Claims:
     moves: NamedValues  # forced state → size of its unknown input relative to its derivative
     hidden: Sequence[str]  # effects that these logs cannot show
     still: bool  # whether nothing moves in the logs
-    ladder: Sequence[tuple[Hypothesis | None, Any]]  # models with log errors on each log left out, simplest first
+    ladder: Sequence[tuple[Hypothesis | None, Any]]  # models with log errors on each log left out, given one first
 
     @property
     def name(self) -> Verdict:
@@ -409,9 +407,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     bundle = bundle_of(search, result.candidates, result.hidden)
     first = decide(bundle)
     base, best = search.tried[frozenset()], search.tried[first.nearest]
-    units = {"time": "s", **{q.name: q.unit for q in subject.states}}
-    units |= {f"{RATE}{q.name}": unit_of_rate(q.unit) for q in subject.states}
-    units |= {f"command {q.name}": q.unit for q in subject.inputs}
+    units = signal_units(subject)
     progress("looking for what has no name", 0.0)
     kernel = subject.kernel(search.problem.layout.outputs, unnamed=True, constant=study.settings.per_log)
     values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **search.problem.values}
@@ -455,7 +451,9 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
     if claimed is None or delivered is None or delivered.key != claimed.key:
         claimed = with_intervals(search, delivered) if delivered else None
     shown = [search.tried[parts] for parts in [*decision.classes][:SHOWN] if parts]
-    ladder = _ladder(search, base, [*shown, *([claimed] if claimed else [])])
+    every = {h.key: h for h in [*shown, *([claimed] if claimed else [])]}
+    models = (None, base, *sorted(every.values(), key=lambda h: len(h.names)))
+    ladder = [(h, held_out_errors(search, h, base.fit)) for h in models]  # by fits to the other logs
     nearest = None
     if decision.grade != "claimed":  # the most probable class that predicts logs left out no worse than the given model
         most = float(np.mean(ladder[0][1]))
@@ -510,15 +508,6 @@ def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Itera
         intervals = [h.fit.interval(p.name) for p in sizes]
         if sizes and all(low <= p.centre <= high for p, (low, high) in zip(sizes, intervals, strict=True)):
             yield c.name
-
-
-def _ladder(search: Search, base: Hypothesis, others: Sequence[Hypothesis]) -> list[tuple[Hypothesis | None, Array]]:
-    """Return models with the log error of their predictions of each log, by fits to the other logs; simplest first.
-
-    The first model is the given one, None.
-    """
-    every = sorted({h.key: h for h in others}.values(), key=lambda h: len(h.names))
-    return [(h, held_out_errors(search, h, base.fit)) for h in (None, base, *every)]
 
 
 def _ranked(search: Search, bundle: Bundle, kappa: float) -> list[tuple[Hypothesis, float]]:

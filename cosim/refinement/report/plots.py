@@ -30,7 +30,7 @@ from cosim.refinement.search.missing import (
     smooth_logs,
     smoothed_logs,
 )
-from cosim.refinement.search.unnamed import Shape, Signals, signals_of, values_of
+from cosim.refinement.search.unnamed import Shape, Signals, signal_units, signals_of, values_of
 from cosim.report.charts import Abscissa, Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.report import neighbours
@@ -350,9 +350,7 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit
 
 def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
     """Return the signal whose bins explain most of the variance of `values`; suggested signals have precedence."""
-    units = {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}}
-    units |= {q.name: q.unit for q in (*subject.states, *subject.outputs)}
-    units |= {f"rate of {q.name}": unit_of_rate(q.unit) for q in subject.outputs}
+    units = signal_units(subject)
     names = [n for n in suggested if all(one in signals for one in n.split(TIMES))]
     found = []
     for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:

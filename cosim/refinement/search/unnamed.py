@@ -22,6 +22,7 @@ from scipy.stats import chi2
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, orthonormal
+from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import DIFFERENCE, Fit, fit
 from cosim.estimation.kernel.generate import KNOTS, LOCAL, PREFIX, RATE, READING, SLOTS, bump, rise
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
@@ -29,6 +30,7 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.estimation.subject.candidates import Free
+from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import CERTAIN, LITTLE, MISFIT
 from cosim.refinement.search.fits import SCREEN_ITERATIONS
 from cosim.refinement.search.missing import MissingInput, smooth_logs
@@ -304,6 +306,13 @@ def signals_of(problem: Problem, missing: MissingInput) -> dict[str, Array]:
             each = zip(missing.by_log(own[rate.removeprefix(RATE)]), problem.logs, strict=False)
             own[rate] = np.concatenate([np.diff(z, prepend=z[:1]) / log.step for z, log in each])
     return {"time": missing.time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
+
+
+def signal_units(subject: Subject) -> dict[str, str]:
+    """Return the unit of each signal: time, commands, states, outputs, and rates of both."""
+    named = {q.name: q.unit for q in (*subject.outputs, *subject.states)}
+    rates = {f"{RATE}{name}": unit_of_rate(unit) for name, unit in named.items()}
+    return {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}, **named, **rates}
 
 
 def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
