@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,7 +14,18 @@ import numpy as np
 from cosim.core.arrays import Array, Flags, NamedValues, Rows
 from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
+from cosim.estimation.kernel.kernel import (
+    MEMORY,
+    Begin,
+    Data,
+    Filtered,
+    Inputs,
+    Kernel,
+    Layout,
+    Simulated,
+    filter_all,
+    simulate_all,
+)
 from cosim.estimation.per_log import Origin, own, spread
 from cosim.estimation.subject.candidates import Free
 
@@ -393,6 +405,23 @@ class Problem:
         state = self.start(values, index)[0] if state is None else state
         data = self.logs[index] if data is None else data
         return self.kernel.simulate(data, self.parameters(values, index), state, np.zeros(self.layout.memory))
+
+    def simulate_from(
+        self, values: NamedValues, index: int, points: tuple[Sequence[int], Any, Any], length: int = 1
+    ) -> list[Simulated]:
+        """Simulate a few rows of a log from each of some rows; the results begin with that row.
+
+        Args:
+            points: Rows, with the state and the memory at each.
+            length: Number of rows after the first.
+        """
+        log, p, delay, begins = self.logs[index], self.parameters(values, index), self.layout.delay, list[Begin]()
+        back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # rows of commands that may still be delayed
+        for row, state, memory in zip(*points, strict=True):
+            before = min(row, back)
+            begins.append((log.rows(row - before, row + length + 1), p, state, memory, None, before))
+        runs = zip(simulate_all(self.kernel, begins), begins, strict=True)
+        return [Simulated(run.outputs[k:], run.states[k:], run.memory[k:]) for run, (*_, k) in runs]
 
     def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""

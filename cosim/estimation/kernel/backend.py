@@ -8,16 +8,15 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, SimulationError, TimedOut
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated, generate, generate_stepped
-from cosim.estimation.kernel.kernel import Data, Filtered, Kernel, Simulated, no_filtered, no_simulated
+from cosim.estimation.kernel.kernel import Filtered, Kernel, Simulated, no_filtered, no_simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
 from cosim.isolation.limits import LOADING
@@ -130,7 +129,7 @@ class RemoteLibraryKernel:
             _idle.put((worker, kernels))
 
     def call_all(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
-        """Call `run`, `simulate` or `step` for several logs, one after the other if the FMU fails.
+        """Call `run` or `simulate` for several logs, by halves if the FMU fails.
 
         If a filter hangs, those of the other logs are not tried.
         """
@@ -138,18 +137,13 @@ class RemoteLibraryKernel:
             return self._call(method, passes, **options)
         except SimulationError as error:
             if len(passes) > 1 and not (method == "run" and isinstance(error, TimedOut)):
-                return [self.call_all(method, [each], **options)[0] for each in passes]
+                half = len(passes) // 2
+                parts = [self.call_all(method, part, **options) for part in (passes[:half], passes[half:])]
+                return [*chain.from_iterable(parts)]
             self.failures.append(error)
-            return [self._diverged(method, *each, **options) for each in passes]
-
-    def _diverged(self, method: str, data: Data, *arguments: Any, states: bool = False, **_: Any) -> Any:
-        """Return the outcome of a pass that failed."""
-        if method == "run":
-            return no_filtered(self.layout, data, states=states)
-        if method == "simulate":
-            return no_simulated(self.layout, data)
-        signals = self.layout.states, self.layout.outputs
-        return tuple(np.full((len(arguments[1][0]), len(names)), np.nan) for names in signals)
+            if method == "simulate":
+                return [no_simulated(self.layout, data) for data, *_ in passes]
+            return [no_filtered(self.layout, data, **options) for data, *_ in passes]
 
     def run(self, *arguments: Any, **options: Any) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -160,11 +154,6 @@ class RemoteLibraryKernel:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
         simulated: Simulated = self.call_all("simulate", [arguments], **options)[0]
         return simulated
-
-    def step(self, *arguments: Any) -> tuple[Array, Array]:
-        """Return single steps from rows of a log, as `single_steps`."""
-        stepped: tuple[Array, Array] = self.call_all("step", [arguments])[0]
-        return stepped
 
     def responses(self, *arguments: Any) -> tuple[Array, Array]:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""

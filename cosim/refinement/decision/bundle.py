@@ -16,7 +16,6 @@ from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored, lagged_table
 from cosim.estimation.fit import Fit, fit, inverse, slopes, with_flat_directions
-from cosim.estimation.kernel.kernel import Begin, simulate_all
 from cosim.estimation.parallel import in_parallel, raise_if_cancelled
 from cosim.estimation.per_log import fit_for_held_out
 from cosim.estimation.posing import halve_log
@@ -44,7 +43,6 @@ from cosim.refinement.decision.posterior import (
 )
 from cosim.refinement.proof.measure import PARTS
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Hypothesis, Search
-from cosim.refinement.search.missing import rows_of_delay
 from cosim.refinement.search.unnamed import Leftover
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.terms.alike import contains
@@ -369,21 +367,17 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
     every = len(data.u)
     length = every // PARTS if math.isinf(horizon) else round(horizon / data.step)
     length = max(2, min(length, (every - first) // 2))
-    run, p = problem.run(f.values, f.noise, index), problem.parameters(f.values, index)
+    run = problem.run(f.values, f.noise, index)
     rows = range(first, every - length, length)
     if problem.layout.is_free_run:
         begin = problem.begin_replay(run, first)
         predicted = lagged_table(problem.simulate(f.values, index, begin, data).outputs, data.lags)
         replays = [(data.y[row + 1 : row + 1 + length], predicted[row + 1 : row + 1 + length]) for row in rows]
     else:
-        back = rows_of_delay(problem, p, data.step)
-        begins: list[Begin] = []
-        for row in rows:
-            part, before = data.rows(max(0, row - back), row + length + 1), min(row, back)
-            begins.append((part, p, problem.begin_replay(run, row), run.memory[row], None, before))
+        points = rows, [problem.begin_replay(run, row) for row in rows], run.memory[rows]
         replays = []
-        for row, begin_at, replay in zip(rows, begins, simulate_all(problem.kernel, begins), strict=True):
-            predicted = lagged_table(replay.outputs[begin_at[-1] :], data.lags, data.y[row])[1:]
+        for row, replay in zip(rows, problem.simulate_from(f.values, index, points, length), strict=True):
+            predicted = lagged_table(replay.outputs, data.lags, data.y[row])[1:]
             replays.append((data.y[row + 1 : row + 1 + length], predicted))
     found = [np.where(np.isfinite(model) | np.isnan(y), y - model, np.inf) for y, model in replays]
     return np.array(found).reshape(len(rows), length, data.y.shape[1])

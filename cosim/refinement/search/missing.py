@@ -12,7 +12,7 @@ model step with the hypothesis minus a step without, divided by the step.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
-from cosim.estimation.kernel.kernel import DEVIATION, Filtered, single_steps
+from cosim.estimation.kernel.kernel import DEVIATION, Filtered
 from cosim.estimation.problem import Noise, Problem
 from cosim.refinement.decision.posterior import CERTAIN
 
@@ -59,29 +59,18 @@ class MissingInput:
         return np.split(values, np.cumsum([rows.stop - rows.start for rows in self.rows])[:-1])
 
 
-Step = Callable[[Rows, Array, Array], tuple[Array, Array]]
-
-
-def steps_of(problem: Problem, index: int, values: NamedValues) -> Step:
-    """Return a function that steps from rows of a log with given states and memories.
-
-    It returns the state at the next row and the outputs at each row. Unknown inputs keep their usual correlation time.
-    """
-    data, p = problem.logs[index], problem.parameters(values, index)
-    back = rows_of_delay(problem, p, data.step)
-    return lambda *points: single_steps(problem.kernel, data, p, points, back)
-
-
-def rows_of_delay(problem: Problem, p: Array, step: float) -> int:
-    """Return the number of rows of commands before a step that a delay may reach back to."""
-    delay = problem.layout.delay
-    return 2 + math.ceil(p[delay] / step if delay >= 0 else 0.0)
+def next_rows(
+    problem: Problem, values: NamedValues, index: int, points: tuple[Rows, Array, Array]
+) -> tuple[Array, Array]:
+    """Return the states at the next row and the outputs at each of some rows, from states and memories there."""
+    runs = problem.simulate_from(values, index, (points[0].tolist(), *points[1:]))
+    return np.array([run.states[1] for run in runs]), np.array([run.outputs[0] for run in runs])
 
 
 def outputs_along(problem: Problem, index: int, values: NamedValues, run: Filtered, count: int) -> Array:
     """Return the outputs of the first rows along filtered states, or of a free run."""
     if not problem.layout.is_free_run:
-        return steps_of(problem, index, values)(np.arange(count), run.states, run.memory)[1]
+        return next_rows(problem, values, index, (np.arange(count), run.states[:count], run.memory[:count]))[1]
     return problem.simulate(values, index, problem.begin_replay(run, 0)).outputs[:count]
 
 
@@ -109,7 +98,7 @@ def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool
                     F = _transitions_of_deviations(problem, base.values, noise, index)[:count]
                     ahead = np.einsum("kij,kj->ki", F, x)
                 else:
-                    ahead, F = _linear(problem, steps_of(problem, index, base.values), run, count, every)
+                    ahead, F = _linear(problem, base.values, index, run, count, every)
                 x, P = _smooth(x, P, ahead, F, np.diag(problem.densities(noise)) * data.step)
             sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
         found.append((scored, data.times[scored], x[scored, places], sigma[scored], run.states[scored]))
@@ -198,22 +187,25 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     states = [np.array([problem.drop_unknown_inputs(x) for x in run.states[:rows]]) for run in runs]
     states[0][:, shared] = states[1][:, shared]
     without, with_it = (
-        steps_of(problem, index, f.values)(np.arange(rows), x, run.memory)[0]
+        next_rows(problem, f.values, index, (np.arange(rows), x, run.memory[:rows]))[0]
         for f, x, run in zip((base, after), states, runs, strict=True)
     )
     return np.asarray((with_it - without)[min(count_unscored(data), rows) :, layout.forced_places] / data.step)
 
 
-def _linear(problem: Problem, step: Step, run: Filtered, rows: int, every: int) -> tuple[Array, Array]:
+def _linear(
+    problem: Problem, values: NamedValues, index: int, run: Filtered, rows: int, every: int
+) -> tuple[Array, Array]:
     """Return the prediction of each next row from the filtered states, and its derivative by finite differences."""
     reached, states, memory = list(problem.layout.stochastic), run.states[: rows - 1], run.memory[: rows - 1]
     size = NUDGE * np.maximum(np.abs(states[:, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     size = np.where(size > 0.0, size, NUDGE)  # A fixed parameter per log may be 0.
     every_row, some = np.arange(rows - 1), np.arange(0, rows - 1, every)
-    ahead, F = step(every_row, states, memory)[0][:, reached], np.empty((rows - 1, len(reached), len(reached)))
+    ahead = next_rows(problem, values, index, (every_row, states, memory))[0][:, reached]
+    F = np.empty((rows - 1, len(reached), len(reached)))
     for j, state in enumerate(reached):
         nudged = states[some].copy()
         nudged[:, state] += size[j]
-        slopes = (step(some, nudged, memory[some])[0][:, reached] - ahead[some]) / size[j]
-        F[:, :, j] = slopes[every_row // every]
+        moved = next_rows(problem, values, index, (some, nudged, memory[some]))[0][:, reached]
+        F[:, :, j] = ((moved - ahead[some]) / size[j])[every_row // every]
     return ahead, F
