@@ -61,7 +61,7 @@ from cosim.refinement.proof.measure import (
 )
 from cosim.refinement.record import record, unfinished
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import Hypothesis, SearchResult
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
@@ -117,17 +117,17 @@ def _refine(
     """Search, decide and prove."""
     subject, progress, start = study.subject, limited.progress, limited.start
     try:
-        result = attribute(subject, problem, _candidates(study), limited)
+        search = attribute(subject, problem, _candidates(study), limited)
         limited("weighing what was found", 0.0)
-        claims = claims_of(study, result, limited)
+        claims = claims_of(study, search, limited)
     except TimedOut:
         remove_earlier(folder, read=study.files)
         write_json(folder / ANSWER, unfinished(study, limited.tried), allow_nan=False)
         raise
-    between = between_rows(result.search.problem, claims.base)
-    unfitted = fit_given_model(result.search.problem, claims.base.fit)
-    noise = log_noise(claims.best.fit.noise, result.free_noise)
-    late = late_input(result.search.problem, claims.best) if claims.best.fit.free else None
+    between = between_rows(search.problem, claims.base)
+    unfitted = fit_given_model(search.problem, claims.base.fit)
+    noise = log_noise(claims.best.fit.noise, search.free_noise)
+    late = late_input(search.problem, claims.best) if claims.best.fit.free else None
     other = between if late is None or late.gain < between.gain else late
     warnings = [*noise_warnings(problem, noise, subject), *([other.warning] if other.warning else [])]
     if subject.probed:
@@ -135,7 +135,7 @@ def _refine(
     allowed = study.content.limits
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
-        variants = _variants(result, claims, unfitted)
+        variants = _variants(search, claims, unfitted)
         files = [*variants["after"].subject.write(scratch, folder, "refined")]
         if "nearest" in variants:
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
@@ -146,7 +146,7 @@ def _refine(
         progress("measuring the noise floor", 0.0)
         delivered = "after" if claims.claimed is not None else "nearest"
         best = variants.get(delivered, variants["after"])
-        quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, result.free_noise))
+        quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, search.free_noise))
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         ends = final_log_parameters(variants["after"], problem, sealed)
@@ -192,7 +192,7 @@ def _refine(
             for path in results:
                 path.replace(folder / path.name)
         release_stops()
-    searched, horizon = result.search.problem, subject.horizon
+    searched, horizon = search.problem, subject.horizon
     evidence = {name: {part: by[horizon] for part, by in parts.items()} for name, parts in played.items()}
     problem = replace(problem, trusted=searched.trusted, scatter=searched.scatter)
     outcome = Refinement(study, claims, content, folder, problem, variants, evidence)
@@ -287,18 +287,17 @@ def _candidates(study: Study) -> list[Candidate]:
     return [c for c in candidates if c.name not in unread]
 
 
-def _variants(result: SearchResult, claims: Claims, unfitted: Fit) -> dict[str, Variant]:
+def _variants(search: Search, claims: Claims, unfitted: Fit) -> dict[str, Variant]:
     """Return the variants to replay: before, recalibrated, after, and the nearest model if the claim is incomplete.
 
     Args:
         unfitted: Given model with fitted unknown inputs.
     """
-    about, free_noise = (result.search.subject, result.search.problem), result.free_noise
     named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
     named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
-    made = {id(None): variant_of(*about, unfitted, free_noise)}  # one that stands twice is replayed once
+    made = {id(None): variant_of(search, search.subject, unfitted)}  # one that stands twice is replayed once
     for h in filter(None, named.values()):
-        made[id(h)] = refined_variant(*about, h, free_noise)
+        made[id(h)] = refined_variant(search, h)
     return {"before": made[id(None)], **{name: made[id(h)] for name, h in named.items()}}
 
 

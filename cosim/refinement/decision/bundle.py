@@ -134,21 +134,21 @@ def optima(search: Search) -> list[Hypothesis]:
     return [h for h in ended if h.fit.objective < bound(h) + 1.0]
 
 
-def bundle_of(search: Search, candidates: Sequence[Candidate], hidden: Sequence[str]) -> Bundle:
+def bundle_of(search: Search) -> Bundle:
     """Return the bundle of a search's hypotheses, without lack of fit.
 
     Equivalent are hypotheses that act alike for every input, of those that are probable.
     """
     evidences = [evidence(search, h) for h in optima(search)]
-    sets, _ = posterior(evidences, len(candidates))
+    sets, _ = posterior(evidences, len(search.candidates))
     probable = [parts for parts, p in folded(sets, ()).items() if p > POSSIBLE][:COMPARED]
     apart = [(one, other) for one, other in combinations(probable, 2) if not (one <= other or other <= one)]
     return Bundle(
         hypotheses=evidences,
-        kinds={c.name: kind_within(c, search.subject) for c in candidates},
+        kinds={c.name: kind_within(c, search.subject) for c in search.candidates},
         equivalent=[pair for pair in apart if act_alike(search, *(search.tried[parts] for parts in pair))],
-        families=families(candidates),
-        hidden=frozenset(hidden),
+        families=families(search.candidates),
+        hidden=frozenset(search.hidden),
     )
 
 

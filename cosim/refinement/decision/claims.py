@@ -56,7 +56,7 @@ from cosim.refinement.proof.measure import (
     refined_variant,
     variant_of,
 )
-from cosim.refinement.search.fits import TOGETHER, Hypothesis, Progress, Search, SearchResult
+from cosim.refinement.search.fits import TOGETHER, Hypothesis, Progress, Search
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, Shape, find_unnamed_terms, signal_units
 from cosim.refinement.study import Study
@@ -401,10 +401,9 @@ SHOWN = 3  # classes on the ladder of predictions
 TESTS = 2  # of the fit: for terms without a name, and for parameters that change
 
 
-def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
+def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     """Return the claims of a study."""
-    subject, search = study.subject, result.search
-    bundle = bundle_of(search, result.candidates, result.hidden)
+    subject, bundle = study.subject, bundle_of(search)
     first = decide(bundle)
     base, best = search.tried[frozenset()], search.tried[first.nearest]
     units = signal_units(subject)
@@ -427,17 +426,17 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
         beside = beside_unnamed_terms(search, best, leftover.fit, first.dispersion, len(bundle.kinds))
 
     def refined(f: Fit) -> Variant:
-        return refined_variant(subject, search.problem, replace(best, fit=f), result.free_noise)
+        return refined_variant(search, replace(best, fit=f))
 
     logs, unfitted = study.logs, fit_given_model(search.problem, base.fit)
-    given = variant_of(subject, search.problem, unfitted, result.free_noise)
+    given = variant_of(search, subject, unfitted)
     # a single log has no others
     fits = [best.fit if len(logs) == 1 else fit_without(search, search.problem, best, k) for k in range(len(logs))]
     errors = {
         "before": predicted_errors([given] * len(logs), search.problem, logs),
         "after": predicted_errors([refined(f) for f in fits], search.problem, logs),
     }
-    quiet = replace(refined(best.fit), noise=log_noise(best.fit.noise, result.free_noise))
+    quiet = replace(refined(best.fit), noise=log_noise(best.fit.noise, search.free_noise))
     floor = noise_floor(quiet, search.problem, logs, np.random.default_rng(FLOOR_SEED))
     misfit = misfit_of(by_chance, moves, errors, floor.level, beside)
     claimed = None
@@ -471,7 +470,7 @@ def claims_of(study: Study, result: SearchResult, progress: Progress) -> Claims:
         equivalent=equivalent_groups(bundle.equivalent),
         residual=residual,
         moves=moves,
-        hidden=[name for name in result.hidden if name not in decision.claimed],
+        hidden=[name for name in search.hidden if name not in decision.claimed],
         still=at_rest(search.problem),
         ladder=ladder,
     )

@@ -32,7 +32,7 @@ from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
-from cosim.refinement.search.fits import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
 from cosim.residuals.windows import Replay, window_rows
 
@@ -74,18 +74,19 @@ def log_noise(fitted: Noise, free: Noise | None) -> Noise:
     return fitted if free is None else replace(fitted, sensors=free.sensors)
 
 
-def variant_of(subject: Subject, problem: Problem, f: Fit, free_noise: Noise | None) -> Variant:
+def variant_of(search: Search, subject: Subject, f: Fit) -> Variant:
     """Return a subject with the noise and the parameters per log of a fit."""
-    of_groups = group_values(f, problem.settings.groups.values())
-    return Variant(subject, {**subject.values, **of_groups}, f.noise, free_noise)
+    of_groups = group_values(f, search.problem.settings.groups.values())
+    return Variant(subject, {**subject.values, **of_groups}, f.noise, search.free_noise)
 
 
-def refined_variant(subject: Subject, problem: Problem, h: Hypothesis, free_noise: Noise | None) -> Variant:
+def refined_variant(search: Search, h: Hypothesis) -> Variant:
     """Return the subject with the fitted values of a hypothesis, and with the substeps of the fit if it needed more.
 
     A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
     per log takes its mean.
     """
+    subject, problem = search.subject, search.problem
     fitted = {f.name: float(h.fit.values[f.name]) for f in h.fit.free if not f.group}
     fitted |= {name: mean for name, (mean, _) in expected_values(h.fit).items()}
     stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*problem.settings.tolerance}
@@ -96,7 +97,7 @@ def refined_variant(subject: Subject, problem: Problem, h: Hypothesis, free_nois
     if times > 1.0:
         refined = refined.with_finer_steps(times)
     refined.horizon = subject.horizon
-    return variant_of(refined, problem, h.fit, free_noise)
+    return variant_of(search, refined, h.fit)
 
 
 def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.stats import norm
@@ -44,7 +44,6 @@ from cosim.refinement.search.fits import (
     Parts,
     Progress,
     Search,
-    SearchResult,
     Trial,
     best_hypothesis,
     key_of,
@@ -66,6 +65,7 @@ class Attributor(Search):
         fine: The problem with all substeps; `problem` has as few as the likelihood allows.
         usual: Candidates with their usual periods; `candidates` have likely ones.
         identifiable: Candidate → largest χ² of its terms at their usual size.
+        best: The best hypothesis at the end.
     """
 
     def __init__(
@@ -79,8 +79,8 @@ class Attributor(Search):
         self.candidates, self.usual, self.fine = [*candidates], tuple(candidates), problem
         self.identifiable: dict[str, float] = {}
 
-    def run(self) -> SearchResult:
-        """Fit the base model, promising sets of candidates in rounds, then the finalists; return the result."""
+    def run(self) -> Self:
+        """Fit the base model, promising sets of candidates in rounds, then the finalists."""
         self.progress("recalibrating the base model", 0.0)
         base = self._with_likely_starts(self.from_the_prior(self.hypothesis((), None)))
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
@@ -104,7 +104,8 @@ class Attributor(Search):
             self.tried[settled.key] = settled
             self._rescore()
             best = best_hypothesis(self.tried.values())
-        return self._finish(base, best)
+        self._finish(base, best)
+        return self
 
     def _pose(self, **changes: Any) -> None:
         """Change the problem."""
@@ -237,7 +238,7 @@ class Attributor(Search):
                 sets[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
         return list(sets.values())
 
-    def _finish(self, base: Hypothesis, best: Hypothesis) -> SearchResult:
+    def _finish(self, base: Hypothesis, best: Hypothesis) -> None:
         """Fit the best hypotheses, and those around them, to convergence with full substeps."""
         self.progress("fitting the best to the end", 0.0)
         enough = zip(self.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
@@ -255,7 +256,7 @@ class Attributor(Search):
         while True:
             self._fit_neighbours()
             ended = [h for h in self.tried.values() if h.ended]
-            best = best_hypothesis(ended)
+            self.best = best = best_hypothesis(ended)
             posed = with_finer_steps(self.problem, best.fit.values, best.fit.noise)
             if posed is self.problem:
                 break
@@ -263,8 +264,7 @@ class Attributor(Search):
             self.tried = {n: replace(h, ended=False) for n, h in self.tried.items()}
             self.fit_to_the_end([(h.candidates, h.fit) for h in ended])
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.key]
-        hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
-        return SearchResult(self, best, hidden, tuple(self.candidates))
+        self.hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
 
     def _beyond_special_cases(self, best: Hypothesis) -> list[Start]:
         """Return sets near the best with an effect in place of its special case, starting from the values of that."""

@@ -83,23 +83,6 @@ def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
     return min(hypotheses, key=lambda h: h.score)
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """Result of a search: the best hypothesis, and effects that these logs cannot show at their usual size.
-
-    Attributes:
-        candidates: All candidates on trial.
-        free_noise: With trusted equations, the noise of the fit with free unknown inputs. The trusted fit counts model
-            errors as sensor noise, and its filter hardly follows the readings.
-    """
-
-    search: Search
-    best: Hypothesis
-    hidden: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
-    free_noise: Noise | None = None
-
-
 class Search:
     """Fits of hypotheses on a problem.
 
@@ -107,6 +90,10 @@ class Search:
         price: Score cost of each parameter, ½·ln N.
         on_trial: Number of candidates.
         tried: Key → hypothesis.
+        candidates: All candidates on trial.
+        hidden: Effects that these logs cannot show at their usual size.
+        free_noise: With trusted equations, the noise of the fit with free unknown inputs. The trusted fit counts model
+            errors as sensor noise, and its filter hardly follows the readings.
         cross_fits: Key and held-out log → fit to the remaining logs.
         evidences: Key → hypothesis and its evidence.
     """
@@ -114,7 +101,8 @@ class Search:
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
         self.subject, self.problem, self.progress = subject, problem, progress
         self.price = 0.5 * np.log(max(2, problem.samples))
-        self.on_trial = on_trial
+        self.on_trial, self.candidates, self.hidden = on_trial, list[Candidate](), tuple[str, ...]()
+        self.free_noise: Noise | None = None
         self.tried: dict[Names, Hypothesis] = {}
         self.cross_fits: dict[tuple[Names, int], Fit] = {}
         self.evidences: dict[Names, tuple[Hypothesis, Evidence]] = {}
