@@ -272,14 +272,6 @@ def _next(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Ar
     return x0
 
 
-def leaves_the_motion(problem: Problem, at: Fit) -> bool:
-    """Return whether free runs leave the logs' motion.
-
-    Large unknown inputs then keep them at the logs.
-    """
-    return problem.layout.is_free_run and bool(np.any(at.noise.power > problem.noise.plain))
-
-
 def fit_growing(problem: Problem, free: Sequence[Free], start: NamedValues) -> Fit:
     """Return a fit to all rows.
 

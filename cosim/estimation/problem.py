@@ -124,11 +124,6 @@ class Problem:
     origins: Sequence[Origin] = ()
     ranges: list[NoiseRange] = field(default_factory=list)  # of process noise; shared by problems made from this one
 
-    def with_noise(self, levels: NamedValues) -> Problem:
-        """Return the problem with initial noise levels (standard deviations) of some outputs."""
-        guess = [levels.get(name, 0.0) ** 2 for name in self.layout.outputs]
-        return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r), ranges=[])
-
     @property
     def layout(self) -> Layout:
         """Return the layout of the kernel's arrays."""

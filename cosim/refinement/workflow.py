@@ -238,9 +238,10 @@ def _build_problem(study: Study) -> Problem:
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
     shown, guesses = noise_levels(problem)  # a stated level may be too small
-    problem = problem.with_noise({n: s for n, s in guesses.items() if n not in stated and s > 0.0})
-    problem = replace(problem, shown=np.array([shown.get(name, 0.0) ** 2 for name in problem.layout.outputs]))
-    return with_likely_starts(problem)
+    names = problem.layout.outputs
+    visible, guess = (np.array([of.get(n, 0.0) ** 2 for n in names]) for of in (shown, guesses))
+    r = np.where((guess > 0.0) & ~np.isin(names, [*stated]), guess, problem.r)
+    return with_likely_starts(replace(problem, r=r, shown=visible, ranges=[]))
 
 
 def _with_predictable_horizon(study: Study, problem: Problem) -> Study:

@@ -18,7 +18,7 @@ import numpy as np
 from cosim.core.arrays import NamedValues
 from cosim.estimation.fit import CONVERGED, ITERATIONS, Fit, fit, initial_fit
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import fit_growing, leaves_the_motion
+from cosim.estimation.posing import fit_growing
 from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
@@ -167,7 +167,9 @@ class Search:
                 noise = replace(noise, power=power, memory=problem.plain.memory)
             other = fit(problem, free, values, noise, goal=best.objective - CONVERGED * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
-        if not problem.trusted and leaves_the_motion(problem, best):
+        # Free runs that leave the motion of the logs are kept there by large unknown inputs.
+        is_away = problem.layout.is_free_run and np.any(best.noise.power > problem.noise.plain)
+        if is_away and not problem.trusted:
             own = {n: best.values[n] for n in h.parameters}
             best = min(best, fit_growing(problem, free, {**problem.values, **own}), key=attrgetter("objective"))
         return replace(h, fit=best, score=best.objective + self.cost(h.candidates))

@@ -285,7 +285,7 @@ class Shape:
     def columns(self, signals: Signals) -> Array:
         """Return the regressor of each coefficient, shape (rows, coefficients)."""
         over = self.per * (values_of(signals, self.of) - self.place)
-        others = {"bump": [bump], "step": [rise], "wave": [np.sin, np.cos]}
+        others: dict[str, list[Any]] = {"bump": [bump], "step": [rise], "wave": [np.sin, np.cos]}
         basis = [f(over) for f in others.get(self.kind, ())] or [bump(over - k) for k in range(KNOTS)]
         return np.stack(basis, axis=1) * (values_of(signals, self.times)[:, None] if self.times else 1.0)
 
