@@ -26,7 +26,7 @@ from cosim.estimation.data import past_reading, replayed
 from cosim.estimation.fit import Fit
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, simulate_all
-from cosim.estimation.per_log import expected_values, group_values, own, spread
+from cosim.estimation.per_log import expected_values, group_values, own
 from cosim.estimation.posing import with_likely_starts, with_logs
 from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
@@ -274,7 +274,7 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
     for index, origin in enumerate(problem.origins):
         last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index).states[-1])
         for name, place in problem.layout.constants.items():
-            ends |= {own(name, origin.group): float(last[place]), spread(name, origin.group): 0.0}
+            ends[own(name, origin.group)] = float(last[place])
     return ends
 
 
