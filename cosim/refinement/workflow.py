@@ -141,7 +141,7 @@ def _refine(
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
         progress("replaying through the FMUs", 0.0)
         sealed = study.unseal()  # after all decisions
-        sets: LogSets = {"estimation": study.logs} | ({"validation": sealed} if sealed else {})
+        sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
         played, way = replay_variants(variants, problem, sets, place)
         progress("measuring the noise floor", 0.0)
         delivered = "after" if claims.claimed is not None else "nearest"
