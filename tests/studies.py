@@ -17,7 +17,7 @@ from cosim.refinement.decision.bundle import bundle_of
 from cosim.refinement.decision.posterior import Bundle, Decision, decide
 from cosim.refinement.proof.measure import ReplayedLogs, Variant, replay_logs
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import Hypothesis, SearchResult
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.workflow import refine
 from cosim.verbs.checks import schema_of
 from tests.blind.truth import Study, write
@@ -41,11 +41,11 @@ class Weighed:
         return set(self.decision.claimed)
 
 
-def weighed(result: SearchResult) -> Weighed:
+def weighed(search: Search) -> Weighed:
     """Return the decision on a search."""
-    bundle = bundle_of(result.search, result.candidates, result.hidden)
+    bundle = bundle_of(search)
     decision = decide(bundle)
-    best = next(h for h in result.search.tried.values() if frozenset(h.names) == decision.nearest)
+    best = search.tried[decision.nearest]
     return Weighed(bundle, decision, best)
 
 

@@ -63,7 +63,7 @@ def test_an_input_that_a_filter_of_the_recorder_delays_is_named(tmp_path: Path, 
         return
     assert lag
     assert (late.name, late.rows in {1, 2}) == ("voltage", True)  # the lag is 2.5 rows
-    assert f"move its column {0.02 * late.rows:.4g}" in late.warning(0.02)
+    assert f"move its column {0.02 * late.rows:.4g}" in late.warning
     assert late.gain > between_rows(problem, base).gain
 
 

@@ -18,8 +18,7 @@ from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log, read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
 from cosim.refinement.search.fits import Search
-from cosim.refinement.search.shapes import Shape
-from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
+from cosim.refinement.search.unnamed import Leftover, Shape, find_unnamed_terms
 from tests.blind import coupled
 from tests.logs import times, write_log
 

@@ -11,8 +11,7 @@ import pytest
 
 import cosim
 from cosim.core.arrays import Array
-from cosim.estimation.free_runs import with_likely_starts
-from cosim.estimation.posing import build_problem
+from cosim.estimation.posing import build_problem, with_likely_starts
 from cosim.refinement.search.fits import Search
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive, log_of_fmu

@@ -21,6 +21,7 @@ from scipy.stats import multivariate_normal, norm
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import square_roots
 from cosim.estimation.problem import Scored
+from cosim.refinement.decision.bundle import gain_per_chance
 from cosim.refinement.decision.posterior import (
     CERTAIN,
     MIXTURE,
@@ -36,7 +37,6 @@ from cosim.refinement.decision.posterior import (
     log_evidence,
     log_prior,
 )
-from cosim.refinement.decision.scatter import gain_per_chance
 
 ROWS, BLOCKS, LOGS = 400, 20, 2
 TYPICAL = 0.5

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.estimation.kernel.remote_kernel import RemoteLibraryKernel
+from cosim.estimation.kernel.backend import RemoteLibraryKernel
 from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.question import ask

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cosim.core.arrays import Array
+from cosim.estimation.data import lagged
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import Data, Filtered
-from cosim.estimation.past_readings import lagged
 from cosim.model import Equations, Lag, Model, Namespace, Quantity, parameter
 
 STEP, TIME, ROWS = 0.05, 0.4, 400

@@ -15,12 +15,11 @@ from scipy.linalg import expm
 
 from cosim.core.arrays import Array
 from cosim.estimation import fit as fitting
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.library_kernel import propagation
-from cosim.estimation.posing import build_problem
+from cosim.estimation.posing import build_problem, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.logs.log import Log
-from cosim.refinement.decision.scatter import replay_errors
+from cosim.refinement.decision.bundle import replay_errors
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, as_columns, log_of_fmu
 from cosim.residuals.windows import StartParameter, first_start, noise_levels, window_start

@@ -85,10 +85,11 @@ def test_kernel_and_fmu_integrate_a_stiff_model_alike(tmp_path: Path, kind: str)
     (fmu,) = build_fmus(tmp_path / "built", str(tmp_path / "model.yaml"), native=kind == "native")
     problem = build_problem(ModelSubject.of(loaded.model), [log])
     start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
-    through, run = replay(log, fmu, start), problem.own_run(0)
+    through, run = replay(log, fmu, start), problem.simulate(problem.values, 0)
     for k, output in enumerate(problem.layout.outputs):
         assert np.max(np.abs(through.outputs[output] - run.outputs[:, k])) < 1e-9  # A and rad/s
-    exact = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5, "rk4")), [log]).own_run(0)
+    fine = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5, "rk4")), [log])
+    exact = fine.simulate(fine.values, 0)
     assert np.max(np.abs(exact.outputs - run.outputs)) < 1e-5  # of steps of 10 A
 
 

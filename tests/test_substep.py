@@ -84,10 +84,11 @@ def test_kernel_and_fmu_take_the_same_substeps(tmp_path: Path, kind: str) -> Non
     (fmu,) = build_fmus(tmp_path / "built", name, native=kind == "native")
     problem = build_problem(ModelSubject(loaded), [log])
     start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
-    through, kernel = replay(log, fmu, start), problem.own_run(0)
+    through, kernel = replay(log, fmu, start), problem.simulate(problem.values, 0)
     for k, output in enumerate(problem.layout.outputs):
         assert np.max(np.abs(through.outputs[output] - kernel.outputs[:, k])) < 1e-9
-    exact = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5)), [log]).own_run(0)
+    fine = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5)), [log])
+    exact = fine.simulate(fine.values, 0)
     assert np.max(np.abs(exact.outputs - kernel.outputs)) < 2e-3  # A and rad/s; 5e-4 of the steps of 10 A
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]  # of any shape; docstrings name the shape
 Rows = NDArray[np.intp]  # indices into an array
 Flags = NDArray[np.bool_]  # a truth value per element
+NamedValues = Mapping[str, float]  # of parameters, states or signals
 
 # Results beyond the range of a double become infinite or NaN. Callers judge them, so numpy need not warn.
 far_beyond = np.errstate(over="ignore", invalid="ignore")

@@ -14,11 +14,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.linear_algebra import least_squares, pseudo_inverse
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem, Scored
+from cosim.estimation.problem import Noise, Problem, Scored
 from cosim.estimation.subject.candidates import Free
 from cosim.logs.channel_noise import NORMAL_95
 
@@ -42,7 +41,7 @@ class Fit:
         regions: Parameter on which the likelihood does not depend near its estimate → limits of its 95 % region.
     """
 
-    values: Mapping[str, float]
+    values: NamedValues
     noise: Noise
     free: tuple[Free, ...]
     nll: float
@@ -109,7 +108,7 @@ def inverse(information: Array) -> Array:
 def fit(
     problem: Problem,
     free: Sequence[Free],
-    start: Mapping[str, float],
+    start: NamedValues,
     noise: Noise,
     only: Sequence[int] | None = None,
     iterations: int = ITERATIONS,
@@ -168,7 +167,7 @@ class _Scoring:
         self,
         problem: Problem,
         free: tuple[Free, ...],
-        start: Mapping[str, float],
+        start: NamedValues,
         noise: Noise,
         only: Sequence[int] | None,
         *,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cosim.core.arrays import NamedValues
 from cosim.estimation.subject.candidates import Candidate, Free, spread_of_base, usual_size
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
@@ -44,8 +45,8 @@ def own_parameters(
     subject: Subject,
     names: Sequence[str],
     groups: Sequence[str],
-    values: Mapping[str, float],
-    tolerance: Mapping[str, float],
+    values: NamedValues,
+    tolerance: NamedValues,
 ) -> Iterator[Free]:
     """Yield each parameter once per group of logs, with a prior around its value.
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.estimation.data import count_unscored, data_of, first_measured, readings_of, start_state
-from cosim.estimation.fit import initial_fit
+from cosim.estimation.fit import Fit, fit, initial_fit
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Begin, simulate_all
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import Origin, own_parameters
-from cosim.estimation.problem import WITHIN, Problem, Settings
+from cosim.estimation.problem import WITHIN, Noise, Problem, Settings
+from cosim.estimation.subject.candidates import Free
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
@@ -34,7 +34,7 @@ def build_problem(
     subject: Subject,
     logs: Sequence[Log],
     unnamed: bool = False,
-    noise: Mapping[str, float] = MappingProxyType({}),
+    noise: NamedValues = MappingProxyType({}),
     settings: Settings = NO_SETTINGS,
 ) -> Problem:
     """Return the fitting problem; outputs absent from a log are missing readings.
@@ -119,7 +119,7 @@ def _range(problem: Problem) -> Array:
 
     All ranges are 0 if the simulation leaves the measurements by more than their span, as for an unstable model.
     """
-    runs = [problem.own_run(index) for index in range(len(problem.logs))]
+    runs = [problem.simulate(problem.values, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
         measured = np.isfinite(log.y)
         error = np.abs(np.where(measured, run.outputs - np.where(measured, log.y, 0.0), 0.0)).max(axis=0)
@@ -129,7 +129,7 @@ def _range(problem: Problem) -> Array:
     return np.asarray(np.ptp(np.vstack([run.states for run in runs]), axis=0))
 
 
-def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Problem:
+def coarsen(problem: Problem, values: NamedValues | None = None) -> Problem:
     """Return the problem with the fewest substeps that give the same likelihood.
 
     Args:
@@ -148,7 +148,7 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
     return problem
 
 
-def with_finer_steps(problem: Problem, values: Mapping[str, float], noise: Noise) -> Problem:
+def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Problem:
     """Return the problem with as many substeps as the likelihood at a fit needs; the same problem if they suffice.
 
     A fit may leave the region in which the substeps of the given model integrate it exactly enough.
@@ -178,17 +178,13 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
         return horizon
     noise = initial_fit(problem).noise
     for index, log in enumerate(problem.logs):
-        data, first, run = (
-            problem.data(values, index),
-            count_unscored(log),
-            problem.run(values, noise, index, states=True),
-        )
+        data, first, run = problem.data(values, index), count_unscored(log), problem.run(values, noise, index)
         length = int(min(round(min(horizon, len(data.u) * data.step) / data.step), len(data.u) - first - 1))
         spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT)
         moving = [k for k, name in enumerate(layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
         if length < 2 or not moving or not np.isfinite(spreads).all():
             continue
-        spread, p = problem.readings[index].spread, problem.numbers(problem.of_log(values, index))
+        spread, p = problem.readings[index].spread, problem.parameters(values, index)
         steps = np.vstack([np.zeros(len(spreads)), np.diag(DISPLACEMENT * spreads)[moving]])
         for row in np.unique(np.linspace(first, len(data.u) - 1 - length, STARTS).astype(int)).tolist():
             start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
@@ -217,12 +213,76 @@ def halve_log(problem: Problem) -> Problem:
     else:
         halves = [log.rows(0, half), log.rows(half, len(log.u))]
         following = replace(problem, trusted=False, sensing=None)
-        run = following.run(problem.values, following.plain, 0, states=True)
+        run = following.run(problem.values, following.plain, 0)
         reached = problem.drop_unknown_inputs(run.states[half])
         for origin in problem.origins:
             # A start from a reading depends on the group's parameter value.
-            p, memory = problem.numbers(problem.of_log(problem.values, 0)), np.zeros(problem.layout.memory)
-            read, y = problem.kernel.simulate(halves[1].rows(0, 1), p, reached, memory).outputs[0], halves[1].y[0]
+            first = halves[1].rows(0, 1)
+            read, y = problem.simulate(problem.values, 0, reached, first).outputs[0], first.y[0]
             reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
     readings = list(map(readings_of, halves))
     return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=[*problem.origins] * 2)
+
+
+# Free runs: start states, which the first readings show in part only, and fits to more and more rows.
+#
+# A free run that has left the motion of a log does not show which parameters would keep it there: large unknown inputs
+# explain the rest of the log, and a fit ends in a local optimum. In the first rows it has not left the motion yet.
+#
+
+
+ENOUGH = 0.5  # decrease of the negative log-likelihood of a log by the last estimate
+
+
+def with_likely_starts(problem: Problem, values: NamedValues | None = None, noise: Noise | None = None) -> Problem:
+    """Return the problem with the start states of free runs that its logs make likely; others are unchanged.
+
+    The filter is linear in the start states; this is its Gauss-Newton iteration.
+
+    Args:
+        values: Parameter values; None for those of the problem.
+        noise: Levels of noise; None for likely ones.
+    """
+    given = {**problem.values, **(values or {})}
+    for _ in problem.layout.states if problem.layout.start_places else ():  # more often than it needs
+        level = noise or initial_fit(problem).noise
+        x0 = [_next(problem, given, level, k) for k in range(len(problem.logs))]
+        if all(after is before for after, before in zip(x0, problem.x0, strict=True)):
+            break
+        problem = replace(problem, x0=x0)
+    return problem
+
+
+def _next(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
+    """Return a likelier start of a log, the same array without one."""
+    places, x0 = problem.layout.start_places, problem.x0[index]
+
+    def objective(x: Array) -> float:
+        starts = [*problem.x0[:index], x, *problem.x0[index + 1 :]]
+        e, s = replace(problem, x0=starts).innovations(values, noise, index)  # of all rows, also those not scored
+        with np.errstate(over="ignore", invalid="ignore"):
+            nll = 0.5 * float(np.nansum(np.log(s) + e**2 / s))
+        return nll if np.isfinite(nll) else np.inf
+
+    moved, before = x0.copy(), objective(x0)
+    moved[places] = problem.run(values, noise, index).states[-1][places]
+    for each in (moved, 0.5 * (x0 + moved)):
+        if np.isfinite(each).all() and objective(each) < before - ENOUGH:
+            return each
+    return x0
+
+
+def fit_growing(problem: Problem, free: Sequence[Free], start: NamedValues) -> Fit:
+    """Return a fit to all rows.
+
+    It starts from the values of fits to fewer rows, with unknown inputs at a detectable level.
+
+    Args:
+        start: Start values of the parameters.
+    """
+    values, rows = start, 2 * max(1, *(count_unscored(data) for data in problem.logs))
+    while rows < max(len(data.u) for data in problem.logs):
+        first = problem.first_rows(rows)
+        values = fit(first, free, values, first.plain).values
+        rows *= 2
+    return fit(problem, free, values, problem.plain)

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Flags, NamedValues, Rows
 from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Inputs, Kernel, Layout, Simulated, filter_all
-from cosim.estimation.noise_model import GRID, Noise, NoiseLimits, NoiseRange, noise_range
+from cosim.estimation.kernel.kernel import (
+    MEMORY,
+    Begin,
+    Data,
+    Filtered,
+    Inputs,
+    Kernel,
+    Layout,
+    Simulated,
+    filter_all,
+    simulate_all,
+)
 from cosim.estimation.per_log import Origin, own, spread
 from cosim.estimation.subject.candidates import Free
 
@@ -38,7 +49,7 @@ class Settings:
     """
 
     interpolated: frozenset[str] = frozenset()
-    tolerance: Mapping[str, float] = field(default_factory=dict)
+    tolerance: NamedValues = field(default_factory=dict)
     per_log: tuple[str, ...] = ()
     groups: Mapping[Path, str] = field(default_factory=dict)
 
@@ -96,7 +107,7 @@ class Problem:
     kernel: Kernel
     logs: Sequence[Data]
     r: Array
-    values: Mapping[str, float]
+    values: NamedValues
     settings: Settings
     late: Mapping[str, Sequence[int]]
     lagging: Mapping[str, Sequence[int]]
@@ -112,11 +123,6 @@ class Problem:
     own: tuple[Free, ...] = ()
     origins: Sequence[Origin] = ()
     ranges: list[NoiseRange] = field(default_factory=list)  # of process noise; shared by problems made from this one
-
-    def with_noise(self, levels: Mapping[str, float]) -> Problem:
-        """Return the problem with initial noise levels (standard deviations) of some outputs."""
-        guess = [levels.get(name, 0.0) ** 2 for name in self.layout.outputs]
-        return replace(self, r=np.where(np.array(guess) > 0.0, guess, self.r), ranges=[])
 
     @property
     def layout(self) -> Layout:
@@ -170,7 +176,10 @@ class Problem:
         if all(map(follows, range(len(short.logs)))):
             return short
         # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
-        runs = [np.where(np.isfinite(log.y), short.own_run(k).outputs, np.nan) for k, log in enumerate(short.logs)]
+        runs = [
+            np.where(np.isfinite(log.y), short.simulate(self.values, k).outputs, np.nan)
+            for k, log in enumerate(short.logs)
+        ]
         return replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
 
     def first_rows(self, rows: int) -> Problem:
@@ -231,15 +240,19 @@ class Problem:
         plain[self.layout.noise_places] = 0.0
         return plain
 
-    def numbers(self, values: Mapping[str, float]) -> Array:
+    def numbers(self, values: NamedValues) -> Array:
         """Return the parameter values as an array in the kernel's order; missing values come from the problem."""
         return np.array([values[name] if name in values else self.values[name] for name in self.layout.parameters])
 
-    def of_log(self, values: Mapping[str, float], index: int) -> Mapping[str, float]:
+    def parameters(self, values: NamedValues, index: int) -> Array:
+        """Return the parameter values for a log as an array in the kernel's order."""
+        return self.numbers(self.of_log(values, index))
+
+    def of_log(self, values: NamedValues, index: int) -> NamedValues:
         """Return the parameter values for a log, with those of its group."""
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
-    def start(self, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
+    def start(self, values: NamedValues, index: int) -> tuple[Array, Array]:
         """Return the start state of a log, and the factor L of the covariance L·L' that is added to P0.
 
         L has shape (stochastic states, parameters per log). A state initialized from its first reading satisfies the
@@ -253,11 +266,10 @@ class Problem:
         x[places] = [value for value, _ in own.values()]
         factor[places, range(len(places))] = spreads
         if own and (initial := self.origins[index].initial):
-            first, p = self.logs[index].rows(0, 1), self.numbers(self.of_log(values, index))
+            first = self.logs[index].rows(0, 1)
 
             def read(state: Array) -> Array:
-                outputs = self.kernel.simulate(first, p, state, np.zeros(layout.memory)).outputs
-                return outputs[0, list(initial.values())]
+                return self.simulate(values, index, state, first).outputs[0, list(initial.values())]
 
             def slope(place: int) -> Array:
                 step = STEP * max(1.0, abs(float(x[place])))
@@ -269,7 +281,7 @@ class Problem:
             x[states] += gain @ (x0[states] - y)
         return x, factor[list(layout.stochastic)]
 
-    def _own(self, values: Mapping[str, float], index: int) -> dict[str, tuple[float, float]]:
+    def _own(self, values: NamedValues, index: int) -> dict[str, tuple[float, float]]:
         """Return the parameters with a separate value per log: name → (value, standard deviation) for this log."""
         constants = {}
         for name in self.layout.constants:
@@ -287,13 +299,13 @@ class Problem:
         q[list(self.layout.noisy)] = 2.0 * np.exp(noise.power) / np.exp(noise.memory)
         return q
 
-    def in_rows(self, of: Mapping[str, Sequence[int]], values: Mapping[str, float], index: int) -> dict[int, float]:
+    def in_rows(self, of: Mapping[str, Sequence[int]], values: NamedValues, index: int) -> dict[int, float]:
         """Return output index → time of its sensor (`late` or `lagging`) in rows; empty if all are zero."""
         step, values = self.logs[index].step, self.of_log(values, index) if of else values
         rows = {k: values.get(name, self.values[name]) / step for name, places in of.items() for k in places}
         return rows if any(rows.values()) else {}
 
-    def data(self, values: Mapping[str, float], index: int) -> Data:
+    def data(self, values: NamedValues, index: int) -> Data:
         """Return a log with late readings moved to the rows of their measurement, and with the lags of its sensors.
 
         Readings move by whole rows; the filter accounts for the remaining fraction.
@@ -319,18 +331,18 @@ class Problem:
         return r + np.exp(noise.timing) * speed**2
 
     def run(
-        self, values: Mapping[str, float], noise: Noise, index: int, *, states: bool = False, data: Data | None = None
+        self, values: NamedValues, noise: Noise, index: int, *, states: bool = True, data: Data | None = None
     ) -> Filtered:
         """Filter a log.
 
         Args:
             index: Number of the log.
-            states: Return the filtered states too.
+            states: Return the filtered states and their covariances too.
             data: Measurements to filter, by default those of the log.
         """
         return self.kernel.run(*self._inputs(values, noise, index, data), states=states)
 
-    def _inputs(self, values: Mapping[str, float], noise: Noise, index: int, data: Data | None = None) -> Inputs:
+    def _inputs(self, values: NamedValues, noise: Noise, index: int, data: Data | None = None) -> Inputs:
         """Return the arguments of the kernel's filter for a log."""
         data = self.data(values, index) if data is None else data
         x0, more = self.start(values, index)
@@ -340,27 +352,27 @@ class Problem:
         return data, p, x0, P0, self.densities(noise), self.variances(noise, index)
 
     def filter_causally(
-        self, data: Data, values: Mapping[str, float], noise: Noise, index: int, rows: Sequence[int]
+        self, data: Data, values: NamedValues, noise: Noise, index: int, rows: Sequence[int]
     ) -> Filtered:
         """Filter given measurements with the inputs of a log; states in `rows` use only readings that have arrived.
 
         A late reading arrives after the row of its measurement.
         """
-        filtered = self.run(values, noise, index, states=True, data=data)
+        filtered = self.run(values, noise, index, data=data)
         late = {k: n for k, by in self.in_rows(self.late, values, index).items() if (n := round(by)) > 0}
         states = filtered.states.copy()
         for row in rows if late else ():
             y = data.y.copy()
             for k, n in late.items():
                 y[max(0, row - n + 1) : row + 1, k] = np.nan
-            states[row] = self.run(values, noise, index, states=True, data=replace(data, y=y)).states[row]
+            states[row] = self.run(values, noise, index, data=replace(data, y=y)).states[row]
         return replace(filtered, states=states)
 
-    def innovations(self, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
+    def innovations(self, values: NamedValues, noise: Noise, index: int) -> tuple[Array, Array]:
         """Return innovations and variances of a log (rows, outputs)."""
-        return self._aligned(self.run(values, noise, index), values, index)
+        return self._aligned(self.run(values, noise, index, states=False), values, index)
 
-    def _aligned(self, filtered: Filtered, values: Mapping[str, float], index: int) -> tuple[Array, Array]:
+    def _aligned(self, filtered: Filtered, values: NamedValues, index: int) -> tuple[Array, Array]:
         """Return innovations and variances at the rows of the readings, not at those of their measurement."""
         e, s = filtered.errors, filtered.variances
         for k, late in self.in_rows(self.late, values, index).items():
@@ -376,12 +388,37 @@ class Problem:
         state[places] = filtered.states[-1][places]
         return self.drop_unknown_inputs(state)
 
-    def own_run(self, index: int) -> Simulated:
-        """Return the noise-free response to a log's commands."""
-        p, memory = self.numbers(self.of_log(self.values, index)), np.zeros(self.layout.memory)
-        return self.kernel.simulate(self.logs[index], p, self.start(self.values, index)[0], memory)
+    def simulate(
+        self, values: NamedValues, index: int, state: Array | None = None, data: Data | None = None
+    ) -> Simulated:
+        """Return the noise-free response to a log's commands.
 
-    def score(self, values: Mapping[str, float], noise: Noise, only: Sequence[int] | None = None) -> Scored:
+        Args:
+            state: First state, by default the start state of the log.
+            data: Commands, by default those of the log.
+        """
+        state = self.start(values, index)[0] if state is None else state
+        data = self.logs[index] if data is None else data
+        return self.kernel.simulate(data, self.parameters(values, index), state, np.zeros(self.layout.memory))
+
+    def simulate_from(
+        self, values: NamedValues, index: int, points: tuple[Sequence[int], Any, Any], length: int = 1
+    ) -> list[Simulated]:
+        """Simulate a few rows of a log from each of some rows; the results begin with that row.
+
+        Args:
+            points: Rows, with the state and the memory at each.
+            length: Number of rows after the first.
+        """
+        log, p, delay, begins = self.logs[index], self.parameters(values, index), self.layout.delay, list[Begin]()
+        back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # rows of commands that may still be delayed
+        for row, state, memory in zip(*points, strict=True):
+            before = min(row, back)
+            begins.append((log.rows(row - before, row + length + 1), p, state, memory, None, before))
+        runs = zip(simulate_all(self.kernel, begins), begins, strict=True)
+        return [Simulated(run.outputs[k:], run.states[k:], run.memory[k:]) for run, (*_, k) in runs]
+
+    def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""
         errors, variances, rows = [], [], []
         chosen = range(len(self.logs)) if only is None else only
@@ -393,3 +430,107 @@ class Problem:
             variances.append(s.take(readings.places))
             rows.append(readings.places // max(1, len(self.r)))
         return Scored(np.concatenate(errors), np.concatenate(variances), tuple(map(len, errors)), np.concatenate(rows))
+
+
+# Random quantities of a filter: the unknown input of each forced equation, and sensor noise.
+#
+# The range of an unknown input is measured by its effect on the innovations, so no constant here has a model's unit. An
+# input raises the innovation variance s. If the mean of ln s rises by less than SMALLEST, no log can show the input. At
+# PLAIN the input is plainly detected, and sensors still contribute.
+#
+
+
+SMALLEST, PLAIN, LARGEST = 1e-3, 0.04, 3.0
+GRID = np.arange(-60.0, 40.0, 4.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Noise in natural logarithms, so that a step of a fit is a factor.
+
+    Attributes:
+        power: Variance of the unknown input of each forced equation [(unit of the state/s)²].
+        memory: Correlation time of the unknown inputs [s].
+        sensors: Variance of the noise of each output.
+        timing: Variance of the time stamp error of each output [s²], noise proportional to speed; −∞ for none.
+    """
+
+    power: Array
+    memory: float
+    sensors: Array
+    timing: Array
+
+    @property
+    def vector(self) -> Array:
+        """Return all values in one vector."""
+        return np.concatenate([self.power, [self.memory], self.sensors, self.timing])
+
+    def like(self, vector: Array) -> Self:
+        """Return noise of the same shapes from a vector."""
+        n, m = len(self.power), len(self.sensors)
+        power, memory, sensors, timing = np.split(vector, [n, n + 1, n + 1 + m])
+        return type(self)(power, float(memory[0]), sensors, timing)
+
+    @property
+    def density(self) -> Array:
+        """Return the low-frequency density 2·σ²·T of unknown inputs [unit of the state squared per second]."""
+        return 2.0 * np.exp(self.power + self.memory)
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseRange:
+    """Log power of each unknown input at which ln s rises by SMALLEST to LARGEST, s being the innovation variance."""
+
+    smallest: Array
+    quiet: Array
+    plain: Array
+    largest: Array
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLimits:
+    """Limits and weak prior of a noise vector; a fixed value has equal limits."""
+
+    low: Array
+    high: Array
+    mean: Array
+    sigma: Array  # infinite without a prior
+
+    @property
+    def free(self) -> Rows:
+        """Return the indices of noise values that a fit may change."""
+        return np.flatnonzero(self.low < self.high)
+
+    def penalty(self, vector: Array) -> float:
+        """Return the penalty of the priors on a noise vector: ½ Σ ((v − mean)/sigma)²."""
+        has_prior = np.isfinite(self.sigma)
+        return float(0.5 * np.sum(((vector[has_prior] - self.mean[has_prior]) / self.sigma[has_prior]) ** 2))
+
+
+def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
+    """Return the range of noise power to search.
+
+    The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would gain from
+    an unknown input that should be inactive.
+
+    Args:
+        variances: Function from (ln power, whether to use the longest memory) to the innovation variances.
+        count: Number of unknown inputs.
+    """
+    nothing, finite = np.full(count, GRID[0]), np.finfo(float)
+
+    def levels(marks: Sequence[float], *, longest: bool) -> Array:
+        least = np.log(np.abs(variances(nothing, longest)))  # rounding may give a negative variance
+        found = np.empty((len(marks), count))
+        for k in range(count):
+            powers = np.where(np.arange(count) == k, GRID[:, None], nothing)
+            rises = np.array([np.mean(np.log(np.abs(variances(power, longest))) - least) for power in powers])
+            rises = np.nan_to_num(rises, nan=finite.max).clip(finite.tiny, finite.max)
+            found[:, k] = np.interp(np.log(marks), np.log(np.maximum.accumulate(rises)), GRID)
+        return found
+
+    (smallest,), (quiet, plain, largest) = (
+        levels([SMALLEST], longest=True),
+        levels([0.5 * PLAIN, PLAIN, LARGEST], longest=False),
+    )
+    return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)

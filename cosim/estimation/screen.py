@@ -7,18 +7,17 @@ orthogonal to X. A part of the hypothesis is such a term too: without the part, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.linear_algebra import least_squares, orthonormal, pseudo_inverse
 from cosim.estimation.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem
+from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import Candidate
 
 SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
@@ -54,7 +53,7 @@ class Promise:
     """
 
     gain: float
-    values: Mapping[str, float]
+    values: NamedValues
     within: bool
 
 
@@ -90,7 +89,7 @@ class ScoreTest:
         """Return the part of a row orthogonal to the effects of the free parameters."""
         return row - self.basis @ (self.basis.T @ row)
 
-    def row(self, steps: Mapping[str, float]) -> Array:
+    def row(self, steps: NamedValues) -> Array:
         """Return the change of the innovations by finite parameter steps, projected; zero if the model diverges."""
         with np.errstate(over="ignore", invalid="ignore"):
             row = self._project(self._row(steps, self.noise))
@@ -139,7 +138,7 @@ class ScoreTest:
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
         return Terms(c, np.array(rows), scale * steps, identifiable, switched)
 
-    def _row(self, steps: Mapping[str, float], noise: Noise) -> Array:
+    def _row(self, steps: NamedValues, noise: Noise) -> Array:
         moved = {**self.values, **{name: self.values[name] + d for name, d in steps.items()}}
         other = self.problem.score(moved, noise)
         e, s = self.scored.errors, self.scored.variances
@@ -158,7 +157,7 @@ class Choice:
     """
 
     def __init__(
-        self, test: ScoreTest, every: Iterable[Terms], parts: Sequence[Candidate], neutral: Mapping[str, float]
+        self, test: ScoreTest, every: Iterable[Terms], parts: Sequence[Candidate], neutral: NamedValues
     ) -> None:
         self.test, self.neutral = test, neutral
         self.terms = {t.candidate.name: t for t in every if len(t.rows)}

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.core.arrays import Array, Flags
+from cosim.core.arrays import Array, Flags, NamedValues
 from cosim.core.text import join_names, plain, written
 from cosim.estimation.fit import Fit
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import Problem
+from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import noise_level, surprise, white_noise
 
@@ -28,7 +26,7 @@ def noise_levels(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
     the level of both together.
     """
     noise, both = {}, {}
-    runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
+    runs = [problem.simulate(problem.values, index).outputs for index in range(len(problem.logs))]
     for j, name in enumerate(problem.layout.outputs):
         columns = [log.y[:, j] for log in problem.logs]
         simulated = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
@@ -110,7 +108,7 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     return (text,) if cells else ()
 
 
-def _line(levels: Mapping[str, float]) -> str:
+def _line(levels: NamedValues) -> str:
     return f"`noise: {{{', '.join(f'{name}: {level:.2g}' for name, level in levels.items())}}}`"
 
 

@@ -14,8 +14,7 @@ from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, moved, noise_of, outputs_along
-from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters
-from cosim.probing.prober import Prober, quantities, separate_pairs
+from cosim.probing.prober import Prober, quantities, separate_pairs, settable_parameters, start_values, tried_parameters
 
 ROWS = 300  # rows of a simulation for responses
 FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter

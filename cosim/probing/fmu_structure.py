@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cosim.core.arrays import Flags
+from cosim.core.arrays import Flags, NamedValues
 from cosim.fmi.description import Way
 from cosim.model.quantities import Quantity
 from cosim.terms.language import RatioFactor
@@ -192,7 +192,7 @@ class Structure:
     depends: Flags
     pairs: tuple[Pair, ...]
     storages: tuple[str, ...]
-    scales: Mapping[str, float]
+    scales: NamedValues
     step: float
     shown: Mapping[str, str] = field(default_factory=dict)
     largest_rate: float = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import reals, state_names, ways
 from cosim.isolation.limits import Limits
@@ -53,7 +53,7 @@ class OwnStep:
 def probe_own_step(
     fmu: Path,
     logs: Sequence[Log] = (),
-    values: Mapping[str, float] = MappingProxyType({}),
+    values: NamedValues = MappingProxyType({}),
     *,
     limits: Limits = LIMITS,
 ) -> OwnStep | None:

@@ -13,9 +13,9 @@ from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
 from cosim.probing.co_simulation import co_simulation_structure
-from cosim.probing.exchange_structure import exchange_structure
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.log_runs import Course, sine_course
+from cosim.probing.model_exchange import exchange_structure
 from cosim.probing.own_step import OwnStep, probe_own_step
 from cosim.probing.prober import LIMITS, Prober
 

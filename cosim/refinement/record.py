@@ -3,39 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.text import percent
 from cosim.core.version import __version__
 from cosim.estimation.fit import Fit
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import expected_values, own
+from cosim.estimation.problem import Noise
 from cosim.estimation.subject.candidates import Kind, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict
-from cosim.refinement.proof.measure import Floor, ReplayedLogs, rmse
+from cosim.refinement.proof.measure import OTHER_HORIZONS, Floors, Part, Replayed, Replays, rmse
 from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
-from cosim.residuals.residual_statistics import FREE_RUN
-
-OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Likelihood = Annotated[  # null if the filter diverged
     Finite | None, BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None)
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
-Part = Literal["estimation", "validation"]
 Parts = dict[Part, Channels]
-Floors = Mapping[Part, Floor]
-Replayed = Mapping[str, Mapping[Part, Mapping[float, ReplayedLogs]]]  # model → set of logs → horizon
 
 
 class Estimate(BaseModel):
@@ -214,20 +208,6 @@ class Errors(BaseModel):
     nearest: Parts | None = None
 
 
-class Replays(BaseModel):
-    """FMUs used for the replays.
-
-    why: why not natively; empty where it was
-    log: the log that plant.fmu has replayed too
-    apart: relative difference of the two there
-    """
-
-    through: Literal["native", "python", "own"]
-    why: str = ""
-    log: str = ""
-    apart: Finite | None = None
-
-
 class Record(BaseModel):
     """Result of `cosim refine` on a study.
 
@@ -305,7 +285,7 @@ def record(
     played: Replayed,
     floors: Floors,
     way: Replays,
-    ends: Mapping[str, float],
+    ends: NamedValues,
     seconds: float,
 ) -> Record:
     """Return the content of refine.json.
@@ -387,7 +367,7 @@ def unfinished(study: Study, tried: Sequence[Hypothesis]) -> dict[str, Any]:
     return {**shared, "finished": False, "candidates": candidates}
 
 
-def keep_finite(channels: Mapping[str, float]) -> dict[str, float]:
+def keep_finite(channels: NamedValues) -> dict[str, float]:
     """Return the channels with finite values."""
     return {name: value for name, value in channels.items() if math.isfinite(value)}
 
@@ -412,7 +392,7 @@ def _effects(subject: Subject, claims: Claims) -> list[EffectEntry]:
     return entries
 
 
-def _per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog]:
+def _per_log(study: Study, f: Fit, ends: NamedValues) -> dict[str, PerLog]:
     """Return the entry of every parameter per log."""
     declared, entries = study.subject.declared, {}
     for name in study.settings.per_log:
@@ -445,13 +425,13 @@ def _reason(claims: Claims, h: Hypothesis, behind: float) -> str:
     Args:
         behind: Log odds of the most probable hypothesis to it.
     """
-    parts, decision = frozenset(h.names), claims.decision
+    parts, decision = h.key, claims.decision
     if decision.is_rival(parts):
         return f"a rival: probability {percent(decision.rivals[parts - decision.aside])}"
-    if claims.claimed is not None and h.names == claims.claimed.names and claims.name != "ambiguous":
+    if claims.claimed is not None and parts == claims.claimed.key and claims.name != "ambiguous":
         return "claimed"
     if parts == decision.nearest:
         return "nothing more is missing" if claims.name == "no_effect" else "most probable, but not claimed"
     if not h.ended:
         return "screened: the logs speak against it"
-    return f"e^{behind:.1f} times less probable than {text_of(frozenset(claims.tried[0][0].names))}"
+    return f"e^{behind:.1f} times less probable than {text_of(claims.tried[0][0].key)}"

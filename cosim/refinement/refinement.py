@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from cosim.estimation.problem import Problem
     from cosim.estimation.subject.interface import Subject
     from cosim.refinement.decision.claims import Claims
-    from cosim.refinement.proof.measure import ReplayedLogs, Variant
-    from cosim.refinement.record import Part
+    from cosim.refinement.proof.measure import Part, ReplayedLogs, Variant
     from cosim.refinement.study import Study
 
 

@@ -19,9 +19,8 @@ import numpy as np
 from cosim.core.errors import Fault, TimedOut, refuse
 from cosim.core.text import counted, join_names, plain, showing
 from cosim.estimation.fit import Fit, initial_fit
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.per_log import drop_own_parameters
-from cosim.estimation.posing import build_problem, predictable_horizon
+from cosim.estimation.posing import build_problem, predictable_horizon, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import cell_warnings, noise_levels, noise_warnings
 from cosim.estimation.subject.candidates import Candidate
@@ -40,26 +39,29 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
-from cosim.refinement.decision.claims import Claims, floor_warning, sentence
-from cosim.refinement.decision.deciding import claims_of
-from cosim.refinement.decision.scatter import fit_given_model
+from cosim.refinement.decision.bundle import fit_given_model
+from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
+    Floors,
+    LogSets,
+    Replayed,
+    Replays,
     Variant,
     final_log_parameters,
     find_rises,
     log_noise,
     noise_floor,
-    refined_subject,
+    refined_variant,
     remaining_on_sealed_logs,
+    replay_variants,
     rmse,
     variant_of,
 )
-from cosim.refinement.proof.proof_replays import LogSets, replay_variants
-from cosim.refinement.record import Floors, Replayed, Replays, record, unfinished
+from cosim.refinement.record import record, unfinished
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.fits import Hypothesis, SearchResult
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study
@@ -115,29 +117,25 @@ def _refine(
     """Search, decide and prove."""
     subject, progress, start = study.subject, limited.progress, limited.start
     try:
-        result = attribute(subject, problem, _candidates(study), limited)
+        search = attribute(subject, problem, _candidates(study), limited)
         limited("weighing what was found", 0.0)
-        claims = claims_of(study, result, limited)
+        claims = claims_of(study, search, limited)
     except TimedOut:
         remove_earlier(folder, read=study.files)
         write_json(folder / ANSWER, unfinished(study, limited.tried), allow_nan=False)
         raise
-    between = between_rows(result.search.problem, claims.base)
-    unfitted = fit_given_model(result.search.problem, claims.base.fit)
-    noise = log_noise(claims.best.fit.noise, result.free_noise)
-    warnings, late = [*noise_warnings(problem, noise, subject)], None
-    if claims.best.fit.free:
-        late = late_input(result.search.problem, claims.best)
-    if late is None or late.gain < between.gain:
-        warnings += between.warnings
-    else:
-        warnings.append(late.warning(result.search.problem.logs[0].step))
+    between = between_rows(search.problem, claims.base)
+    unfitted = fit_given_model(search.problem, claims.base.fit)
+    noise = log_noise(claims.best.fit.noise, search.free_noise)
+    late = late_input(search.problem, claims.best) if claims.best.fit.free else None
+    other = between if late is None or late.gain < between.gain else late
+    warnings = [*noise_warnings(problem, noise, subject), *([other.warning] if other.warning else [])]
     if subject.probed:
         warnings += cell_warnings(problem, subject)
     allowed = study.content.limits
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
-        variants = _variants(study, result, claims, unfitted)
+        variants = _variants(search, claims, unfitted)
         files = [*variants["after"].subject.write(scratch, folder, "refined")]
         if "nearest" in variants:
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
@@ -148,7 +146,7 @@ def _refine(
         progress("measuring the noise floor", 0.0)
         delivered = "after" if claims.claimed is not None else "nearest"
         best = variants.get(delivered, variants["after"])
-        quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, result.free_noise))
+        quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, search.free_noise))
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         ends = final_log_parameters(variants["after"], problem, sealed)
@@ -194,7 +192,7 @@ def _refine(
             for path in results:
                 path.replace(folder / path.name)
         release_stops()
-    searched, horizon = result.search.problem, subject.horizon
+    searched, horizon = search.problem, subject.horizon
     evidence = {name: {part: by[horizon] for part, by in parts.items()} for name, parts in played.items()}
     problem = replace(problem, trusted=searched.trusted, scatter=searched.scatter)
     outcome = Refinement(study, claims, content, folder, problem, variants, evidence)
@@ -240,9 +238,10 @@ def _build_problem(study: Study) -> Problem:
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
     shown, guesses = noise_levels(problem)  # a stated level may be too small
-    problem = problem.with_noise({n: s for n, s in guesses.items() if n not in stated and s > 0.0})
-    problem = replace(problem, shown=np.array([shown.get(name, 0.0) ** 2 for name in problem.layout.outputs]))
-    return with_likely_starts(problem)
+    names = problem.layout.outputs
+    visible, guess = (np.array([of.get(n, 0.0) ** 2 for n in names]) for of in (shown, guesses))
+    r = np.where((guess > 0.0) & ~np.isin(names, [*stated]), guess, problem.r)
+    return with_likely_starts(replace(problem, r=r, shown=visible, ranges=[]))
 
 
 def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
@@ -289,19 +288,17 @@ def _candidates(study: Study) -> list[Candidate]:
     return [c for c in candidates if c.name not in unread]
 
 
-def _variants(study: Study, result: SearchResult, claims: Claims, unfitted: Fit) -> dict[str, Variant]:
+def _variants(search: Search, claims: Claims, unfitted: Fit) -> dict[str, Variant]:
     """Return the variants to replay: before, recalibrated, after, and the nearest model if the claim is incomplete.
 
     Args:
         unfitted: Given model with fitted unknown inputs.
     """
-    subject, settings, free_noise = study.subject, study.settings, result.free_noise
     named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
     named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
-    made = {id(None): variant_of(subject, settings, unfitted, free_noise)}  # one that stands twice is replayed once
+    made = {id(None): variant_of(search, search.subject, unfitted)}  # one that stands twice is replayed once
     for h in filter(None, named.values()):
-        refined = refined_subject(subject, result.search.problem, h)
-        made[id(h)] = variant_of(refined, settings, h.fit, free_noise)
+        made[id(h)] = refined_variant(search, h)
     return {"before": made[id(None)], **{name: made[id(h)] for name, h in named.items()}}
 
 

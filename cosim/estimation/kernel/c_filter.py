@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import cosim.fmi.native
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array
 from cosim.estimation.kernel.generate import Generated
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated, no_filtered, no_simulated
 from cosim.fmi.native.compiler import load_library
@@ -59,17 +59,6 @@ class CompiledKernel:
         log, addresses = self._log(data), map(_address, (*inputs, *vars(made).values()))
         self._library.simulate(ctypes.byref(log), first, *addresses)
         return made
-
-    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
-        """Return single steps from rows of a log, as `single_steps`."""
-        self._use(p, data, points[1][0])
-        rows, (nx, ny) = np.ascontiguousarray(points[0], np.int32), (len(self.layout.states), len(self.layout.outputs))
-        outputs, following = np.empty((len(rows), ny)), np.empty((len(rows), nx))
-        arrays = [_contiguous(a) for a in (p, *points[1:])]
-        arrays += [np.empty((back + 2, ny)), np.empty((back + 2, nx)), outputs, following]
-        log, addresses = self._log(data), [*map(_address, arrays)]
-        self._library.single_steps(ctypes.byref(log), len(rows), _address(rows), back, *addresses)
-        return following, outputs
 
     def _use(self, p: Array, data: Data, x0: Array) -> None:
         """Prepare the functions of the model, which are those of a library in a derived class."""

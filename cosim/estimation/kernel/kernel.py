@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedValues
 
 DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
 CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
@@ -55,7 +55,7 @@ class Layout:
     carrying: tuple[int, ...] = ()
     rates: Mapping[str, str] = field(default_factory=dict)
     is_free_run: bool = False
-    along: Mapping[str, float] = field(default_factory=dict)
+    along: NamedValues = field(default_factory=dict)
     positions: tuple[int, ...] = ()
 
     @property
@@ -149,7 +149,7 @@ class Simulated:
     memory: Array
 
 
-def no_filtered(layout: Layout, data: Data, *, states: bool) -> Filtered:
+def no_filtered(layout: Layout, data: Data, *, states: bool = False) -> Filtered:
     """Return the result of a filter that diverges at its first row."""
     rows, random = len(data.y) if states else 0, len(layout.stochastic)
     shapes: list[tuple[int, ...]] = [(rows, len(layout.states)), (rows, layout.memory), (rows, random, random)]
@@ -204,23 +204,3 @@ def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]
     """Simulate several times, in one call if the kernel offers it."""
     together: Any = getattr(kernel, "call_all", None)
     return together("simulate", begins) if together else [kernel.simulate(*b[:-1], first=b[-1]) for b in begins]
-
-
-def single_steps(
-    kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
-) -> tuple[Array, Array]:
-    """Return the state at the next row and the outputs at each row, in one call if the kernel offers it.
-
-    Args:
-        points: Rows of the log but the last, with the states and memories there.
-        back: Rows of commands before a step that a delay may reach back to.
-    """
-    if hasattr(kernel, "step"):
-        stepped: tuple[Array, Array] = kernel.step(data, p, points, back)
-        return stepped
-    begins: list[Begin] = []
-    for row, state, memory in zip(*points, strict=False):
-        before = int(min(row, back))
-        begins.append((data.rows(row - before, row + 2), p, state, memory, None, before))
-    runs = [(simulated, begin[-1]) for simulated, begin in zip(simulate_all(kernel, begins), begins, strict=True)]
-    return np.array([run.states[row + 1] for run, row in runs]), np.array([run.outputs[row] for run, row in runs])

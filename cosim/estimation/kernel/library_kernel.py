@@ -16,12 +16,11 @@ import numpy as np
 from cosim.blocks.derivatives import DifferentiableFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import claim
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.kernel.c_filter import CompiledKernel
-from cosim.estimation.kernel.generate import Generated
+from cosim.estimation.kernel.generate import LOCAL, PREFIX, Generated
 from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated
-from cosim.estimation.kernel.nameless import LOCAL, PREFIX
 from cosim.fmi.description import reals, takes_any_step
 from cosim.isolation.limits import Limits
 from cosim.probing.fmu_structure import START_STEP
@@ -67,10 +66,10 @@ class LibraryOf(NamedTuple):
     variables: Mapping[str, str]
     sizes: Sequence[float]
     starts: tuple[tuple[str, float], ...] = ()
-    values: Mapping[str, float] = MappingProxyType({})
+    values: NamedValues = MappingProxyType({})
     limits: Limits = NO_LIMITS
     directions: tuple[Direction, ...] = ()
-    neutral: Mapping[str, float] = MappingProxyType({})
+    neutral: NamedValues = MappingProxyType({})
 
 
 class LibraryInstance:
@@ -83,7 +82,7 @@ class LibraryInstance:
         self._block: FmuBlock | None = None
         self._functions_of = _Library()
 
-    def prepare(self, values: Mapping[str, float], start: float = 0.0, stop: float = 1.0) -> _Library:
+    def prepare(self, values: NamedValues, start: float = 0.0, stop: float = 1.0) -> _Library:
         """Return the functions of an instance with these parameter values, of co-simulation at its start.
 
         Raises:

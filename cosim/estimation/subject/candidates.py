@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
+from cosim.core.arrays import NamedValues
 from cosim.model.quantities import Parameter
 
 if TYPE_CHECKING:
@@ -32,8 +33,8 @@ class Candidate:
     name: str
     kind: Kind
     free: tuple[Free, ...]
-    starts: tuple[Mapping[str, float], ...]
-    complete: Mapping[str, float] = field(default_factory=dict)
+    starts: tuple[NamedValues, ...]
+    complete: NamedValues = field(default_factory=dict)
     repeats: tuple[str, ...] = ()
     among: int = 1
 
@@ -46,10 +47,10 @@ class Candidate:
 def effect(
     name: str,
     declared: Sequence[Parameter],
-    values: Mapping[str, float],
+    values: NamedValues,
     *,
     kind: Kind = "effect",
-    starts: Sequence[Mapping[str, float]] = (),
+    starts: Sequence[NamedValues] = (),
     above: Mapping[str, str] = MappingProxyType({}),
 ) -> Candidate:
     """Return an effect or sensor error as a candidate with parameters `name.parameter`.
@@ -103,7 +104,7 @@ class Free:
     above: str = ""
 
 
-def values_of_special_case(rich: Candidate, simple: Candidate, values: Mapping[str, float]) -> dict[str, float]:
+def values_of_special_case(rich: Candidate, simple: Candidate, values: NamedValues) -> dict[str, float]:
     """Return values that make a rich effect a simple one.
 
     There are none if neither contains the other.
@@ -123,7 +124,7 @@ def values_of_special_case(rich: Candidate, simple: Candidate, values: Mapping[s
     return equal if simple.kind == rich.kind and len(simple.free) < len(rich.free) else {}
 
 
-def base_parameters(subject: Subject, values: Mapping[str, float], tolerance: Mapping[str, float]) -> list[Free]:
+def base_parameters(subject: Subject, values: NamedValues, tolerance: NamedValues) -> list[Free]:
     """Return base parameters free in every fit, with priors.
 
     Args:
@@ -134,7 +135,7 @@ def base_parameters(subject: Subject, values: Mapping[str, float], tolerance: Ma
     return [base_parameter(subject, name, values, share) for name, share in every.items()]
 
 
-def base_parameter(subject: Subject, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:
+def base_parameter(subject: Subject, name: str, values: NamedValues, tolerance: float | None) -> Free:
     """Return a base parameter as a free parameter of a fit, with a prior if a tolerance is stated."""
     p, value = subject.declared[name], values[name]
     prior = None if tolerance is None else (value, spread_of_base(p, value, tolerance))

@@ -7,22 +7,24 @@ filter estimates the deviations of its outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal
 
 import numpy as np
 
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import InputError
+from cosim.core.units import unit_of_rate, unit_product
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.estimation.subject.model_subject import FILES, ModelSubject, new_fmu
-from cosim.estimation.subject.probed_model import probed_model
 from cosim.fmi.building.file import LoadedModel
 from cosim.fmi.description import display_units, read_description, takes_any_step
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
@@ -30,15 +32,16 @@ from cosim.fmi.wrapping.wrap import CannotWrap, wrap
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log
-from cosim.model.quantities import parameters_of
+from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.drive import MODULES, DriveApart
 from cosim.residuals.windows import Replay, start_parameters
 from cosim.terms.alike import experiments_for
+from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.code import term_code
-from cosim.terms.fmu_model import FmuModel, fmu_model
-from cosim.terms.language import Force, with_place
+from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
+from cosim.terms.language import Direction, Force, Opposite, Place, with_place
 
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
@@ -159,7 +162,7 @@ class FmuSubject(ModelSubject):
         own = {START + with_place(s.name): s.quantity.start for s in self.structure.starts}
         return {q.name: q.start for q in self.states} | own
 
-    def start_of_log(self, readings: Mapping[str, float]) -> dict[str, float]:
+    def start_of_log(self, readings: NamedValues) -> dict[str, float]:
         """Return the start value of each state, of a start state from the output that shows it."""
         start, outputs = self.start(), self.outputs
         for s in self.structure.starts:
@@ -179,7 +182,7 @@ class FmuSubject(ModelSubject):
         """Return None: outliers are found by their neighbours."""
         return None
 
-    def refined(self, claims: Mapping[str, float]) -> FmuSubject:
+    def refined(self, claims: NamedValues) -> FmuSubject:
         """Return the subject with claimed values."""
         return FmuSubject(super().refined(claims).loaded, self.structure, self.limits)
 
@@ -249,7 +252,7 @@ class LibraryReplayer(Replayer):
     through: str
 
     def replays(
-        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+        self, log: Log, data: Data, values: NamedValues, starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
         names = [q.name for q in self.subject.outputs]
@@ -271,3 +274,158 @@ class LibraryReplayer(Replayer):
                 table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
             yield Replay(horizon, begun, dict(zip(names, table.T, strict=True)))
+
+
+# The model of a probed FMU: its signals, places with usual sizes along the logs, terms and parameters.
+
+
+HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
+LATEST = 20  # longest delay of the inputs, in rows
+SLOPE_ROWS = 5  # rows over which the rate of readings is taken
+WIDEST = 100.0  # factor on a parameter without bounds, up and down
+RESOLVED = 0.25  # substep times largest eigenvalue; transition of friction of half the usual force, in steps
+
+
+def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuModel:
+    """Return the model of a probed FMU with every term at every place.
+
+    Args:
+        logs: Estimation logs, in names of the FMU.
+        terms: Terms of the user.
+    """
+    s, step, is_stepped = structure, logs[0].step, structure.way == "co-simulation"
+    states = s.outputs if is_stepped else s.states
+    duration = max(float(log.time[-1] - log.time[0]) for log in logs)
+    outputs = [q.name for q in s.outputs]
+    inputs, named_outputs = (
+        tuple(replace(q, name=with_place(q.name)) for q in group) for group in (s.inputs, s.outputs)
+    )
+    # a state has the name of an output that shows it
+    named = tuple(replace(q, name=with_place(s.shown_as(q.name))) for q in states)
+    names = [q.name for q in states]
+    rates = {names.index(p.position): names.index(p.velocity) for p in s.pairs if p.gain == 1.0}
+    parameters = []
+    for p in s.acting:  # without bounds, it keeps its sign; the size of 0 is the one tried
+        q, (low, high) = p.quantity, p.quantity.bounds
+        if q.start != 0.0:
+            ends = sorted((q.start / WIDEST, q.start * WIDEST))
+            low, high = max(low, ends[0]), min(high, ends[1])
+        typical = abs(p.tried) if q.start == 0.0 else None
+        parameters.append(Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high), typical=typical))
+    moving = tuple(with_place(name) for name in (q.name for q in s.inputs) if any(map(np.ptp, _columns(logs, name))))
+    sensors: list[type[Any]] = []
+    for q, name in zip(named_outputs, outputs, strict=True):
+        signed = any(float(np.nanmin(y)) < 0.0 for y in _columns(logs, name))
+        sensors += sensor_errors(q, _size(s, logs, name), step, duration, signed=signed)
+    delay = [delay_of(inputs, LATEST * step)] if inputs else []
+    return fmu_model(
+        s.fmu.stem,
+        (named, inputs, named_outputs),
+        parameters,
+        [*delay, *bound_terms([*_places(s, logs, states)], terms)],
+        dependencies=Dependencies(s.depends[:, : len(s.states)], s.depends[:, len(s.states) :]),
+        rates=rates,
+        variables={
+            with_place(q.name): q.name for q in (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))
+        },
+        sensors=tuple(sensors),
+        forced=tuple(q.name for k, q in enumerate(named) if is_stepped or k not in rates),
+        calibrated=tuple(p.name for p in parameters),
+        suspect=dict.fromkeys((p.name for p in parameters), moving),
+        horizon=math.inf if is_stepped else float(f"{max(HORIZON_ROWS * step, HORIZON_SHARE * duration):.2g}"),
+        shown={outputs.index(y): k for k, q in enumerate(s.states) if (y := s.shown.get(q.name))},
+        stepped=is_stepped,
+        starts=tuple(with_place(v.name) for v in s.starts),
+        rate=step,
+        substep=min(step, RESOLVED / s.largest_rate if s.largest_rate > 0.0 else math.inf),
+        integrator="rk4",
+    )
+
+
+def _columns(logs: Sequence[Log], name: str) -> list[Array]:
+    """Return an input or output in the logs that have it."""
+    signals = [{**log.inputs, **log.outputs} for log in logs]
+    return [columns[name] for columns in signals if name in columns]
+
+
+def _size(s: Structure, logs: Sequence[Log], name: str) -> float:
+    """Return the usual size of a signal, its spread.
+
+    Of an input it is half of its range within the logs, else over all logs, else its value; 1 for a constant of 0.
+    """
+    columns = _columns(logs, name)
+    if all(q.name != name for q in s.inputs) or not columns:
+        return s.scales.get(name) or 1.0
+    every = np.concatenate(columns)
+    return 0.5 * max(map(np.ptp, columns)) or 0.5 * float(np.ptp(every)) or float(np.abs(every).max()) or 1.0
+
+
+def _places(s: Structure, logs: Sequence[Log], states: Sequence[Quantity]) -> Iterator[Place]:
+    """Yield every place of terms, with usual sizes along the logs.
+
+    Args:
+        states: The states, or the outputs in their place.
+    """
+    step, names, inputs = logs[0].step, [q.name for q in states], [q.name for q in s.inputs]
+    units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
+    size = partial(_size, s, logs)
+
+    def rate(name: str) -> float:
+        """Return the usual rate of change of a signal."""
+        changes = [y[SLOPE_ROWS:] - y[:-SLOPE_ROWS] for y in _columns(logs, name)]
+        read = max((float(np.nanstd(change)) for change in changes), default=0.0)
+        return s.scales.get(f"der({name})") or read / (SLOPE_ROWS * step) or 1.0
+
+    for k, q in enumerate(s.inputs):
+        usual = size(q.name)
+        largest = max((float(np.abs(u).max()) for u in _columns(logs, q.name)), default=0.0) or usual
+        sizes = {"u": usual, "M": largest, "T": step}
+        yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
+    # Forces at a pair come in through an input or, as a damping tells, change further rates; else they change one rate.
+    for pair in s.pairs:
+        port = next((p for p in (*(p for p in pair.ports if p.is_alone), *pair.ports)), None)
+        damping = next((d for d in s.dampings if d.pair == pair), None)
+        if damping is not None and damping.port:
+            port = next((p for p in pair.ports if p.input == damping.port), port)
+        elif damping is not None and (damping.is_constant or damping.in_step):
+            port = None
+        if s.way == "co-simulation" and port is None:
+            continue
+        v, x, fastest = pair.velocity, pair.position, rate(pair.velocity)
+        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[x], "d": units[x]}
+        travel = math.sqrt(12.0) * size(x)  # of a position that takes every value equally often
+        sizes = {"u": fastest, "v": size(v), "q": size(x), "d": travel}
+        ends = names.index(x), names.index(v)
+        place = Place(with_place(v), own, sizes, -1, *ends, resolution=RESOLVED * fastest * step)
+        if damping is not None and damping in s.directions and damping.in_step:
+            quantity = next(p.quantity for p in s.parameters if p.name == damping.parameter)
+            rates, number = tuple(map(names.index, damping.rates)), s.directions.index(damping)
+            limits = damping.change, quantity.bounds[1]
+            direction = Direction(number, damping.parameter, *limits, names.index(v), damping.speed, rates)
+            own["u"] = unit_product([(units[v], 1), (quantity.unit, 1)])
+            sizes["u"] = fastest / damping.gain
+            place = replace(place, direction=direction, is_driven=bool(pair.ports))
+        elif port is not None:
+            own["u"], sizes["u"] = units[port.input], fastest / abs(port.gain)
+            place = replace(place, input=inputs.index(port.input), sign=math.copysign(1.0, port.gain))
+        yield place
+    for c in s.connections:  # forces between two pairs, in units of the first one's acceleration
+        x, v = c.first.position, c.first.velocity
+        own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[x]}
+        deflection, speed = c.deflection or size(x), c.speed or size(v)
+        sizes = {"u": c.stiffness * deflection or c.damping * speed, "v": speed, "q": deflection}
+        if c.stiffness:
+            own["k"], sizes["k"] = unit_product([(own["u"], 1), (own["q"], -1)]), c.stiffness
+        factors = tuple(replace(f, parameter=with_place(f.parameter)) for f in c.factors)
+        other = Opposite(names.index(c.second.position), names.index(c.second.velocity), c.gear, c.ratio, factors)
+        name = f"{with_place(v)}_against_{with_place(c.second.velocity)}"
+        ends = names.index(x), names.index(v)
+        yield Place(name, own, sizes, -1, *ends, resolution=RESOLVED * rate(v) * step, opposite=other)
+    for name in s.storages:
+        index, columns = names.index(name), _columns(logs, s.shown_as(name))
+        middle = float(np.nanmean(np.concatenate(columns))) if columns else states[index].start
+        sizes = {"q": size(name), "r": rate(name)}
+        own = {"q": units[name], "r": unit_of_rate(units[name])}
+        place = Place(with_place(name), own, sizes, state=index, middle=middle)
+        feed = s.feeds.get(name)
+        yield replace(place, input=inputs.index(feed.input), gain=feed.gain) if feed else place

@@ -17,7 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self, runtime_checkable
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate
 from cosim.fmi.building.refined import NEAREST, REFINED
@@ -42,9 +42,9 @@ class Start:
         per_log: Parameter per log → value.
     """
 
-    states: Mapping[str, float]
+    states: NamedValues
     memory: Array
-    per_log: Mapping[str, float] = field(default_factory=dict)
+    per_log: NamedValues = field(default_factory=dict)
 
 
 class Workplace(ExitStack):
@@ -70,7 +70,7 @@ class Replayer(Protocol):
     through: str
 
     def replays(
-        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+        self, log: Log, data: Data, values: NamedValues, starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield the replayed outputs for each horizon [s], in the order of `starts`.
 
@@ -122,7 +122,7 @@ class Subject(Protocol):
     rate: float
     parameters: Sequence[Parameter]
     candidate_parameters: Mapping[str, Parameter]
-    values: Mapping[str, float]
+    values: NamedValues
 
     calibrated: Sequence[str] = ()
     sensors: Sequence[type[Any]] = ()  # subclasses of cosim.model.SensorError
@@ -154,7 +154,7 @@ class Subject(Protocol):
         """Return a filter kernel for logs with these measured outputs.
 
         Args:
-            unnamed: Include unnamed terms (`cosim.estimation.kernel.nameless`), if available.
+            unnamed: Include unnamed terms (`cosim.estimation.kernel.generate`), if available.
             constant: Parameters as constant states, estimated in the filter.
 
         Raises:
@@ -162,7 +162,7 @@ class Subject(Protocol):
         """
         ...
 
-    def start(self) -> Mapping[str, float]:
+    def start(self) -> NamedValues:
         """Return the start value of each state."""
         ...
 
@@ -170,7 +170,7 @@ class Subject(Protocol):
         """Return a replayer of logs for the delivered FMU or model, stored at `place`."""
         ...
 
-    def refined(self, claims: Mapping[str, float]) -> Subject:
+    def refined(self, claims: NamedValues) -> Subject:
         """Return the subject with changed or claimed parameter values."""
         ...
 
@@ -191,7 +191,7 @@ class Subject(Protocol):
         """Return further signal properties for the checks of logs."""
         return Traits()
 
-    def start_of_log(self, readings: Mapping[str, float]) -> Mapping[str, float]:
+    def start_of_log(self, readings: NamedValues) -> NamedValues:
         """Return the start value of each state in a log.
 
         Args:

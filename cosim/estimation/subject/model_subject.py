@@ -11,10 +11,11 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal, Self
 
+from cosim.core.arrays import NamedValues
 from cosim.core.units import DISPLAY
 from cosim.estimation.kernel.backend import kernel
+from cosim.estimation.kernel.generate import Known, bases
 from cosim.estimation.kernel.kernel import Data, Kernel
-from cosim.estimation.kernel.nameless import Known, bases
 from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Subject, Workplace
 from cosim.fmi.building.build import class_fmu
@@ -136,7 +137,7 @@ class ModelSubject(Subject):
         used = [entry for entry in named if entry[2] in sympy.sympify(basis).free_symbols]
         return sympy.lambdify([x for *_, x in used], basis, "numpy"), {name: unit for name, unit, _ in used}
 
-    def refined(self, claims: Mapping[str, float]) -> ModelSubject:
+    def refined(self, claims: NamedValues) -> ModelSubject:
         """Return the model with the claimed values; values of sensor errors are stored separately."""
         loaded = self.loaded
         parameters = {**loaded.parameters, **{n: v for n, v in claims.items() if n not in self.sensor_parameters}}
@@ -201,7 +202,7 @@ class FmuReplayer(Replayer):
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def replays(
-        self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
+        self, log: Log, data: Data, values: NamedValues, starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon, with one load of the FMU."""
         worker, limits = self.place.worker, self.place.limits
@@ -237,7 +238,7 @@ def shaping_effects(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
     return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
 
 
-def delayed_commands(model: Model, values: Mapping[str, float], log: Log, data: Data, k: int) -> Memory:
+def delayed_commands(model: Model, values: NamedValues, log: Log, data: Data, k: int) -> Memory:
     """Return commands still in a delay at row k, (start time, command), oldest first."""
     shaping = overrides(model.awake, "shape", Effect)
     waiting: dict[tuple[int, int], Any] = {}

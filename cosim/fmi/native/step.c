@@ -158,22 +158,3 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
     }
     return log->rows;
 }
-
-/* A step from each of some rows: states (count x NX) at the next row, outputs (count x NY) at the row itself. The `back` rows
- * before matter to a delay. Scratch: `read` and `reached` have back + 2 rows of outputs and states. */
-void single_steps(const Log *log, int count, const int *rows, int back, const double *p, const double *x0, const double *memories,
-                  double *read, double *reached, double *outputs, double *following)
-{
-    for (int k = 0; k < count; k++) {
-        const int before = rows[k] < back ? rows[k] : back, first = rows[k] - before;
-        Log part = *log;
-        part.rows = before + 2;
-        part.start = log->start + first * log->step;
-        part.u = log->u + NU * first;
-        double *next = reached + NX * (before + 1);
-        for (int i = 0; i < NX; i++) next[i] = NAN; /* stays where the model diverges */
-        simulate(&part, before, p, x0 + NX * k, memories + NM * k, NULL, read, reached, NULL);
-        memcpy(outputs + NY * k, read + NY * before, sizeof(double) * NY);
-        memcpy(following + NX * k, next, sizeof(double) * NX);
-    }
-}

@@ -7,16 +7,15 @@ base parameters within their tolerances, adapt to the predictions of the other. 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import FmuError, SimulationError
+from cosim.estimation.data import lagged_table
 from cosim.estimation.kernel.kernel import Data
-from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import WIDTHS
 from cosim.refinement.decision.posterior import MIXTURE
@@ -109,12 +108,11 @@ def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
     return replace(first, u=u, late=None)
 
 
-def _outputs(problem: Problem, data: Data, values: Mapping[str, float]) -> Array:
+def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
     """Return noise-free readings from the start of the first log, shape (rows, outputs); NaN if the FMU fails."""
-    p, state = problem.numbers(problem.of_log(values, 0)), problem.start(values, 0)[0]
     lags = problem.in_rows(problem.lagging, values, 0)
     try:
-        run = problem.kernel.simulate(data, p, state, np.zeros(problem.layout.memory))
+        run = problem.simulate(values, 0, data=data)
     except (FmuError, SimulationError):
         return np.full(data.y.shape, np.nan)
     return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))

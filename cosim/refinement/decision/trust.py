@@ -11,7 +11,6 @@ have no common scale; predictions of logs left out have, and decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,15 +18,15 @@ from cosim.estimation.posing import coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.scatter import held_out_errors, noise_gains, unknown_input_gain
+from cosim.refinement.decision.bundle import held_out_errors, noise_gains, unknown_input_gain
 from cosim.refinement.search.attribution import Attributor
-from cosim.refinement.search.fits import Hypothesis, Progress, Search, SearchResult
+from cosim.refinement.search.fits import Hypothesis, Progress, Search
 
 CLEARLY = 0.05  # difference of the log errors of predictions from which one way is better
 
 
-def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> SearchResult:
-    """Return the best hypothesis, with or without unknown inputs.
+def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Attributor:
+    """Return the search with or without unknown inputs.
 
     Equations are trusted if open-loop predictions of logs left out become clearly better.
     """
@@ -35,15 +34,15 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     def error(search: Search, h: Hypothesis) -> float:
         return float(np.mean(held_out_errors(search, h, h.fit)))
 
-    result = Attributor(subject, problem, candidates, progress).run()
-    if not any(gain > unknown_input_gain(problem) for gain in noise_gains(result.search.problem, result.best.fit)):
-        return result
+    free = Attributor(subject, problem, candidates, progress).run()
+    if not any(gain > unknown_input_gain(problem) for gain in noise_gains(free.problem, free.best.fit)):
+        return free
     progress("predicting with the equations trusted", 0.0)
-    given = {h.names: (h, error(result.search, h)) for h in (result.search.tried[()], result.best)}
+    given = {h.key: (h, error(free, h)) for h in (free.tried[frozenset()], free.best)}
     trusted = with_equations_trusted(subject, problem)
     search = Search(subject, coarsen(trusted), len(candidates), progress)
-    if all(error(search, search.hypothesis(h.candidates, h.fit)) > free - CLEARLY for h, free in given.values()):
-        return result
+    if all(error(search, search.hypothesis(h.candidates, h.fit)) > least - CLEARLY for h, least in given.values()):
+        return free
     other = Attributor(subject, trusted, candidates, progress).run()
-    is_better = error(other.search, other.best) < given[result.best.names][1] - CLEARLY
-    return replace(other, free_noise=result.best.fit.noise) if is_better else result
+    other.free_noise = free.best.fit.noise
+    return other if error(other, other.best) < given[free.best.key][1] - CLEARLY else free

@@ -9,30 +9,30 @@ through the kernel, which gives the same results.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, Field
 
-from cosim.core.arrays import Array, Rows
-from cosim.core.errors import SimulationError
+from cosim.core.arrays import Array, NamedValues, Rows
+from cosim.core.errors import InputError, SimulationError
 from cosim.core.linear_algebra import square_roots
+from cosim.core.text import plain
+from cosim.estimation.data import past_reading, replayed
 from cosim.estimation.fit import Fit
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
-from cosim.estimation.kernel.kernel import Begin, Filtered, simulate_all
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.past_readings import past_reading, replayed
-from cosim.estimation.per_log import expected_values, group_values, own, spread
-from cosim.estimation.posing import with_logs
-from cosim.estimation.problem import Problem, Settings
-from cosim.estimation.subject.interface import Replayer, Start, Subject
+from cosim.estimation.kernel.kernel import Begin, simulate_all
+from cosim.estimation.per_log import expected_values, group_values, own
+from cosim.estimation.posing import with_likely_starts, with_logs
+from cosim.estimation.problem import Noise, Problem
+from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
-from cosim.refinement.search.fits import Hypothesis
+from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
 from cosim.residuals.windows import Replay, window_rows
 
@@ -40,8 +40,14 @@ FLOOR_SEED = 20121
 DRAWS = 20
 PARTS = 8  # parts of a free run, each counted as one replay
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
+EQUAL = 1e-9  # largest difference of fast replays from those of the delivered object, relative to max(1, largest value)
 
+OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
+
+Part = Literal["estimation", "validation"]
+LogSets = Mapping[Part, Sequence[Log]]
 ReplayedLogs = list[tuple[Log, Replay]]
+Replayed = Mapping[str, Mapping[Part, Mapping[float, ReplayedLogs]]]  # model → set of logs → horizon
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,36 +60,9 @@ class Variant:
     """
 
     subject: Subject
-    values: Mapping[str, float]
+    values: NamedValues
     noise: Noise
     free_noise: Noise | None = None
-
-    def noise_of_starts(self, horizon: float) -> Noise:
-        """Return the noise of the filter from which replays over a horizon start.
-
-        A fit that trusts the equations has a filter that hardly follows the readings; replays within a log begin where
-        one that does follow them has arrived. A free run begins with the log.
-        """
-        return self.noise if self.free_noise is None or horizon == FREE_RUN else self.free_noise
-
-
-def refined_subject(subject: Subject, problem: Problem, claimed: Hypothesis) -> Subject:
-    """Return the subject with the fitted values of a claim, and with the substeps of the fit if it needed more.
-
-    A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
-    per log takes its mean.
-    """
-    fitted = {f.name: float(claimed.fit.values[f.name]) for f in claimed.fit.free if not f.group}
-    fitted |= {name: mean for name, (mean, _) in expected_values(claimed.fit).items()}
-    stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*problem.settings.tolerance}
-    if {c.kind for c in claimed.candidates} == {"sensor"}:
-        fitted = {n: v for n, v in fitted.items() if n in subject.sensor_parameters or n in stated}
-    refined = subject.refined(fitted)
-    times = max(log.substeps / subject.substeps(log.step) for log in problem.logs)
-    if times > 1.0:
-        refined = refined.with_finer_steps(times)
-    refined.horizon = subject.horizon
-    return refined
 
 
 def log_noise(fitted: Noise, free: Noise | None) -> Noise:
@@ -95,9 +74,30 @@ def log_noise(fitted: Noise, free: Noise | None) -> Noise:
     return fitted if free is None else replace(fitted, sensors=free.sensors)
 
 
-def variant_of(subject: Subject, settings: Settings, f: Fit, free_noise: Noise | None) -> Variant:
+def variant_of(search: Search, subject: Subject, f: Fit) -> Variant:
     """Return a subject with the noise and the parameters per log of a fit."""
-    return Variant(subject, {**subject.values, **group_values(f, settings.groups.values())}, f.noise, free_noise)
+    of_groups = group_values(f, search.problem.settings.groups.values())
+    return Variant(subject, {**subject.values, **of_groups}, f.noise, search.free_noise)
+
+
+def refined_variant(search: Search, h: Hypothesis) -> Variant:
+    """Return the subject with the fitted values of a hypothesis, and with the substeps of the fit if it needed more.
+
+    A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
+    per log takes its mean.
+    """
+    subject, problem = search.subject, search.problem
+    fitted = {f.name: float(h.fit.values[f.name]) for f in h.fit.free if not f.group}
+    fitted |= {name: mean for name, (mean, _) in expected_values(h.fit).items()}
+    stated = {p.name for p in subject.parameters if p.tolerance is not None} | {*problem.settings.tolerance}
+    if {c.kind for c in h.candidates} == {"sensor"}:
+        fitted = {n: v for n, v in fitted.items() if n in subject.sensor_parameters or n in stated}
+    refined = subject.refined(fitted)
+    times = max(log.substeps / subject.substeps(log.step) for log in problem.logs)
+    if times > 1.0:
+        refined = refined.with_finer_steps(times)
+    refined.horizon = subject.horizon
+    return variant_of(search, refined, h.fit)
 
 
 def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
@@ -120,9 +120,8 @@ def replay_logs(
     played: dict[float, ReplayedLogs] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         values = problem.of_log(variant.values, index)
-        starts, per_log = {}, {}
-        for horizon in played:
-            starts[horizon], per_log[horizon] = _starts(variant, problem, log, index, horizon)
+        begun = {horizon: _Starts(variant, problem, log, index, horizon) for horizon in played}
+        starts = {horizon: each.starts() for horizon, each in begun.items()}
         results = replayer.replays(log, problem.logs[index], values, starts)
         for horizon in played:
             try:
@@ -131,33 +130,9 @@ def replay_logs(
                 if horizon == judged:
                     raise
                 break  # A stopped FMU must not be called again.
-            corrected = _remove_sensor_errors(log, variant, per_log[horizon], replay.outputs)
-            played[horizon].append((corrected, replay))
+            played[horizon].append((begun[horizon].corrected(replay.outputs), replay))
         results.close()
     return played
-
-
-def _starts(
-    variant: Variant, problem: Problem, log: Log, index: int, horizon: float
-) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Return row → start of replay, and parameters per log."""
-    rows, layout = first_rows(log, horizon), problem.layout
-    data, noise = problem.data(variant.values, index), variant.noise_of_starts(horizon)
-    filtered = problem.filter_causally(data, variant.values, noise, index, log.grid[rows].tolist())
-    starts = {}
-    for k in rows:
-        row = int(log.grid[k])
-        here = problem.begin_replay(filtered, row)
-        per_log = {name: float(here[place]) for name, place in layout.constants.items()}
-        states = dict(zip(layout.states, filtered.states[row].tolist(), strict=True))
-        states |= {layout.states[k]: float(here[k]) for k in layout.start_places}
-        starts[k] = Start(states, filtered.memory[row], per_log)
-    return starts, _parameters_at_starts(problem, filtered, log.grid[rows], log.grid)
-
-
-def first_rows(log: Log, horizon: float) -> list[int]:
-    """Return the first rows of the replays."""
-    return [0] if horizon == FREE_RUN else window_rows(log, horizon)
 
 
 def rmse(evidence: ReplayedLogs) -> dict[str, float]:
@@ -165,55 +140,74 @@ def rmse(evidence: ReplayedLogs) -> dict[str, float]:
     return pool_errors(replay.errors(log) for log, replay in evidence)
 
 
-def _remove_sensor_errors(
-    log: Log, variant: Variant, per_log: Mapping[str, Array], simulated: Mapping[str, Array]
-) -> Log:
-    """Return the log without the modelled sensor errors.
+class _Starts:
+    """Starts of the replays of a log over a horizon, each filtered from past data.
 
-    Args:
-        per_log: Parameters per log, one value for each row.
-        simulated: Output → simulated value, for sensors that depend on the past or on other outputs.
+    A fit that trusts the equations has a filter that hardly follows the readings; replays within a log begin where one
+    that does follow them has arrived. A free run begins with the log.
+
+    Attributes:
+        first: Rows of the log where a replay starts; `rows`: the same in equal steps.
     """
-    outputs = dict(log.outputs)
-    for sensor in _sensors(variant, per_log):
-        read = [n for n in sensor.affected() if n in outputs]
-        if sensor.is_straight():
-            at_zero, gain = _line(sensor)
-            outputs |= {n: (outputs[n] - at_zero) / gain for n in read}
-        elif sensor.dormant:
-            continue
-        elif sensor.depends_on_past():
-            late = {n: past_reading(sensor, log.time, simulated[n], outputs[n]) - simulated[n] for n in read}
-            outputs |= {n: outputs[n] - error for n, error in late.items()}
-        else:
-            clean = {n: np.nan_to_num(simulated[n]) for n in sensor.affected()}
-            readings = sensor.readings(arrays(), log.time, {**simulated, **clean})
-            outputs |= {n: outputs[n] - np.asarray(readings[n] - clean[n]) for n in read}
-    return replace(log, outputs=outputs)
 
+    def __init__(self, variant: Variant, problem: Problem, log: Log, index: int, horizon: float) -> None:
+        self.variant, self.problem, self.log, self.index = variant, problem, log, index
+        self.data = problem.data(variant.values, index)
+        self.first = [0] if horizon == FREE_RUN else window_rows(log, horizon)
+        self.rows: list[int] = log.grid[self.first].tolist()
+        noise = variant.noise if variant.free_noise is None or horizon == FREE_RUN else variant.free_noise
+        self.filtered = problem.filter_causally(self.data, variant.values, noise, index, self.rows)
 
-def _sensors(variant: Variant, per_log: Mapping[str, Array]) -> Iterator[Any]:
-    """Yield the sensor errors in reverse order."""
-    values = {**variant.values, **per_log}
-    for kind in reversed(variant.subject.sensors):
-        yield kind(value=values[f"{kind.name}.value"])
+    def starts(self) -> dict[int, Start]:
+        """Return row → start of replay."""
+        problem, layout, starts = self.problem, self.problem.layout, {}
+        for k, row in zip(self.first, self.rows, strict=True):
+            here = problem.begin_replay(self.filtered, row)
+            per_log = {name: float(here[place]) for name, place in layout.constants.items()}
+            states = dict(zip(layout.states, self.filtered.states[row].tolist(), strict=True))
+            states |= {layout.states[k]: float(here[k]) for k in layout.start_places}
+            starts[k] = Start(states, self.filtered.memory[row], per_log)
+        return starts
+
+    def sensors(self, rows: Rows) -> Iterator[Any]:
+        """Yield the sensor errors in reverse order, with parameters per log at the start of each row's replay."""
+        values, constants = dict[str, Any](self.variant.values), self.problem.layout.constants
+        if constants:
+            begin = np.array(self.rows or [len(self.filtered.states) - 1], np.intp)
+            of_row = begin[np.maximum(0, np.searchsorted(begin, rows, side="left") - 1)].tolist()
+            states = {k: self.problem.drop_unknown_inputs(self.filtered.states[k]) for k in set(of_row)}
+            values |= {name: np.array([states[k][place] for k in of_row]) for name, place in constants.items()}
+        for kind in reversed(self.variant.subject.sensors):
+            yield kind(value=values[f"{kind.name}.value"])
+
+    def corrected(self, simulated: Mapping[str, Array]) -> Log:
+        """Return the log without the modelled sensor errors.
+
+        Args:
+            simulated: Output → simulated value, for sensors that depend on the past or on other outputs.
+        """
+        log, outputs = self.log, dict(self.log.outputs)
+        for sensor in self.sensors(log.grid):
+            read = [n for n in sensor.affected() if n in outputs]
+            if sensor.is_straight():
+                at_zero, gain = _line(sensor)
+                outputs |= {n: (outputs[n] - at_zero) / gain for n in read}
+            elif sensor.dormant:
+                continue
+            elif sensor.depends_on_past():
+                late = {n: past_reading(sensor, log.time, simulated[n], outputs[n]) - simulated[n] for n in read}
+                outputs |= {n: outputs[n] - error for n, error in late.items()}
+            else:
+                clean = {n: np.nan_to_num(simulated[n]) for n in sensor.affected()}
+                readings = sensor.readings(arrays(), log.time, {**simulated, **clean})
+                outputs |= {n: outputs[n] - np.asarray(readings[n] - clean[n]) for n in read}
+        return replace(log, outputs=outputs)
 
 
 def _line(sensor: Any) -> tuple[Any, Any]:
     """Return the reading at zero and the gain of a sensor with a linear error."""
     at_zero = sensor.measure(0.0)
     return at_zero, sensor.measure(1.0) - at_zero
-
-
-def _parameters_at_starts(problem: Problem, filtered: Filtered, starts: Rows, rows: Rows) -> dict[str, Array]:
-    """Return the parameters per log at each replay's start."""
-    constants = problem.layout.constants
-    if not constants:
-        return {}
-    begin = np.asarray(starts) if len(starts) else np.array([len(filtered.states) - 1])
-    of_row = begin[np.maximum(0, np.searchsorted(begin, rows, side="left") - 1)]
-    states = {k: problem.drop_unknown_inputs(filtered.states[k]) for k in set(of_row.tolist())}
-    return {name: np.array([states[k][place] for k in of_row.tolist()]) for name, place in constants.items()}
 
 
 def predicted_errors(variants: Sequence[Variant], problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
@@ -239,8 +233,11 @@ class Floor:
         scatter: Channel → standard deviation of the logarithm; channels with a single draw are omitted.
     """
 
-    level: Mapping[str, float]
-    scatter: Mapping[str, float]
+    level: NamedValues
+    scatter: NamedValues
+
+
+Floors = Mapping[Part, Floor]
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
@@ -275,25 +272,20 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
         return {}
     problem, ends = with_logs(variant.subject, problem, logs), dict[str, float]()
     for index, origin in enumerate(problem.origins):
-        last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index, states=True).states[-1])
+        last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index).states[-1])
         for name, place in problem.layout.constants.items():
-            ends |= {own(name, origin.group): float(last[place]), spread(name, origin.group): 0.0}
+            ends[own(name, origin.group)] = float(last[place])
     return ends
 
 
-class _KernelReplays:
-    """Kernel replays of a log over the model's horizon, each from the state filtered from past data."""
+class _KernelReplays(_Starts):
+    """Kernel replays of a log over the model's horizon."""
 
     def __init__(self, variant: Variant, problem: Problem, log: Log, index: int) -> None:
-        data, horizon = problem.data(variant.values, index), variant.subject.horizon
-        self.variant, self.problem, self.index, self.data = variant, problem, index, data
-        self.rows: list[int] = log.grid[first_rows(log, horizon)].tolist()  # of the replays
-        noise = variant.noise_of_starts(horizon)
-        self.filtered = problem.filter_causally(data, variant.values, noise, index, self.rows)
-        starts, every_row = np.array(self.rows, np.intp), np.arange(len(data.u))
-        per_log = _parameters_at_starts(problem, self.filtered, starts, every_row)
-        gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
-        for sensor in _sensors(variant, per_log):
+        super().__init__(variant, problem, log, index, variant.subject.horizon)
+        every_row = np.arange(len(self.data.u))
+        gains = dict.fromkeys(problem.layout.outputs, np.ones(len(every_row)))
+        for sensor in self.sensors(every_row):
             if sensor.is_straight():
                 gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
         self.gains = np.column_stack(list(gains.values()))
@@ -347,13 +339,11 @@ class _KernelReplays:
             inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
         return deviations[1:]
 
-    def _simulate(
-        self, values: Mapping[str, float], starts: Mapping[int, Array] | Array, kicks: Array | None = None
-    ) -> Array:
+    def _simulate(self, values: NamedValues, starts: Mapping[int, Array] | Array, kicks: Array | None = None) -> Array:
         """Return outputs of simulations from given states, infinite where they diverge, NaN elsewhere."""
         problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-        p, outputs = problem.numbers(problem.of_log(values, self.index)), np.full(data.y.shape, np.nan)
+        p, outputs = problem.parameters(values, self.index), np.full(data.y.shape, np.nan)
         parts = {k: data.rows(0, min(k + length, len(data.u) - 1) + 1) for k in self.rows}
         begins: list[Begin] = [(part, p, starts[k], self.filtered.memory[k], kicks, k) for k, part in parts.items()]
         for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
@@ -391,7 +381,7 @@ def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
     return len(rises) > 1 and bool(ttest_1samp(rises, 0.0, alternative="greater").pvalue < chance)
 
 
-def remaining_on_sealed_logs(before: ReplayedLogs, after: ReplayedLogs, floor: Mapping[str, float]) -> dict[str, float]:
+def remaining_on_sealed_logs(before: ReplayedLogs, after: ReplayedLogs, floor: NamedValues) -> dict[str, float]:
     """Return channel with excess error before → share of it that remains after."""
     old, new = rmse(before), rmse(after)
     shares = {n: remaining_excess(old[n], new[n], f) for n, f in floor.items() if n in old and n in new}
@@ -414,3 +404,75 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
         sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
         ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
     return ratios
+
+
+# Replays of every variant on every set of logs, through a fast replayer if equal to the delivered object.
+#
+# The delivered object replays a log for comparison. If the results differ, or no fast replayer exists, the delivered
+# object replays every log, and the record states this.
+
+
+class Replays(BaseModel):
+    """FMUs used for the replays.
+
+    why: why not natively; empty where it was
+    log: the log that plant.fmu has replayed too
+    apart: relative difference of the two there
+    """
+
+    through: Literal["native", "python", "own"]
+    why: str = ""
+    log: str = ""
+    apart: Annotated[float, Field(allow_inf_nan=False)] | None = None
+
+
+def replay_variants(
+    variants: Mapping[str, Variant], problem: Problem, sets: LogSets, place: Workplace
+) -> tuple[Replayed, Replays]:
+    """Replay every variant on every set of logs; return the replays and the FMU used."""
+
+    def replay_all(replayer_of: Callable[[Subject], Replayer]) -> Replayed:
+        done: dict[int, dict[Part, dict[float, ReplayedLogs]]] = {}
+        for variant in variants.values():
+            if id(variant) not in done:  # one that stands twice is replayed once
+                source = variant, replayer_of(variant.subject), problem
+                horizons = list(OTHER_HORIZONS.values())
+                done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in sets.items()}
+        return {name: done[id(variant)] for name, variant in variants.items()}
+
+    def replay_delivered() -> Replayed:
+        return replay_all(lambda subject: subject.replayer(place))
+
+    after = variants["after"]
+    own = after.subject.replayer(place)
+    ways, why = dict[int, Replayer](), ""
+    subjects = {id(v.subject): v.subject for v in variants.values()}
+    try:
+        ways = {key: way for key, s in subjects.items() if (way := s.quick_replayer(place)) is not None}
+    except InputError as error:
+        why = error.faults[0].message
+    if len(ways) < len(subjects):
+        return replay_delivered(), Replays(through=own.through, why=why)
+    played = replay_all(lambda subject: ways[id(subject)])
+    part: Part = "validation" if "validation" in sets else "estimation"
+    k, log = min(enumerate(sets[part]), key=lambda entry: entry[1].rows)
+    horizon, name = after.subject.horizon, log.path.name
+    replay = replay_logs(after, own, problem, [log])[horizon][0][1]
+    apart = difference(played["after"][part][horizon][k][1], replay)
+    if apart <= EQUAL:
+        return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
+    why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
+    finite = apart if math.isfinite(apart) else None
+    return replay_delivered(), Replays(through=own.through, why=why, log=name, apart=finite)
+
+
+def difference(one: Replay, other: Replay) -> float:
+    """Return the largest relative difference of outputs, possibly infinite."""
+    largest = 0.0
+    for name, values in one.outputs.items():
+        others, rows = other.outputs[name], np.isfinite(other.outputs[name])
+        if not np.array_equal(rows, np.isfinite(values)):
+            return float("inf")
+        apart = np.max(np.abs(values[rows] - others[rows]), initial=0.0)
+        largest = max(largest, float(apart) / float(np.max(np.abs(others[rows]), initial=1.0)))
+    return largest

@@ -12,28 +12,25 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.text import MISSING, counted, display, displayed, finer, percent, plain, shown_unit
 from cosim.core.units import unit_of_rate
-from cosim.estimation.data import count_unscored
+from cosim.estimation.data import count_unscored, past_reading
 from cosim.estimation.fit import Fit
-from cosim.estimation.kernel.nameless import READING
-from cosim.estimation.past_readings import past_reading
+from cosim.estimation.kernel.generate import READING
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement.proof.measure import ReplayedLogs
-from cosim.refinement.record import Part
+from cosim.refinement.proof.measure import Part, ReplayedLogs
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.missing import (
     MOST_ROWS,
-    Smoothed,
-    Steps,
+    MissingInput,
     contributions,
     loosen_noise,
+    outputs_along,
     smooth_logs,
-    smooth_unknown_inputs,
     smoothed_logs,
 )
-from cosim.refinement.search.shapes import Shape, Signals, signals_of, values_of
+from cosim.refinement.search.unnamed import Shape, Signals, signal_units, signals_of, values_of
 from cosim.report.charts import Abscissa, Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.report import neighbours
@@ -111,7 +108,7 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     for variant, noise in pairs:
         parts = []
         for k, data in enumerate(problem.logs):
-            run = problem.run({**problem.values, **variant.values}, noise, k)
+            run = problem.run(variant.values, noise, k, states=False)
             first = min(count_unscored(data), max(0, len(run.errors) - 2))
             scaled = (run.errors / np.sqrt(run.variances))[first:]
             parts.append(np.where(np.isfinite(scaled), scaled, np.nan))
@@ -167,7 +164,7 @@ class EffectComparison:
         estimated: Estimate without the claim, row by row; `sigma`: its standard deviation.
         term: Claimed value; None without a claim.
         first: Number of rows of the first log.
-        share: Mean square share explained by the term.
+        fitted_share: Mean square share explained by the term in a fit; None for that of the estimate.
     """
 
     effect: str
@@ -178,14 +175,19 @@ class EffectComparison:
     time: Array
     estimated: Array
     sigma: Array
-    term: Array | None
     first: int
-    share: float
+    term: Array | None = None
+    fitted_share: float | None = None
 
     @property
     def quantity(self) -> str:
         """Return the missing quantity in words."""
         return f"error of {self.where}" if self.kind == "sensor" else f"missing derivative of {self.where}"
+
+    @property
+    def share(self) -> float:
+        """Return the mean square share explained by the term."""
+        return _explained(self.estimated, self.term) if self.fitted_share is None else self.fitted_share
 
 
 def _explained(values: Array, term: Array | None) -> float:
@@ -194,19 +196,27 @@ def _explained(values: Array, term: Array | None) -> float:
     return max(0.0, 1.0 - float(np.mean((values - term) ** 2)) / power) if term is not None and power else math.nan
 
 
+def _like(values: Array, term: Array) -> Array:
+    """Return a term scaled to the least mean square distance from values, or 0 for one of the other sign."""
+    power = float(term @ term)
+    return np.asarray(term * max(0.0, float(values @ term) / power if power else 0.0))
+
+
 def compare_effects(r: Refinement) -> list[EffectComparison]:
     """Return a comparison for each claimed effect; without a claim, for an unexplained residual."""
-    claim, subject, problem = r.verdict.claimed, r.study.subject, r.problem
+    claim, problem = r.verdict.claimed, r.problem
     if claim is None:
         return [_compare_residual(r)] if r.verdict.name == "unexplained" else []
     compared = []
     for c in claim.candidates:
+        if c.kind == "sensor":
+            compared.append(_compare_sensor(r.study.subject, problem, c, claim.fit))
+            continue
         without = r.verdict.base.fit
         if len(claim.candidates) > 1:  # the other candidates stay, so that only this term is missing
             neutral = {n: problem.values[n] for n in c.parameters}
             without = replace(without, values={**claim.fit.values, **neutral})
-        compare = _compare_sensor if c.kind == "sensor" else _compare_term
-        compared.append(compare(subject, problem, c, without, claim.fit))
+        compared.append(_compare_term(r.study.subject, problem, c, without, claim.fit))
     return compared
 
 
@@ -215,98 +225,104 @@ def _compare_term(subject: Subject, problem: Problem, c: Candidate, without: Fit
 
     The comparison is for the equation whose term is largest relative to the uncertainty.
     """
-    parts, _, sigma = smooth_logs(problem, without)
-    terms = np.vstack([contributions(problem, without, with_it, k) for k, _ in parts])
-    column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(sigma, axis=0)))
-    against = _choose(subject, signals_of(problem, parts), subject.drawn_against.get(c.name, ()), terms[:, column])
-    return _of_equation(subject, parts, column, against, effect=c.name, kind=c.kind, term=terms[:, column])
+    missing = smooth_logs(problem, without, deviations=problem.layout.is_free_run)
+    terms = np.vstack([contributions(problem, without, with_it, k) for k in range(len(missing.rows))])
+    column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(missing.sigma, axis=0)))
+    signals, drawn = signals_of(problem, missing), subject.drawn_against.get(c.name, ())
+    against, term = _choose(subject, signals, drawn, terms[:, column]), terms[:, column]
+    return _of_equation(subject, missing, column, effect=c.name, kind=c.kind, against=against, term=term)
 
 
 def _compare_residual(r: Refinement) -> EffectComparison:
     """Compare the missing derivative beside the best hypothesis with the most promising unnamed term."""
     subject, problem, best, residual = r.study.subject, r.problem, r.verdict.best.fit, r.verdict.residual
-    parts, value, sigma = smooth_unknown_inputs(problem, best)
-    equations, signals = parts[0][1].equations, signals_of(problem, parts)
-    column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
+    missing, first = smooth_logs(problem, best), next(iter(residual["terms"]), None)
+    value, equations, signals = missing.value, missing.equations, signals_of(problem, missing)
+    if first and first["equation"].startswith(READING):
+        return _compare_reading(subject, problem, best, missing, signals, first)
+    column = int(np.argmax(value.std(axis=0) / np.median(missing.sigma, axis=0)))
     if residual["equation"] in equations:
         column = equations.index(residual["equation"])
-    first = next(iter(residual["terms"]), None)
-    if first and first["equation"].startswith(READING):
-        return _of_reading(subject, problem, best, parts, signals, first)
     first = next((term for term in residual["terms"] if term["equation"] == equations[column]), None)
     basis = subject.nameless(first["signal"]) if first else None
     if first and first.get("local"):
-        shape = Shape.of_entry(first["equation"], first["local"])
-        term = shape.columns(signals) @ np.array(first["local"]["sizes"])
-        against = Regressor(shape.signal, shape.unit, values_of(signals, shape.of))
+        against, term = _local(first, signals)
     elif first and basis:
         evaluate, units = basis
-        term = first["coefficient"] * np.broadcast_to(
-            evaluate(*(signals[name] for name in units)), signals["time"].shape
-        )
+        own = evaluate(*(signals[name] for name in units))
+        term = first["coefficient"] * np.broadcast_to(own, signals["time"].shape)
         chosen = next(iter(units), "time")
         against = Regressor(chosen, units.get(chosen, "s"), signals[chosen])
     else:
-        return _of_equation(subject, parts, column, _choose(subject, signals, (), value[:, column]))
-    power = float(term @ term)
-    term = term * max(0.0, float(value[:, column] @ term) / power if power else 0.0)
-    return _of_equation(subject, parts, column, against, effect=first["signal"], term=term, share=residual["share"])
+        against = _choose(subject, signals, (), value[:, column])
+        return _of_equation(subject, missing, column, effect="", kind="nameless", against=against)
+    about = {"effect": first["signal"], "kind": "nameless", "fitted_share": residual["share"]}
+    return _of_equation(subject, missing, column, against=against, term=_like(value[:, column], term), **about)
 
 
-def _of_reading(
-    subject: Subject, problem: Problem, best: Fit, parts: Smoothed, signals: Signals, entry: Mapping[str, Any]
+def _local(entry: Mapping[str, Any], signals: Signals) -> tuple[Regressor, Array]:
+    """Return the signal of a local shape, and its values."""
+    shape = Shape.of_entry(entry["equation"], entry["local"])
+    values = shape.columns(signals) @ np.array(entry["local"]["sizes"])
+    return Regressor(shape.signal, shape.unit, values_of(signals, shape.of)), values
+
+
+def _compare_reading(
+    subject: Subject, problem: Problem, best: Fit, missing: MissingInput, signals: Signals, entry: Mapping[str, Any]
 ) -> EffectComparison:
     """Compare the innovations of an output with an unnamed term of its reading."""
-    name, shape = entry["equation"].removeprefix(READING), Shape.of_entry(entry["equation"], entry["local"])
-    column = problem.layout.outputs.index(name)
-    runs = [(problem.innovations(best.values, best.noise, k), m.rows(problem.logs[k])) for k, m in parts]
-    errors, variances = (np.concatenate([run[which][rows, column] for run, rows in runs]) for which in (0, 1))
-    read = np.isfinite(errors)
-    term, values = (shape.columns(signals) @ np.array(entry["local"]["sizes"]))[read], errors[read]
-    term = term * max(0.0, float(values @ term) / max(float(term @ term), np.finfo(float).tiny))
-    unit = next(q.unit for q in subject.outputs if q.name == name)
-    against = Regressor(shape.signal, shape.unit, values_of(signals, shape.of)[read])
-    times, sigma, first = signals["time"][read], np.sqrt(variances[read]), int(read[: len(parts[0][1].time)].sum())
-    effect, share = f"{shape.kind} over {shape.signal}", _explained(values, term)
-    return EffectComparison(effect, "sensor", name, unit, against, times, values, sigma, term, first, share)
+    name = entry["equation"].removeprefix(READING)
+    runs = [problem.innovations(best.values, best.noise, k) for k in range(len(missing.rows))]
+    errors, variances = (
+        missing.of_logs(tables)[:, problem.layout.outputs.index(name)] for tables in zip(*runs, strict=True)
+    )
+    read, (against, term) = np.isfinite(errors), _local(entry, signals)
+    return EffectComparison(
+        f"{entry['local']['kind']} over {against.name}",
+        "sensor",
+        name,
+        _unit_of(subject, name),
+        against._replace(values=against.values[read]),
+        signals["time"][read],
+        errors[read],
+        np.sqrt(variances[read]),
+        int(missing.by_log(read)[0].sum()),
+        _like(errors[read], term[read]),
+    )
 
 
-def _of_equation(
-    subject: Subject,
-    parts: Smoothed,
-    column: int,
-    against: Regressor,
-    *,
-    effect: str = "",
-    kind: str = "nameless",
-    term: Array | None = None,
-    share: float | None = None,
-) -> EffectComparison:
+def _of_equation(subject: Subject, missing: MissingInput, column: int, **about: Any) -> EffectComparison:
     """Return the comparison of an equation's missing input with a term."""
-    where, logs = parts[0][1].equations[column], [m for _, m in parts]
-    value, sigma = (np.concatenate([getattr(m, of)[:, column] for m in logs]) for of in ("value", "sigma"))
-    unit = next((unit_of_rate(q.unit) for q in subject.states if q.name == where), "")
-    time, share = np.concatenate([m.time for m in logs]), _explained(value, term) if share is None else share
-    first = len(logs[0].time)
-    return EffectComparison(effect, kind, where, unit, against, time, value, sigma, term, first, share)
+    return EffectComparison(
+        where=missing.equations[column],
+        unit=next((unit_of_rate(q.unit) for q in subject.states if q.name == missing.equations[column]), ""),
+        time=missing.time,
+        estimated=missing.value[:, column],
+        sigma=missing.sigma[:, column],
+        first=missing.rows[0].stop - missing.rows[0].start,
+        **about,
+    )
 
 
-def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, _: Fit, with_it: Fit) -> EffectComparison:
+def _unit_of(subject: Subject, output: str) -> str:
+    return next(q.unit for q in subject.outputs if q.name == output)
+
+
+def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit) -> EffectComparison:
     """Compare estimated and claimed error of a sensor, along the filtered states of the refined model.
 
     The comparison is for the output with the largest error.
     """
     kind: Any = next(k for k in subject.sensors if k.name == c.name)
-    names, parts = problem.layout.outputs, []
+    names, parts, noise = problem.layout.outputs, [], loosen_noise(problem, claim.noise)
+    neutral = {**claim.values, **{n: problem.values[n] for n in c.parameters}}
     for index in smoothed_logs(problem):
-        data, noise = problem.logs[index], loosen_noise(problem, with_it.noise)
-        run = problem.run({**problem.values, **with_it.values}, noise, index, states=True)
+        data, run = problem.logs[index], problem.run(claim.values, noise, index)
         count = min(len(data.u), MOST_ROWS) - 1
-        neutral = {n: problem.values[n] for n in c.parameters}
-        clean = Steps(problem, index, {**with_it.values, **neutral}).outputs_along(run, count)
-        wrong, times = Steps(problem, index, with_it.values).outputs_along(run, count), data.times[:count]
+        clean = outputs_along(problem, index, neutral, run, count)
+        wrong, times = outputs_along(problem, index, claim.values, run, count), data.times[:count]
         if kind.depends_on_past():
-            sensor = kind(value=with_it.values[c.parameters[0]])
+            sensor = kind(value=claim.values[c.parameters[0]])
             wrong = np.column_stack([past_reading(sensor, times, column) for column in clean.T])
         rate = np.gradient(clean, data.step, axis=0)
         scored = slice(min(count_unscored(data), count - 1), count)
@@ -315,21 +331,26 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, _: Fit, wi
     sizes = np.sqrt(np.nanmean((wrong - clean) ** 2, axis=0) / problem.r)
     channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
     rows = np.isfinite(y[:, channel]) & np.isfinite(wrong[:, channel])
-    name, missing, term = names[channel], (y - clean)[rows, channel], (wrong - clean)[rows, channel]
+    name, term = names[channel], (wrong - clean)[rows, channel]
     signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
     signals[f"rate of {name}"] = rate[rows, channel]
-    against = _choose(subject, signals, subject.drawn_against.get(c.name, ()), term)
-    unit = next(q.unit for q in subject.outputs if q.name == name)
-    sigma, first = np.full(len(term), float(np.sqrt(problem.r[channel]))), int(rows[: len(parts[0][0])].sum())
-    share = _explained(missing, term)
-    return EffectComparison(c.name, "sensor", name, unit, against, time[rows], missing, sigma, term, first, share)
+    return EffectComparison(
+        c.name,
+        "sensor",
+        name,
+        _unit_of(subject, name),
+        _choose(subject, signals, subject.drawn_against.get(c.name, ()), term),
+        time[rows],
+        (y - clean)[rows, channel],
+        np.full(len(term), float(np.sqrt(problem.r[channel]))),
+        int(rows[: len(parts[0][0])].sum()),
+        term,
+    )
 
 
 def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
     """Return the signal whose bins explain most of the variance of `values`; suggested signals have precedence."""
-    units = {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}}
-    units |= {q.name: q.unit for q in (*subject.states, *subject.outputs)}
-    units |= {f"rate of {q.name}": unit_of_rate(q.unit) for q in subject.outputs}
+    units = signal_units(subject)
     names = [n for n in suggested if all(one in signals for one in n.split(TIMES))]
     found = []
     for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:

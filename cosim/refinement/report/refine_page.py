@@ -33,7 +33,7 @@ from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import error_text, rounded
 from cosim.refinement.decision.posterior import CERTAIN
-from cosim.refinement.record import OTHER_HORIZONS, Part
+from cosim.refinement.proof.measure import OTHER_HORIZONS, Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import innovations, modes, runs, shown_effects
 from cosim.refinement.search.fits import Hypothesis
@@ -220,9 +220,9 @@ def posterior_rows(r: Refinement) -> Rows:
         if e["model"] != "before"
     }
     claimed = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # of rivals, the whole set is no claim
-    delivered = {frozenset(h.names): outcome for h, outcome in ((near, "nearest model"), (claim, claimed)) if h}
-    sealed = {frozenset[str](): "recalibrated"} | ({frozenset(near.names): "nearest"} if near else {})
-    sealed |= {frozenset(claim.names): "after"} if claim else {}
+    delivered = {h.key: outcome for h, outcome in ((near, "nearest model"), (claim, claimed)) if h}
+    sealed = {frozenset[str](): "recalibrated"} | ({near.key: "nearest"} if near else {})
+    sealed |= {claim.key: "after"} if claim else {}
     others = []
     for entry in record["posterior"]:
         names, probability = frozenset[str](entry["names"]), entry["probability"]

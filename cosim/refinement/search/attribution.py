@@ -13,22 +13,30 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.stats import norm
 
 from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
-from cosim.estimation.free_runs import with_likely_starts
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import coarsen, with_finer_steps
+from cosim.estimation.posing import coarsen, with_finer_steps, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.bundle import evidence, optima
-from cosim.refinement.decision.posterior import CERTAIN, MISFIT, POSSIBLE, dispersion, folded, log_prior, posterior
+from cosim.refinement.decision.posterior import (
+    CERTAIN,
+    MISFIT,
+    POSSIBLE,
+    Names,
+    dispersion,
+    folded,
+    log_prior,
+    posterior,
+)
 from cosim.refinement.search.fits import (
     HOPE,
     NEAR,
@@ -36,7 +44,6 @@ from cosim.refinement.search.fits import (
     Parts,
     Progress,
     Search,
-    SearchResult,
     Trial,
     best_hypothesis,
     key_of,
@@ -58,6 +65,7 @@ class Attributor(Search):
         fine: The problem with all substeps; `problem` has as few as the likelihood allows.
         usual: Candidates with their usual periods; `candidates` have likely ones.
         identifiable: Candidate → largest χ² of its terms at their usual size.
+        best: The best hypothesis at the end.
     """
 
     def __init__(
@@ -71,32 +79,33 @@ class Attributor(Search):
         self.candidates, self.usual, self.fine = [*candidates], tuple(candidates), problem
         self.identifiable: dict[str, float] = {}
 
-    def run(self) -> SearchResult:
-        """Fit the base model, promising sets of candidates in rounds, then the finalists; return the result."""
+    def run(self) -> Self:
+        """Fit the base model, promising sets of candidates in rounds, then the finalists."""
         self.progress("recalibrating the base model", 0.0)
         base = self._with_likely_starts(self.from_the_prior(self.hypothesis((), None)))
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
-        self.tried = {(): base}
+        self.tried = {base.key: base}
         self.problem = replace(self.problem, sensing=base.fit.noise)
         self._rescore()
-        best = self.tried[()]
+        best = self.tried[base.key]
         while proposed := self._proposals(best):
             is_first = len(self.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
             fitted = self.fit_all(proposed, best, stage)
             self.fit_all(self._reductions(fitted), best, "leaving out what does nothing")
             self._rescore()
-            before, best = self.tried[best.names].score, best_hypothesis(self.tried.values())
+            before, best = self.tried[best.key].score, best_hypothesis(self.tried.values())
             if best.score > before - DONE * self.problem.scatter:
                 break
             (settled,) = self.fit_to_the_end([(best.candidates, best.fit)])
             settled = self._with_stamp_errors(settled)
             further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
             self.tried = {n: replace(o, score=o.score - further) for n, o in self.tried.items()}
-            self.tried[settled.names] = settled
+            self.tried[settled.key] = settled
             self._rescore()
             best = best_hypothesis(self.tried.values())
-        return self._finish(base, best)
+        self._finish(base, best)
+        return self
 
     def _pose(self, **changes: Any) -> None:
         """Change the problem."""
@@ -165,7 +174,7 @@ class Attributor(Search):
     def _proposals(self, best: Hypothesis) -> list[Trial]:
         """Return promising untried sets of candidates with start values."""
         test = ScoreTest(self.problem, best.fit, best.candidates)
-        chosen = {c.name: c for c in self.candidates if c.name in best.names}
+        chosen = {c.name: c for c in self.candidates if c.name in best.key}
         every = [chosen.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
         self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
@@ -175,13 +184,12 @@ class Attributor(Search):
         for t in terms:
             name = t.candidate.name
             self.identifiable[name] = max(t.identifiable, self.identifiable.get(name, 0.0))
-        switched = {t.candidate.name: t.candidate for t in terms if t.switched and t.candidate.name not in best.names}
-        grown = [t for t in terms if t.candidate.name not in switched]
-        choice = Choice(test, grown, best.candidates, self.problem.values)
+        switched = [t for t in terms if t.switched and t.candidate.name not in best.key]
+        choice = Choice(test, [t for t in terms if t not in switched], best.candidates, self.problem.values)
         named = {c.name: c for c in self.candidates}
         ranking: list[tuple[float, Trial]] = []
         for names in self._sets(choice, best):
-            if tuple(sorted(names)) in self.tried:
+            if frozenset(names) in self.tried:
                 continue
             promise, parts = choice.promise(names), tuple(named[n] for n in names)
             dearer = self.cost(parts) - self.cost(best.candidates)
@@ -191,7 +199,7 @@ class Attributor(Search):
         whole = [] if best.candidates else [*self._complete_errors()]
         known = {key_of(parts) for parts, _ in whole}
         likely = [trial for _, trial in ranking[:FITTED] if key_of(trial[0]) not in known]
-        return [*likely, *(((*best.candidates, c), None) for c in switched.values()), *whole]
+        return [*likely, *(((*best.candidates, t.candidate), None) for t in switched), *whole]
 
     def _complete_errors(self) -> Iterator[Trial]:
         """Yield complete errors with the given parameters, as the base fit may have gone where they promise nothing.
@@ -199,7 +207,7 @@ class Attributor(Search):
         With a sensor that shows the magnitude, it follows one direction only.
         """
         problem = self.problem
-        untried = [c for c in self.candidates if c.complete and (c.name,) not in self.tried]
+        untried = [c for c in self.candidates if c.complete and key_of((c,)) not in self.tried]
         plain = problem.score(problem.values, problem.plain).nll if untried else 0.0
         for c in untried:
             if problem.score({**problem.values, **c.complete}, problem.plain).nll != plain:  # it acts on these logs
@@ -208,7 +216,7 @@ class Attributor(Search):
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:
         """Yield sets of candidates near a hypothesis: some added, one removed, one replaced by up to two."""
-        others = [name for name in choice.terms if name not in best.names]
+        others = [name for name in choice.terms if name not in best.key]
         promises = choice.extensions(best.names)
         likely = [*promises][:FITTED]
         yield from ((*best.names, name) for name in promises if promises[name].within)
@@ -222,7 +230,7 @@ class Attributor(Search):
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
         """Return each fit's candidates without ineffective parts."""
-        sets: dict[tuple[str, ...], Trial] = {}
+        sets: dict[Names, Trial] = {}
         for h in fitted:
             neutral = self.problem.values
             parts = tuple(c for c in h.candidates if h.loss_without(c, neutral) > self.cost([c]))
@@ -230,40 +238,41 @@ class Attributor(Search):
                 sets[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
         return list(sets.values())
 
-    def _finish(self, base: Hypothesis, best: Hypothesis) -> SearchResult:
+    def _finish(self, base: Hypothesis, best: Hypothesis) -> None:
         """Fit the best hypotheses, and those around them, to convergence with full substeps."""
         self.progress("fitting the best to the end", 0.0)
         enough = zip(self.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
         logs = [replace(log, substeps=max(base.substeps, other.substeps)) for base, other, log in enough]
         self.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=self.problem.scatter)
         self.tried = {n: replace(h, ended=False) for n, h in self.tried.items()}
-        best = self.fit_to_the_end([(h.candidates, h.fit) for h in {base.names: base, best.names: best}.values()])[-1]
+        best = self.fit_to_the_end([(h.candidates, h.fit) for h in {base.key: base, best.key: best}.values()])[-1]
         best = self._with_enough_substeps(best)
-        self.tried[best.names] = best
+        self.tried[best.key] = best
         self._rescore()
-        best = self.tried[best.names]
+        best = self.tried[best.key]
         # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
         from_best: list[Start] = [((), best.fit)] if best.candidates else []
         self.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
-        self._fit_neighbours()
-        best = best_hypothesis(h for h in self.tried.values() if h.ended)
-        while (posed := with_finer_steps(self.problem, best.fit.values, best.fit.noise)) is not self.problem:
-            self.problem, ended = posed, [h for h in self.tried.values() if h.ended]
+        while True:
+            self._fit_neighbours()
+            ended = [h for h in self.tried.values() if h.ended]
+            self.best = best = best_hypothesis(ended)
+            posed = with_finer_steps(self.problem, best.fit.values, best.fit.noise)
+            if posed is self.problem:
+                break
+            self.problem = posed
             self.tried = {n: replace(h, ended=False) for n, h in self.tried.items()}
             self.fit_to_the_end([(h.candidates, h.fit) for h in ended])
-            self._fit_neighbours()
-            best = best_hypothesis(h for h in self.tried.values() if h.ended)
-        absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
-        hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
-        return SearchResult(self, best, hidden, tuple(self.candidates))
+        absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.key]
+        self.hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
 
     def _beyond_special_cases(self, best: Hypothesis) -> list[Start]:
         """Return sets near the best with an effect in place of its special case, starting from the values of that."""
-        starts = dict[tuple[str, ...], Start]()
+        starts = dict[Names, Start]()
         near = sorted((h for h in self.tried.values() if h.score - best.score < self.near), key=lambda h: h.score)
         for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
             values = values_of_special_case(rich, simple, h.fit.values)
-            if values and rich.name not in h.names:
+            if values and rich.name not in h.key:
                 parts = (*(c for c in h.candidates if c is not simple), rich)
                 free = (*h.fit.free, *rich.free)
                 starts.setdefault(key_of(parts), (parts, replace(h.fit, values={**h.fit.values, **values}, free=free)))
@@ -275,13 +284,13 @@ class Attributor(Search):
         A posterior needs every such set. A score test predicts the gain; what would be probable is fitted to the end,
         until nothing probable is untried.
         """
-        asked = set[frozenset[str]]()
+        asked = set[Names]()
         for _ in range(EXPANSIONS):
-            ended = {frozenset(h.names): h for h in optima(self)}
+            ended = {h.key: h for h in optima(self)}
             sets, kappa = posterior([evidence(self, h) for h in ended.values()], len(self.candidates))
             classes = folded(sets, ())
             ranked = [*classes]
-            starts: dict[tuple[str, ...], Start] = {}
+            starts: dict[Names, Start] = {}
             mass = np.cumsum([*classes.values()])
             leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
             probable = [parts for parts in leading if parts not in asked]
@@ -293,8 +302,8 @@ class Attributor(Search):
             best = ended[ranked[0]]
             near = [h for h in self.tried.values() if not h.ended and h.score - best.score < NEAR * kappa]
             for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
-                starts[h.names] = h.candidates, h.fit
-            untried = [s for names, s in starts.items() if not (names in self.tried and self.tried[names].ended)]
+                starts[h.key] = h.candidates, h.fit
+            untried = [s for key, s in starts.items() if not (key in self.tried and self.tried[key].ended)]
             untried += self._without_idle_parts(best.score + NEAR * kappa)
             untried += self._worse_than_their_parts(best.score + NEAR * kappa)
             if not untried:
@@ -307,7 +316,7 @@ class Attributor(Search):
         Args:
             limit: Score from which a set is too improbable.
         """
-        starts, given = dict[tuple[str, ...], Start](), self.problem.values
+        starts, given = dict[Names, Start](), self.problem.values
         for h in self.tried.values():
             moved = {f.name for c in h.candidates for f in c.free if f.neutral is not None or c.kind == "parameter"}
             moved = {name for name in moved if h.fit.values[name] != given[name]}
@@ -324,10 +333,10 @@ class Attributor(Search):
         Args:
             limit: Score from which a set is too improbable.
         """
-        reached = {h.names for h in optima(self)}
+        reached = {h.key for h in optima(self)}
         for h in self.tried.values():
-            if h.ended and h.names not in reached:
-                within = [o.fit.objective for o in self.tried.values() if o.ended and {*o.names} < {*h.names}]
+            if h.ended and h.key not in reached:
+                within = [o.fit.objective for o in self.tried.values() if o.ended and o.key < h.key]
                 if min(within) + self.cost(h.candidates) < limit:
                     yield h.candidates, h.fit
 
@@ -337,10 +346,10 @@ class Attributor(Search):
             rest = tuple(c for c in h.candidates if c is not part)
             yield rest, h.fit
             without = self.tried.get(key_of(rest)) or self.hypothesis(rest, h.fit, screen=True)
-            others = [c for c in self.candidates if c.name not in h.names and c.kind != "parameter"]
+            others = [c for c in self.candidates if c.name not in h.key and c.kind != "parameter"]
             for c, promise in self._promises(without, others)[:BREADTH]:
                 yield (*rest, c), replace(without.fit, values={**without.fit.values, **promise.values})
-        others = [c for c in self.candidates if c.name not in h.names]
+        others = [c for c in self.candidates if c.name not in h.key]
         if not others:
             return
         count, size = len(self.candidates), len(h.candidates)

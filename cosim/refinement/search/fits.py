@@ -7,7 +7,7 @@ each parameter (half of BIC), and −ln of the prior of so many parts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from operator import attrgetter
@@ -15,14 +15,14 @@ from typing import TypeVar
 
 import numpy as np
 
+from cosim.core.arrays import NamedValues
 from cosim.estimation.fit import CONVERGED, ITERATIONS, Fit, fit, initial_fit
-from cosim.estimation.free_runs import fit_growing, leaves_the_motion
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem
+from cosim.estimation.posing import fit_growing
+from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import Candidate, Free, base_parameters
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import MIXTURE, Evidence, log_prior
+from cosim.refinement.decision.posterior import MIXTURE, Evidence, Names, log_prior
 from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
@@ -34,14 +34,14 @@ HALVINGS = 2  # of promised sizes, until the logs are no less likely
 TOGETHER = " + "  # separator between the names of a rival with several candidates
 
 Parts = tuple[Candidate, ...]
-Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
+Trial = tuple[Parts, NamedValues | None]  # candidates and start values of their fit
 Progress = Callable[[str, float], None]
 Item = TypeVar("Item")
 
 
-def key_of(parts: Sequence[Candidate]) -> tuple[str, ...]:
-    """Return the sorted names of candidates as key."""
-    return tuple(sorted(c.name for c in parts))
+def key_of(parts: Sequence[Candidate]) -> Names:
+    """Return the names of candidates as a set."""
+    return frozenset(c.name for c in parts)
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,11 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Return the sorted names of the candidates."""
+        return tuple(sorted(self.key))
+
+    @property
+    def key(self) -> Names:
+        """Return the names of the candidates as a set."""
         return key_of(self.candidates)
 
     @property
@@ -67,7 +72,7 @@ class Hypothesis:
         """Return the parameters of the candidates."""
         return tuple(n for c in self.candidates for n in c.parameters)
 
-    def loss_without(self, c: Candidate, neutral: Mapping[str, float]) -> float:
+    def loss_without(self, c: Candidate, neutral: NamedValues) -> float:
         """Return the estimated log-likelihood loss without a part."""
         away = np.array([self.fit.values[f.name] - neutral[f.name] for f in c.free])
         return 0.5 * float(away @ self.fit.marginal(c.parameters) @ away)
@@ -78,41 +83,29 @@ def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
     return min(hypotheses, key=lambda h: h.score)
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """Result of a search: the best hypothesis, and effects that these logs cannot show at their usual size.
-
-    Attributes:
-        candidates: All candidates on trial.
-        free_noise: With trusted equations, the noise of the fit with free unknown inputs. The trusted fit counts model
-            errors as sensor noise, and its filter hardly follows the readings.
-    """
-
-    search: Search
-    best: Hypothesis
-    hidden: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
-    free_noise: Noise | None = None
-
-
 class Search:
     """Fits of hypotheses on a problem.
 
     Attributes:
         price: Score cost of each parameter, ½·ln N.
         on_trial: Number of candidates.
-        tried: Names → hypothesis.
-        cross_fits: Names and held-out log → fit to the remaining logs.
-        evidences: Names → hypothesis and its evidence.
+        tried: Key → hypothesis.
+        candidates: All candidates on trial.
+        hidden: Effects that these logs cannot show at their usual size.
+        free_noise: With trusted equations, the noise of the fit with free unknown inputs. The trusted fit counts model
+            errors as sensor noise, and its filter hardly follows the readings.
+        cross_fits: Key and held-out log → fit to the remaining logs.
+        evidences: Key → hypothesis and its evidence.
     """
 
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
         self.subject, self.problem, self.progress = subject, problem, progress
         self.price = 0.5 * np.log(max(2, problem.samples))
-        self.on_trial = on_trial
-        self.tried: dict[tuple[str, ...], Hypothesis] = {}
-        self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
-        self.evidences: dict[tuple[str, ...], tuple[Hypothesis, Evidence]] = {}
+        self.on_trial, self.candidates, self.hidden = on_trial, list[Candidate](), tuple[str, ...]()
+        self.free_noise: Noise | None = None
+        self.tried: dict[Names, Hypothesis] = {}
+        self.cross_fits: dict[tuple[Names, int], Fit] = {}
+        self.evidences: dict[Names, tuple[Hypothesis, Evidence]] = {}
 
     def hypothesis(
         self,
@@ -120,7 +113,7 @@ class Search:
         start: Fit | None,
         goal: float = np.inf,
         *,
-        promised: Mapping[str, float] | None = None,
+        promised: NamedValues | None = None,
         loosen: bool = True,
         screen: bool = False,
     ) -> Hypothesis:
@@ -174,13 +167,15 @@ class Search:
                 noise = replace(noise, power=power, memory=problem.plain.memory)
             other = fit(problem, free, values, noise, goal=best.objective - CONVERGED * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
-        if not problem.trusted and leaves_the_motion(problem, best):
+        # Free runs that leave the motion of the logs are kept there by large unknown inputs.
+        is_away = problem.layout.is_free_run and np.any(best.noise.power > problem.noise.plain)
+        if is_away and not problem.trusted:
             own = {n: best.values[n] for n in h.parameters}
             best = min(best, fit_growing(problem, free, {**problem.values, **own}), key=attrgetter("objective"))
         return replace(h, fit=best, score=best.objective + self.cost(h.candidates))
 
     def _toward(
-        self, promised: Mapping[str, float], base: Mapping[str, float], free: Sequence[Free], noise: Noise, nll: float
+        self, promised: NamedValues, base: NamedValues, free: Sequence[Free], noise: Noise, nll: float
     ) -> dict[str, float]:
         """Return the values from `base` to the promised ones: sizes are halved until the logs are no less likely.
 
@@ -219,14 +214,14 @@ class Search:
 
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
             fitted = self.hypothesis(*start, loosen=False)
-            earlier = self.tried.get(fitted.names)
+            earlier = self.tried.get(fitted.key)
             enough = CONVERGED * self.problem.scatter
             if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - enough:
                 fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
-            ended = [h for h in self.tried.values() if h.ended and {*h.names} < {*fitted.names}]
+            ended = [h for h in self.tried.values() if h.ended and h.key < fitted.key]
             best = min(ended, key=lambda h: h.fit.objective, default=fitted)
             if best.fit.objective < fitted.fit.objective:
-                added = [c for c in fitted.candidates if c.name not in best.names and c.kind != "parameter"]
+                added = [c for c in fitted.candidates if c.name not in best.key and c.kind != "parameter"]
                 free = [f for c in added for f in c.free]
                 values = dict(chain.from_iterable(c.starts[0].items() for c in added))
                 values |= {f.name: f.neutral for f in free if f.neutral is not None}
@@ -247,7 +242,7 @@ class Search:
             return h
 
         fitted = in_parallel(fit_and_report, todo)
-        self.tried |= {h.names: h for h in fitted}
+        self.tried |= {h.key: h for h in fitted}
         report_ranking(self.progress, [*self.tried.values()])
         return fitted
 

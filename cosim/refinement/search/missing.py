@@ -14,16 +14,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
-from cosim.estimation.kernel.kernel import DEVIATION, Data, Filtered, single_steps
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.problem import Problem
+from cosim.estimation.kernel.kernel import DEVIATION, Filtered
+from cosim.estimation.problem import Noise, Problem
 from cosim.refinement.decision.posterior import CERTAIN
 
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
@@ -33,112 +33,91 @@ NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps ar
 
 @dataclass(frozen=True, eq=False)
 class MissingInput:
-    """Missing input d of each forced equation in the rows of a log, with its standard deviation.
+    """Missing input d of each forced equation in the rows of the first logs, one log after the other.
 
     Units are units of the state per second.
+
+    Attributes:
+        rows: Rows of each log.
+        sigma: Standard deviation of `value`.
+        states: All kernel states, filtered by the base fit.
     """
 
-    time: Array
     equations: tuple[str, ...]
+    rows: Sequence[slice]
+    time: Array
     value: Array
     sigma: Array
-    states: Array  # all kernel states, filtered by the base fit
+    states: Array
 
-    def rows(self, data: Data) -> slice:
-        """Return the smoothed rows of the log."""
-        first = round((self.time[0] - data.start) / data.step)
-        return slice(first, first + len(self.time))
+    def of_logs(self, tables: Sequence[Array]) -> Array:
+        """Return these rows of a table of each log."""
+        return np.concatenate([table[rows] for table, rows in zip(tables, self.rows, strict=False)])
 
-
-Smoothed = Sequence[tuple[int, MissingInput]]  # index of a log in the problem, and its smoothed input
-
-
-def rows_of_delay(problem: Problem, p: Array, step: float) -> int:
-    """Return the number of rows of commands before a step that a delay may reach back to."""
-    delay = problem.layout.delay
-    return 2 + math.ceil(p[delay] / step if delay >= 0 else 0.0)
+    def by_log(self, values: Array) -> list[Array]:
+        """Return values of all rows split by log."""
+        return np.split(values, np.cumsum([rows.stop - rows.start for rows in self.rows])[:-1])
 
 
-class Steps:
-    """Single kernel steps from any row of a log."""
-
-    def __init__(self, problem: Problem, index: int, values: Mapping[str, float]) -> None:
-        self.problem, self.kernel, self.data = problem, problem.kernel, problem.logs[index]
-        # Unknown inputs keep their usual correlation time.
-        self.p = problem.numbers(problem.of_log({**problem.values, **values}, index))
-        self.back = rows_of_delay(problem, self.p, self.data.step)
-
-    def step(self, rows: Rows, states: Array, memories: Array) -> tuple[Array, Array]:
-        """Return the state at the next row and the outputs at each row."""
-        return single_steps(self.kernel, self.data, self.p, (rows, states, memories), self.back)
-
-    def outputs_along(self, run: Filtered, count: int) -> Array:
-        """Return the outputs of the first rows along filtered states, or of a free run."""
-        if not self.problem.layout.is_free_run:
-            return self.step(np.arange(count), run.states, run.memory)[1]
-        begin, memory = self.problem.begin_replay(run, 0), np.zeros(self.problem.layout.memory)
-        return np.asarray(self.kernel.simulate(self.data, self.p, begin, memory).outputs[:count])
+def next_rows(
+    problem: Problem, values: NamedValues, index: int, points: tuple[Rows, Array, Array]
+) -> tuple[Array, Array]:
+    """Return the states at the next row and the outputs at each of some rows, from states and memories there."""
+    runs = problem.simulate_from(values, index, (points[0].tolist(), *points[1:]))
+    return np.array([run.states[1] for run in runs]), np.array([run.outputs[0] for run in runs])
 
 
-def smooth_logs(problem: Problem, base: Fit) -> tuple[Smoothed, Array, Array]:
-    """Smooth the first logs; return the results of each log, and all values and standard deviations stacked.
-
-    Of free runs these are the filtered deviations of the outputs.
-    """
+def outputs_along(problem: Problem, index: int, values: NamedValues, run: Filtered, count: int) -> Array:
+    """Return the outputs of the first rows along filtered states, or of a free run."""
     if not problem.layout.is_free_run:
-        return smooth_unknown_inputs(problem, base)
-    found = [(k, _deviations(problem, base, k)) for k in smoothed_logs(problem)]
-    return found, np.vstack([m.value for _, m in found]), np.vstack([m.sigma for _, m in found])
+        return next_rows(problem, values, index, (np.arange(count), run.states[:count], run.memory[:count]))[1]
+    return problem.simulate(values, index, problem.begin_replay(run, 0)).outputs[:count]
 
 
-def smooth_unknown_inputs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
+def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool = False) -> MissingInput:
     """Return the smoothed missing inputs of the first logs; of free runs what drives the deviations.
 
     Args:
         every: Rows between two linearizations.
+        deviations: Return the filtered deviations of the outputs of free runs.
     """
-    found = [(k, _smooth_log(problem, base, k, every)) for k in smoothed_logs(problem)]
-    return found, np.vstack([m.value for _, m in found]), np.vstack([m.sigma for _, m in found])
+    layout, noise, found = problem.layout, loosen_noise(problem, base.noise), list[tuple[Any, ...]]()
+    names, reached = layout.uncertain, list(layout.stochastic)
+    places = [k for k, name in enumerate(names) if name.startswith(DEVIATION)] if deviations else list(layout.noisy)
+    for index in smoothed_logs(problem):
+        data, run = problem.data(base.values, index), problem.run(base.values, noise, index)
+        count = min(len(data.u), MOST_ROWS)
+        last = count if deviations else count - 1
+        scored, x = slice(min(count_unscored(data), last), last), run.states[:count, reached]
+        if run.covariances is None:  # the filtered inputs, as uncertain as before any reading
+            sigma = np.tile(np.exp(0.5 * noise.power), (count, 1))
+        else:
+            P = run.covariances[:count]
+            if not deviations:
+                if layout.is_free_run:
+                    F = _transitions_of_deviations(problem, base.values, noise, index)[:count]
+                    ahead = np.einsum("kij,kj->ki", F, x)
+                else:
+                    ahead, F = _linear(problem, base.values, index, run, count, every)
+                x, P = _smooth(x, P, ahead, F, np.diag(problem.densities(noise)) * data.step)
+            sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
+        found.append((scored, data.times[scored], x[scored, places], sigma[scored], run.states[scored]))
+    rows, *parts = zip(*found, strict=True)
+    return MissingInput(layout.forced, rows, *map(np.concatenate, parts))
 
 
-def _smooth_log(problem: Problem, base: Fit, index: int, every: int) -> MissingInput:
-    """Return the smoothed missing input of a log."""
-    layout, values = problem.layout, {**problem.values, **base.values}
-    data, noise = problem.data(values, index), loosen_noise(problem, base.noise)
-    run = problem.run(values, noise, index, states=True)
-    rows, reached = min(len(data.u), MOST_ROWS), list(layout.stochastic)
-    x, P, Q = run.states[:rows, reached], run.covariances, np.diag(problem.densities(noise)) * data.step
-    scored, places = slice(min(count_unscored(data), rows - 1), rows - 1), list(layout.noisy)
-    if P is None:  # a kernel without covariances: the filtered inputs, as uncertain as before any reading
-        sigma = np.tile(np.exp(0.5 * noise.power), (rows, 1))
-        return MissingInput(data.times[scored], layout.forced, x[scored, places], sigma[scored], run.states[scored])
-    if layout.is_free_run:
-        F = _transitions_of_deviations(problem, values, noise, index)[:rows]
-        ahead = np.einsum("kij,kj->ki", F, x)
-    else:
-        ahead, F = _linear(problem, Steps(problem, index, base.values), run, rows, every)
-    smooth, P = x.copy(), P[:rows].copy()
-    for k in range(rows - 2, -1, -1):
+def _smooth(x: Array, P: Array, ahead: Array, F: Array, Q: Array) -> tuple[Array, Array]:
+    """Return the smoothed states and their covariances, from the filtered ones, their predictions and transitions."""
+    x, P = x.copy(), P.copy()
+    for k in range(len(x) - 2, -1, -1):
         spread = F[k] @ P[k] @ F[k].T + Q
         gain = least_squares(spread, F[k] @ P[k]).T
-        smooth[k] += gain @ (smooth[k + 1] - ahead[k])
+        x[k] += gain @ (x[k + 1] - ahead[k])
         P[k] += gain @ (P[k + 1] - spread) @ gain.T
-    sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
-    return MissingInput(data.times[scored], layout.forced, smooth[scored, places], sigma[scored], run.states[scored])
+    return x, P
 
 
-def _deviations(problem: Problem, base: Fit, index: int) -> MissingInput:
-    """Return the filtered deviations of the outputs of a free run."""
-    layout, data = problem.layout, problem.logs[index]
-    run = problem.run({**problem.values, **base.values}, loosen_noise(problem, base.noise), index, states=True)
-    rows = slice(count_unscored(data), min(len(data.u), MOST_ROWS))
-    places = [k for k, name in enumerate(layout.states) if name.startswith(DEVIATION)]
-    assert run.covariances is not None
-    variances = np.diagonal(run.covariances, axis1=1, axis2=2)[rows, [layout.stochastic.index(k) for k in places]]
-    return MissingInput(data.times[rows], layout.forced, run.states[rows, places], np.sqrt(variances), run.states[rows])
-
-
-def _transitions_of_deviations(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> Array:
+def _transitions_of_deviations(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
     """Return the transition of a free run's random states from each row to the next.
 
     These are the deviations a row earlier, what drives the deviations, the deviations, and constants.
@@ -173,7 +152,7 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
         matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
         orders = [1 + bool(matrix[:, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
-    runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
+    runs = [problem.run(at.values, at.noise, k) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [
             np.diff(run.states[count_unscored(d) :, place], kinds[name][1]) / d.step
@@ -200,7 +179,7 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
     """
     layout, data = problem.layout, problem.logs[index]
-    runs = [problem.run({**problem.values, **f.values}, f.noise, index, states=True) for f in (base, after)]
+    runs = [problem.run(f.values, f.noise, index) for f in (base, after)]
     if layout.is_free_run:
         change = (runs[1].states - runs[0].states)[:, layout.forced_places]
         return np.asarray(change[min(count_unscored(data), len(change) - 1) : MOST_ROWS])
@@ -208,23 +187,25 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     states = [np.array([problem.drop_unknown_inputs(x) for x in run.states[:rows]]) for run in runs]
     states[0][:, shared] = states[1][:, shared]
     without, with_it = (
-        Steps(problem, index, f.values).step(np.arange(rows), x, run.memory)[0]
+        next_rows(problem, f.values, index, (np.arange(rows), x, run.memory[:rows]))[0]
         for f, x, run in zip((base, after), states, runs, strict=True)
     )
     return np.asarray((with_it - without)[min(count_unscored(data), rows) :, layout.forced_places] / data.step)
 
 
-def _linear(problem: Problem, steps: Steps, run: Filtered, rows: int, every: int) -> tuple[Array, Array]:
+def _linear(
+    problem: Problem, values: NamedValues, index: int, run: Filtered, rows: int, every: int
+) -> tuple[Array, Array]:
     """Return the prediction of each next row from the filtered states, and its derivative by finite differences."""
     reached, states, memory = list(problem.layout.stochastic), run.states[: rows - 1], run.memory[: rows - 1]
     size = NUDGE * np.maximum(np.abs(states[:, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     size = np.where(size > 0.0, size, NUDGE)  # A fixed parameter per log may be 0.
     every_row, some = np.arange(rows - 1), np.arange(0, rows - 1, every)
-    ahead, F = steps.step(every_row, states, memory)[0][:, reached], np.empty((rows - 1, len(reached), len(reached)))
+    ahead = next_rows(problem, values, index, (every_row, states, memory))[0][:, reached]
+    F = np.empty((rows - 1, len(reached), len(reached)))
     for j, state in enumerate(reached):
         nudged = states[some].copy()
         nudged[:, state] += size[j]
-        F[:, :, j] = ((steps.step(some, nudged, memory[some])[0][:, reached] - ahead[some]) / size[j])[
-            every_row // every
-        ]
+        moved = next_rows(problem, values, index, (some, nudged, memory[some]))[0][:, reached]
+        F[:, :, j] = ((moved - ahead[some]) / size[j])[every_row // every]
     return ahead, F

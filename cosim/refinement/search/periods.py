@@ -78,7 +78,7 @@ def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
     """
     problem, layout = test.problem, test.problem.layout
     places = [layout.states.index(n) for n in (name, DEVIATION + name) if n in layout.states]
-    runs = [problem.run(test.values, test.noise, k, states=True) for k in range(len(problem.logs))]
+    runs = [problem.run(test.values, test.noise, k) for k in range(len(problem.logs))]
     own = [k for k, place in enumerate(layout.stochastic) if place in places]
     known = [run.covariances[:, own][:, :, own] for run in runs if run.covariances is not None]
     variances = [0.0]

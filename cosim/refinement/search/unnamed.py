@@ -10,8 +10,9 @@ taken.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 from types import MappingProxyType
 from typing import Any
 
@@ -20,15 +21,20 @@ from scipy.special import logit
 from scipy.stats import chi2
 
 from cosim.core.arrays import Array
+from cosim.core.linear_algebra import least_squares, orthonormal
+from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import DIFFERENCE, Fit, fit
-from cosim.estimation.kernel.nameless import PREFIX, READING, SLOTS
+from cosim.estimation.kernel.generate import KNOTS, LOCAL, PREFIX, RATE, READING, SLOTS, bump, rise
+from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.estimation.subject.candidates import Free
-from cosim.refinement.decision.posterior import CERTAIN, MISFIT
+from cosim.estimation.subject.interface import Subject
+from cosim.refinement.decision.posterior import CERTAIN, LITTLE, MISFIT
 from cosim.refinement.search.fits import SCREEN_ITERATIONS
-from cosim.refinement.search.shapes import Shape, law_of, promising_shapes
+from cosim.refinement.search.missing import MissingInput, smooth_logs
+from cosim.refinement.search.periods import innovations_of_logs, spectrum_along
 
 
 @dataclass(frozen=True)
@@ -196,3 +202,244 @@ def find_unnamed_terms(
         is_stable=all(any(u.signal == first.signal for u in likely) for likely in of_logs),
         is_placed=all(any(u.equation == first.equation for u in likely) for likely in of_logs),
     )
+
+
+# Shapes of unnamed terms over a signal, or over time.
+#
+# A smoother estimates the missing input of each equation in each row. Regression on shapes over time, each state, each
+# command, and each difference of two states with equal units selects the most promising ones for a filter run: bumps,
+# steps, and rows of bumps (splines). The spectra over each signal, and over time, select waves. A factor, such as a
+# velocity or a command, may multiply a shape.
+#
+
+
+EVERY = 4  # rows between linearizations, sufficient for a regression
+MINUS = " − "
+ENDS = 0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)  # quantiles of a signal, beyond which rows are few
+
+Signals = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A local shape: a function of a signal, possibly times a factor, in the equation of a state.
+
+    Attributes:
+        equation: Forced state, or `reading of` an output.
+        of: Signal of the shape, or two signals for their difference.
+        kind: `bump`, `step`, `spline` or `wave`.
+        place: Centre, for a spline of its first bump; of a wave the zero of its phase.
+        width: Width of a bump at about half its height, of a step from end to end, of a spline from bump to bump, of a
+            wave its period.
+        times: Signals of the factor, as in `of`; may be empty.
+        unit: Unit of place and width.
+    """
+
+    equation: str
+    of: tuple[str, ...]
+    kind: str
+    place: float
+    width: float
+    times: tuple[str, ...] = ()
+    unit: str = ""
+
+    @classmethod
+    def of_entry(cls, equation: str, entry: Mapping[str, Any]) -> Shape:
+        """Return the shape of an entry of refine.json."""
+        lists = {name: tuple(entry[name]) for name in ("of", "times")}
+        return cls(equation, **{n: v for n, v in entry.items() if n != "sizes"} | lists)
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """Return the shape as an entry of refine.json."""
+        return {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items() if n != "equation"}
+
+    @property
+    def signal(self) -> str:
+        """Return the signal as text."""
+        return MINUS.join(self.of)
+
+    @property
+    def factor(self) -> str:
+        """Return the factor as text; "" without a factor."""
+        return MINUS.join(self.times)
+
+    @property
+    def per(self) -> float:
+        """Return the normalised signal ζ per unit of the signal."""
+        return {"spline": 1.0, "wave": 2.0 * np.pi}.get(self.kind, 2.0) / self.width
+
+    def settings(self, slot: int) -> dict[str, float]:
+        """Return this shape's kernel parameters in a slot."""
+        of, by = f"{LOCAL}.{slot}.of.", f"{LOCAL}.{slot}.by."
+        settings = {f"{LOCAL}.{slot}.to.{self.equation}": 1.0, f"{of}1": -self.place * self.per}
+        settings |= {f"{of}{n}": s * self.per for n, s in zip(self.of, (1.0, -1.0), strict=False)}
+        return settings | ({f"{by}{n}": s for n, s in zip(self.times, (1.0, -1.0), strict=False)} or {f"{by}1": 1.0})
+
+    def coefficients(self, slot: int) -> tuple[str, ...]:
+        """Return the names of the kernel parameters that scale this shape in a slot."""
+        splines = tuple(map(str, range(KNOTS)))
+        own = {"bump": ("0",), "step": ("rise",), "spline": splines, "wave": ("sin", "cos")}[self.kind]
+        return tuple(f"{LOCAL}.{slot}.{name}" for name in own)
+
+    def columns(self, signals: Signals) -> Array:
+        """Return the regressor of each coefficient, shape (rows, coefficients)."""
+        over = self.per * (values_of(signals, self.of) - self.place)
+        others: dict[str, list[Any]] = {"bump": [bump], "step": [rise], "wave": [np.sin, np.cos]}
+        basis = [f(over) for f in others.get(self.kind, ())] or [bump(over - k) for k in range(KNOTS)]
+        return np.stack(basis, axis=1) * (values_of(signals, self.times)[:, None] if self.times else 1.0)
+
+
+def values_of(signals: Signals, names: Sequence[str]) -> Array:
+    """Return the values of a signal, or of the difference of two."""
+    return signals[names[0]] - signals[names[1]] if len(names) > 1 else signals[names[0]]
+
+
+def signals_of(problem: Problem, missing: MissingInput) -> dict[str, Array]:
+    """Return name → values of the signals for local shapes."""
+    layout, commands = problem.layout, missing.of_logs([log.u for log in problem.logs])
+    named = dict(zip(layout.states, missing.states.T, strict=True))
+    own = {n: z for n, z in named.items() if not n.startswith((DISTURBANCE, CONSTANT))}
+    if layout.is_free_run:
+        own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
+        for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
+            each = zip(missing.by_log(own[rate.removeprefix(RATE)]), problem.logs, strict=False)
+            own[rate] = np.concatenate([np.diff(z, prepend=z[:1]) / log.step for z, log in each])
+    return {"time": missing.time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
+
+
+def signal_units(subject: Subject) -> dict[str, str]:
+    """Return the unit of each signal: time, commands, states, outputs, and rates of both."""
+    named = {q.name: q.unit for q in (*subject.outputs, *subject.states)}
+    rates = {f"{RATE}{name}": unit_of_rate(unit) for name, unit in named.items()}
+    return {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}, **named, **rates}
+
+
+def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
+    """Return the likeliest shape of each kind and equation beside a fit, the number of shapes tried, and the signals.
+
+    Args:
+        test: Score test at the fit.
+        price: Score cost of a coefficient.
+        units: Units of the signals; two states with equal units also give a difference signal.
+    """
+    problem, at, prefix = test.problem, test.at, f"{LOCAL}.1.of."
+    names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
+    if not names:
+        return [], 0, {}
+    with np.errstate(invalid="ignore", over="ignore"):
+        missing = smooth_logs(problem, at, EVERY)
+    signals = {n: z for n, z in signals_of(problem, missing).items() if n in names}
+    if not all(np.isfinite(z).all() for z in (missing.value, *signals.values())):
+        return [], 0, signals
+    shapes, tried = [], 0
+    variances = np.mean(missing.sigma**2, axis=0)
+    for equation, value, variance in zip(missing.equations, missing.value.T, variances, strict=True):
+        own = [signals[equation]] if equation in signals else []
+        others = orthonormal(np.column_stack([np.ones(len(value)), *own]))
+        lacking = value - others @ (others.T @ value)
+        best: dict[str, tuple[float, Shape]] = {}
+        for shape in _shapes(problem, equation, signals, units):
+            columns = shape.columns(signals)
+            columns = columns - others @ (others.T @ columns)
+            products, target = columns.T @ columns, columns.T @ lacking
+            net = 0.5 * float(target @ least_squares(products, target)) / variance - price * columns.shape[1]
+            tried += columns.shape[1]
+            if net > best.get(shape.kind, (0.0, shape))[0]:
+                best[shape.kind] = net, shape
+        shapes += [shape for _, shape in best.values()]
+    waves, lines = _likely_waves(test, missing, signals)
+    prefix = f"{LOCAL}.1.to."
+    places = [n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)]
+    for wave, place in product(waves, places):  # innovations show an error of a reading times a rate of the signal
+        times = () if place.startswith(READING) else wave.times
+        shapes.append(replace(wave, equation=place, times=times, unit=units.get(wave.signal, "")))
+    return shapes, tried + lines * len(places), signals
+
+
+def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[Shape]:
+    """Yield the shapes of an equation: over each signal bumps of two widths, steps and a spline."""
+    rates = problem.layout.rates
+    states = [n for n in signals if n in {*problem.layout.states, *rates.values()}]
+    pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
+    for of in (*((n,) for n in signals), *pairs):
+        z = values_of(signals, of)
+        low, high = (float(end) for end in np.quantile(z, ENDS))
+        if not high > low or np.unique(z).size <= KNOTS:
+            continue
+        factors = {tuple(rates.get(n, "") for n in of), (equation,)}
+        factors |= {(n,) for n in signals if n.startswith("command ")} if of == ("time",) else set()
+        times = [(), *(t for t in sorted(factors) if signals.keys() >= {*t} and not {*t} & {*of})]
+        width = (high - low) / (KNOTS - 1)
+        shape = Shape(equation, of, "spline", low, width, unit=units.get(of[0], ""))
+        yield shape
+        for factor in times:
+            places = np.linspace(low, high, KNOTS).tolist()
+            yield from (replace(shape, kind="step", place=p, times=factor) for p in places[1:-1])
+            for count in (KNOTS, 2 * KNOTS):
+                bumps = np.linspace(low, high, count).tolist()
+                width = 2.0 * (high - low) / (count - 1)
+                yield from (replace(shape, kind="bump", place=p, width=width, times=factor) for p in bumps)
+
+
+def _likely_waves(test: ScoreTest, missing: MissingInput, signals: Signals) -> tuple[list[Shape], int]:
+    """Return the wave over time, and that over another signal, with the highest lines of spectra; the lines tried.
+
+    Spectra are those of the innovations, times a factor.
+    """
+    commands = [n for n in signals if n.startswith("command ")]
+    tables = missing.by_log(missing.of_logs(innovations_of_logs(test)))
+    tried, found = 0, dict[bool, tuple[float, Shape]]()
+    for name, z in signals.items():
+        if np.unique(z).size <= KNOTS:
+            continue
+        low = 2.0 * KNOTS * float(np.ptp(z)) / len(z)
+        for factor in {n: None for n in ("", test.problem.layout.rates.get(name, ""), *commands) if n != name}:
+            by = values_of(signals, (factor,))[:, None] if factor else np.ones((len(z), 1))
+            own = zip(missing.by_log(z), tables, missing.by_log(by), strict=True)
+            frequency, height = spectrum_along([(q, table * times) for q, table, times in own], low)
+            line = 2 + int(np.argmax(height[2:]))  # one period in the travel at least
+            over = float(height[line] / np.mean(height)) if height.any() else 0.0  # of logs at rest
+            if over > found.get(name == "time", (0.0, None))[0]:
+                wave = Shape("", (name,), "wave", 0.0, 1.0 / float(frequency[line]), (factor,) if factor else ())
+                found[name == "time"] = over, wave
+            tried += len(height)
+    return [wave for _, wave in found.values()], tried
+
+
+def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, is_rate: bool) -> str:
+    """Return the laws that local shapes over one signal resemble together, in words; "" for none.
+
+    Laws are compared as far as the shapes can follow them, which takes a spline. A straight line is no law of its own,
+    since parameters of the model take its place.
+
+    Args:
+        terms: Shapes with their coefficients.
+        is_rate: True if the signal is a velocity.
+    """
+    shapes = [shape for shape, _ in terms]
+    if any(shape.times for shape in shapes) or all(shape.kind != "spline" for shape in shapes):
+        return ""
+    z, columns = values_of(signals, shapes[0].of), np.hstack([shape.columns(signals) for shape in shapes])
+    line, space = (orthonormal(np.column_stack(parts)) for parts in ([np.ones_like(z), z], [*columns.T]))
+
+    def beside_line(column: Array) -> Array:
+        return np.asarray(column - line @ (line.T @ column))
+
+    rest = beside_line(columns @ np.concatenate([sizes for _, sizes in terms]))
+    if is_rate:
+        laws = [
+            ("dry friction", np.sign(z)),
+            ("drag with the square of the speed", z * np.abs(z)),
+            ("friction with the cube of the speed", z**3),
+        ]
+    else:
+        widths = np.abs(z).max() * 0.5 ** np.arange(1, KNOTS)
+        laws = [("a preload", np.sign(z)), ("a spring with the cube of the deflection", z**3)]
+        laws += [("free play", np.clip(z, -width, width)) for width in widths]
+    shares: dict[str, float] = {}
+    for name, column in laws:
+        law = beside_line(space @ (space.T @ column))
+        power = float(law @ law) * float(rest @ rest)
+        shares[name] = max(shares.get(name, 0.0), float(law @ rest) ** 2 / power if power else 0.0)
+    return " or ".join(n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 1.0 - LITTLE)
