@@ -41,6 +41,7 @@ from cosim.residuals.windows import (
     chains,
     first_start,
     horizons,
+    replays_over,
     self_started,
 )
 
@@ -119,13 +120,11 @@ def compare(
     Raises:
         InputError: The comparison shows a wrong unit.
     """
-    log, replays = drive.log, {FREE_RUN: free}
+    log = drive.log
     *_, measure = spans = horizons(log)
     against = output_findings(log, free.outputs)
     refuse_faults(log, against)
-    for horizon in spans:
-        if (windowed := self_started(drive, parameters, free, horizon)) is not None:
-            replays[horizon] = windowed
+    replays = replays_over(drive, parameters, free, spans)
     floor = floors(drive, parameters, free, replays.get(measure, free))
     channels = tuple(_summary(log, replays, name, measure, floor[name]) for name in log.outputs)
     hidden = [

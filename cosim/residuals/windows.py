@@ -131,6 +131,14 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
     return Replay(horizon, starts, as_columns(table, drive.outputs))
 
 
+def replays_over(
+    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, spans: Sequence[float]
+) -> dict[float, Replay]:
+    """Return horizon → replay: the free run, and windows of each span that the FMU and the log allow."""
+    windowed = (self_started(drive, parameters, free, span) for span in spans)
+    return {FREE_RUN: free, **{replay.horizon: replay for replay in windowed if replay is not None}}
+
+
 def horizons(log: Log) -> tuple[float, ...]:
     """Return the horizons of windows [s], longer for rows slower than 50 ms; the last one decides the verdict."""
     return tuple(horizon * log.slowness for horizon in HORIZONS)
