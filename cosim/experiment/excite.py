@@ -22,9 +22,8 @@ from cosim.core.errors import InputError
 from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.core.text import counted, join_names, showing
 from cosim.estimation.posing import build_problem, coarsen
-from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
-from cosim.experiment.rigs import OpenLoop, RigAxis, Trial
+from cosim.experiment.rigs import FmuOpenLoop, OpenLoop, RigAxis, Trial
 from cosim.experiment.separation import MIN_SEPARATION, Pair, separation
 from cosim.files.csv_source import write_columns
 from cosim.files.files import FilePath, check_writable, write_text
