@@ -90,7 +90,7 @@ class Logs:
             if horizon is None:
                 outputs = as_columns(drive.run(0, log.rows - 1, {}), drive.outputs)
             else:
-                replay = self_started(drive, self.starts[k], free_run(drive, self.starts[k]), horizon)
+                replay = self_started(drive, free_run(drive, self.starts[k]), horizon)
                 outputs = {} if replay is None else dict(replay.outputs)
         except SimulationError as error:
             self.failed += 1

@@ -29,7 +29,7 @@ from cosim.refinement.proof.measure import find_rises
 from cosim.residuals.compare import floors, horizon_name
 from cosim.residuals.drive import Drive
 from cosim.residuals.residual_statistics import FREE_RUN, finite, pool_errors, remaining_excess
-from cosim.residuals.windows import Replay, free_run, horizons, replays_over, start_parameters
+from cosim.residuals.windows import Replay, free_run, horizons, replays_over
 
 CLEAR = 0.95  # ratio of errors from which the model is better
 MOST = 2  # outputs in a headline
@@ -72,12 +72,11 @@ def prove(
         sides.append([])
         for drive, values in zip(drives, every, strict=True):
             moved = drive.with_values(values)
-            parameters = start_parameters(moved)
-            free = free_run(moved, parameters)
-            replays = replays_over(moved, parameters, free, horizons(moved.log)[-1:])
+            free = free_run(moved)
+            replays = replays_over(moved, free, horizons(moved.log)[-1:])
             sides[-1].append(replays)
             if every is after:
-                for name, floor in floors(moved, parameters, free, replays.get(horizon, free)).items():
+                for name, floor in floors(moved, free, replays.get(horizon, free)).items():
                     squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
     common = set.intersection(*(set(replays) for side in sides for replays in side))
     horizon = horizon if horizon in common else FREE_RUN

@@ -16,14 +16,11 @@ from cosim.calibration.fit_record import LogEntry, ParameterEntry, Record
 from cosim.calibration.outcome import Part
 from cosim.core.text import (
     MISSING,
-    amount,
     counted,
     displayed,
     join_names,
-    percent,
     plain,
     shown_unit,
-    size,
     split_sentence,
 )
 from cosim.core.version import __version__
@@ -98,11 +95,11 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
                 _profile_plot(n, p, charts) for n, p in record.parameters.items() if p.profile and p.profile.values[1:]
             ],
             "proof": proof,
-            "parameters": [_parameter(n, p) for n, p in record.parameters.items()],
+            "parameters": [(n, p, _ruler(p)) for n, p in record.parameters.items()],
             "correlation": {"columns": names, "rows": rows} if len(matrix) > 1 else None,
             "strong": join_names(strong),
             "units": {n: u for d in estimate.logs.drives for n, u in d.log.units.items()},
-            **{f.__name__: f for f in (amount, horizon_name, interval, number, percent, plain, size, Path)},
+            **{f.__name__: f for f in (displayed, horizon_name, interval, number, Path)},
             "repeat": shlex.join(_repeat(record, estimate)),
             "provenance": provenance,
             "data": charts.data(),  # after all drawings
@@ -116,33 +113,12 @@ def number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:
-    """Return a table row: values, and their places on a ruler about value, start and interval."""
-    points = [p.start, p.value, *(p.ci95 or ())]
-    low, high = min(points), max(points)
-    margin = 0.1 * (high - low) or 0.1 * abs(p.value) or 1.0
-
-    def place(value: float) -> float:
-        return float(round(100.0 * (value - low + margin) / (high - low + 2.0 * margin), 2))
-
-    notes = {"estimated": "", "at_bound": "at its bound", "held": "held at its start"}
-    bounds = MISSING
-    if p.tolerance is not None:
-        bounds = f"± {amount(p.tolerance, p.unit, 2, difference=True)}, prior"
-    elif p.low is not None or p.high is not None:
-        ends = ["" if end is None else plain(displayed(end, p.unit)) for end in (p.low, p.high)]
-        bounds = f"{ends[0] or '−∞'} … {ends[1] or '∞'}"
-    return {
-        "name": name,
-        "start": amount(p.start, p.unit, 4),
-        "value": amount(p.value, p.unit, 5),
-        "interval": interval(p),
-        "bounds": bounds,
-        "note": notes[p.status] or ("not identifiable alone" if p.ci95 is None else ""),
-        "at": place(p.value),
-        "old": place(p.start),
-        "span": p.ci95 and (place(p.ci95[0]), round(place(p.ci95[1]) - place(p.ci95[0]), 2)),
-    }
+def _ruler(p: ParameterEntry) -> dict[str, Any]:
+    """Return the places of value, start and interval on a ruler about them [%]."""
+    points = np.array([p.value, p.start, *(p.ci95 or ())])
+    margin = 0.1 * float(np.ptp(points)) or 0.1 * abs(p.value) or 1.0
+    at, old, *ends = np.round(100.0 * (points - points.min() + margin) / (np.ptp(points) + 2.0 * margin), 2).tolist()
+    return {"at": at, "old": old, "span": ends and (ends[0], round(ends[1] - ends[0], 2))}
 
 
 def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:

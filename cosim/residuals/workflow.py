@@ -58,7 +58,7 @@ from cosim.residuals.replay_signals import Replay, read_replay
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay as Replayed
-from cosim.residuals.windows import StartParameter, free_run, start_parameters
+from cosim.residuals.windows import free_run
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 NEXT_STUDY = "study.yaml"
@@ -147,12 +147,11 @@ def replay(
         sources: dict[str, Any] = {"log": str(path), "fmu": str(driven) if fmu else ""}
         sources |= {"start": dict(given)} if given else {}
         describe_run(place, sources)
-        parameters = start_parameters(drive)
-        free = _free_run(drive, parameters, rows_file)
+        free = _free_run(drive, rows_file)
         try:
             release_stops()
             findings += outliers(measured, find_spikes(measured, lambda _: free.outputs))
-            comparison = compare(drive, parameters, free, findings)
+            comparison = compare(drive, free, findings)
             errors = residuals(comparison)
             errors.write(residual_file)
             units = {**results(drive, free.outputs).units, **errors.units}
@@ -189,10 +188,10 @@ def _claimed_sensors(fmu: Path) -> list[str]:
     return [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
 
 
-def _free_run(drive: Drive, parameters: Mapping[str, StartParameter], file: Path) -> Replayed:
+def _free_run(drive: Drive, file: Path) -> Replayed:
     """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
     try:
-        free = free_run(drive, parameters)
+        free = free_run(drive)
         hold_stops()  # From here, rows exist that must not be lost.
     except (SimulationError, KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
@@ -200,7 +199,7 @@ def _free_run(drive: Drive, parameters: Mapping[str, StartParameter], file: Path
         rows = results(drive, as_columns(drive.left, drive.outputs))
         _write_rows(rows, file)
         time = rows.time[-1] if rows.time.size else drive.log.time[0]
-        error = stop if isinstance(stop, SimulationError) else stop_error(stop, time, "the replay")
+        error = stop_error(stop, time, "the replay")
         error.left = file.parent
         raise error from None
     _write_rows(results(drive, free.outputs), file)
