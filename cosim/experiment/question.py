@@ -58,29 +58,22 @@ class Question:
 
     Attributes:
         loaded: Model under test.
-        base: Model from which the rivals differ, used for the filter.
+        subject: Subject of the model from which the rivals differ, for the filter: `loaded`, or it without its effects.
         measured: Logged outputs; `noise` holds standard deviations that differ from the model's.
         limits: Largest excursion of an input or output from its start.
         ranges: Input → least and largest command, declared, requested, or observed in logs.
-        of_fmu: Subject of an FMU; None for a model.
         first: Output of an FMU → reading at the start.
     """
 
     loaded: LoadedModel
-    base: LoadedModel
+    subject: ModelSubject
     rivals: tuple[Rival, ...]
     pairs: tuple[Pair, ...]
     measured: tuple[str, ...]
     noise: Mapping[str, float]
     limits: Mapping[str, float]
     ranges: Ranges = field(default_factory=dict)
-    of_fmu: FmuSubject | None = None
     first: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def subject(self) -> ModelSubject:
-        """Return the subject of the base model, with the library of its FMU if it is one."""
-        return ModelSubject(self.base) if self.of_fmu is None else self.of_fmu
 
 
 class Ranked(BaseModel):
@@ -136,7 +129,7 @@ def ask(
             question = _question_of_refinement(path, against)
         else:
             question = _question_of_model(path, with_substep(load_model(text, Path()))[0], against)
-    model, faults = question.base.model, list[str]()
+    model, faults = question.subject.model, list[str]()
     if not model.base_states:
         raise InputError.at(
             path,
@@ -178,20 +171,19 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         raise InputError([yaml.fault(("study",), message)])
     yaml = YamlFile(file)
     study = yaml.validate(StudyFile)
-    of_fmu, first, logs = None, dict[str, float](), list[Log]()
+    first, logs = dict[str, float](), list[Log]()
     if study.model.lower().endswith(".fmu"):
         of_study = read_study(file)
-        assert isinstance(of_study.subject, FmuSubject)
-        of_fmu, study, logs = of_study.subject, of_study.content, [*of_study.logs]
-        loaded, first = of_fmu.loaded, _first_outputs(logs[0])
+        assert isinstance(of_study.subject, ModelSubject)
+        subject, study, logs = of_study.subject, of_study.content, [*of_study.logs]
+        first = _first_outputs(logs[0])
     else:
-        loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
+        subject = ModelSubject(with_substep(load_model(study.model, file.parent, yaml))[0])
+        inputs, outputs = subject.model.inputs, subject.model.outputs
         for name in study.logs.estimation:
             with suppress(InputError):  # missing logs are skipped
-                logs.append(
-                    read_log(file.parent / name, loaded.model.inputs, loaded.model.outputs, columns=study.columns)
-                )
-    candidates, subject = _candidates(loaded), of_fmu or ModelSubject(loaded)
+                logs.append(read_log(file.parent / name, inputs, outputs, columns=study.columns))
+    candidates, model = _candidates(subject.loaded), subject.model
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     if any(TOGETHER in name for name in names):
         parts = {name: tuple(name.split(TOGETHER)) for name in names}
@@ -208,14 +200,15 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         pairs: Sequence[Pair] = [*combinations(names, 2)]
     else:
         _check_names(path, names, candidates)
-        typical, pairs = _rivals(subject, candidates, names, _groups(loaded.model, candidates))
+        typical, pairs = _rivals(subject, candidates, names, _groups(model, candidates))
         rivals = tuple(_fitted_rival(r, names, content, candidates, subject.values) for r in typical)
     ranges = {}  # (least, largest) command over all logs
-    for name in logs[0].inputs if logs and inputs_to_limit(loaded.model) else ():
+    for name in logs[0].inputs if logs and inputs_to_limit(model) else ():
         commands = np.concatenate([log.inputs[name] for log in logs])
         ranges[name] = float(commands.min()), float(commands.max())
     noise = {**content.sensor_noise, **study.noise}
-    return Question(loaded, loaded, rivals, tuple(pairs), tuple(content.measured), noise, {}, ranges, of_fmu, first)
+    measured = tuple(content.measured)
+    return Question(subject.loaded, subject, rivals, tuple(pairs), measured, noise, {}, ranges, first)
 
 
 def _fitted_rival(
@@ -288,7 +281,7 @@ def _question_of_fmu(
     variables = {name: variable for variable, name in subject.names.items()}
     noise = {n: NOISE_SHARE * (subject.structure.scales.get(variables[n]) or 1.0) for n in measured}
     first = _first_outputs(log)
-    return Question(subject.loaded, subject.loaded, rivals, pairs, measured, noise, {}, {}, subject, first)
+    return Question(subject.loaded, subject, rivals, pairs, measured, noise, {}, {}, first)
 
 
 def _first_outputs(log: Log) -> dict[str, float]:
@@ -315,12 +308,12 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
         against: Names of the rivals; by default all candidates that are hard to separate from the model's effects.
     """
     model = loaded.model
-    base = replace(loaded, model=replace(model, effects=()))
-    candidates = _candidates(base)
+    base = ModelSubject(replace(loaded, model=replace(model, effects=())))
+    candidates = _candidates(base.loaded)
     _check_names(path, against, candidates)
     own, groups = [e.name for e in model.awake], _groups(model, candidates)
     names = list(against) or sorted(set().union(*(g for g in groups if not g.isdisjoint(own))).difference(own))
-    rivals, pairs = _rivals(ModelSubject(base), candidates, names, groups)
+    rivals, pairs = _rivals(base, candidates, names, groups)
     if own and names:  # against the active effects, with their values in the model
         free, values = tuple(f for n in own for f in candidates[n].free), ModelSubject(loaded).values
         present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
