@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cosim.logs.log import Log, read_log
 from cosim.model import Moment, Stepper
 from cosim.residuals.drive import Drive, as_columns
-from cosim.residuals.windows import Replay, free_run, start_parameters, windows
+from cosim.residuals.windows import Replay, free_run, windows
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ def replay(log: Log, fmu: Path, start: Mapping[str, Any] | None = None) -> Repla
     """Replay a whole log in a single run of an FMU."""
     with Drive(log, fmu) as drive:
         if start is None:
-            return free_run(drive, start_parameters(drive))
+            return free_run(drive)
         outputs = as_columns(drive.run(0, log.rows - 1, start), drive.outputs)
         return Replay(math.inf, {0: start}, outputs)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import cosim
 from cosim.fmi.fmu_build import build
 from cosim.residuals.compare import verdict
-from cosim.residuals.workflow import write_replay
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.logs import MOVING, fly, log_of, measured, times
@@ -30,7 +30,7 @@ def test_a_craft_that_remembers_is_explained_by_its_own_fmu_only(
     craft = Hovercraft().with_values(values)
     log = log_of(tmp_path / "a.csv", measured(fly(times(12.0), craft, MOVING), noise=1.0))
     own, base = (
-        write_replay(tmp_path, log, fmu, report=False)
+        cosim.replay(log.path, fmu=fmu, in_process=True).comparison
         for fmu in (build(plant_recipe(values), tmp_path / "own.fmu"), plant_fmu)
     )
     assert [c.name for c in own.channels if not c.is_matched] == []

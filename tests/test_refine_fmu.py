@@ -17,6 +17,7 @@ import cosim
 from cosim.core.errors import InputError
 from cosim.estimation.kernel.backend import RemoteLibraryKernel
 from cosim.estimation.posing import build_problem
+from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.experiment.question import ask
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
@@ -226,7 +227,7 @@ def test_a_question_about_an_fmu_says_how_far_each_input_may_go(folder: Path, tm
     fmu, frictions = build(folder / "motor.fmu", "dc_motor"), ["coulomb_at_speed", "viscous_at_speed"]
     question = ask(str(fmu), frictions, limits=["voltage=6", "load_torque=0.002"])
     assert question.pairs == (tuple(frictions),)
-    assert question.of_fmu is not None
+    assert isinstance(question.subject, FmuSubject)
     assert question.limits["voltage"] == 6.0
     with pytest.raises(InputError, match="how far from 0 may load_torque go"):
         ask(str(fmu), limits=["voltage=6"])

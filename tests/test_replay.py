@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cosim
 from cosim.core.errors import InputError
 from cosim.files.results import read_results
 from cosim.files.table import read_columns
 from cosim.logs.log import Log, read_log
-from cosim.residuals.drive import log_of_fmu, model_signals
+from cosim.residuals.drive import model_signals
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import window_rows
-from cosim.residuals.workflow import write_replay
 from cosim.simulation.workflow import run
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
 from tests.cart import cart_fmu
@@ -156,7 +156,7 @@ def test_any_fmu_can_be_replayed_and_a_wrong_one_is_told_from_a_right_one(
     noise = 1e-3 * np.random.default_rng(1).standard_normal(time.size)
     columns = {"time": time, "force": force, "position": position + noise}
     log = read_log(write_log(tmp_path / "cart.csv", columns), *model_signals(fmu))
-    comparison = write_replay(tmp_path / "out", log, fmu, report=False)
+    comparison = cosim.replay(log.path, tmp_path / "out", fmu, report=False, in_process=True).comparison
     assert comparison.replays.keys() == ({0.5, 2.0, math.inf} if starts else {math.inf})
     is_right = mass == 2.0
     assert [c.is_explained for c in comparison.channels] == [is_right]
@@ -182,7 +182,7 @@ def test_a_right_model_is_not_accused_for_a_free_run_that_drifts_or_the_scatter_
     seconds: float, seed: int, tmp_path: Path, plant_fmu: Path
 ) -> None:
     log = log_of(tmp_path / "a.csv", measured(fly(times(seconds), start=MOVING, seed=seed), noise=1.0, seed=seed))
-    comparison = write_replay(tmp_path, log, plant_fmu, report=False)
+    comparison = cosim.replay(log.path, fmu=plant_fmu, in_process=True).comparison
     assert [c.name for c in comparison.channels if not c.is_matched] == []
     # of two flights in 40 s an RMSE over 19 windows is known to some 15 %; the others are the rare ones, one in eight
     assert (max(c.excess for c in comparison.channels) < 1.3) is (seconds == 40.0)
@@ -191,7 +191,7 @@ def test_a_right_model_is_not_accused_for_a_free_run_that_drifts_or_the_scatter_
 def test_a_recorded_log_is_replayed_and_reported_row_by_row(tmp_path: Path, plant_fmu: Path) -> None:
     log = read_log(RECORDED, *model_signals(plant_fmu))
     seen: list[tuple[int, int]] = []
-    comparison = write_replay(tmp_path, log, plant_fmu, progress=lambda k, n: seen.append((k, n)))
+    found = cosim.replay(RECORDED, tmp_path, plant_fmu, in_process=True, progress=lambda k, n: seen.append((k, n)))
     results = read_columns(tmp_path / "results.csv")
     residual = read_results(tmp_path / "residual.csv")  # without a value before its first window
     assert results["time"].tolist() == residual.time.tolist() == log.time.tolist()
@@ -199,7 +199,7 @@ def test_a_recorded_log_is_replayed_and_reported_row_by_row(tmp_path: Path, plan
     assert results["plant.tilt_left"].tolist() == log.inputs["tilt_left"].tolist()
     assert (results["log.psi"] - results["plant.psi"]).tolist() == residual["free_run.psi"].tolist()
     assert {c.partition(".")[0] for c in residual.columns} == {"free_run", "within_2s", "within_500ms"}
-    score = next(c for c in comparison.channels if c.name == "psi").scores[2.0]
+    score = next(c for c in found.comparison.channels if c.name == "psi").scores[2.0]
     assert rmse(residual["within_2s.psi"]) == pytest.approx(score.rmse, rel=1e-12)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
@@ -212,7 +212,7 @@ def test_a_recorded_log_is_replayed_and_reported_row_by_row(tmp_path: Path, plan
 def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_replay(
     log: Log, tmp_path: Path, plant_fmu: Path
 ) -> None:
-    write_replay(tmp_path, log, plant_fmu)
+    cosim.replay(log.path, tmp_path, plant_fmu, in_process=True)
     assert faults(tmp_path / "report.html") == []
 
 
@@ -220,6 +220,6 @@ def test_a_log_is_not_written_over(log: Log, tmp_path: Path, plant_fmu: Path) ->
     path = tmp_path / "results.csv"
     path.write_bytes(log.path.read_bytes())
     with pytest.raises(InputError, match="is read, and results would be written over it") as refused:
-        write_replay(tmp_path, log_of_fmu(path, plant_fmu), plant_fmu)
+        cosim.replay(path, tmp_path, plant_fmu, in_process=True, force=True)
     assert refused.value.exit_code == 2
     assert path.read_bytes() == log.path.read_bytes()

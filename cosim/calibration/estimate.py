@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from cosim.calibration.likelihood import Likelihood, Logs
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.logs.channel_noise import noise_level
+from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import horizons
 
 DRIFTS = 5.0  # error of free runs over that of windows, after the fit, from which free runs are useless
@@ -39,6 +40,7 @@ class Estimate:
         singular: Singular values of the scaled sensitivities.
         idle: Named parameters without effect.
         reason: Reason for windows in place of free runs, "" for free runs.
+        has_windows: Whether every log has windows.
         dropped: Named start values that windows cannot estimate.
         settled: True if the last search ended at a maximum.
         profiles: Parameter → its profile; None for one that is not estimated or has no interval.
@@ -53,6 +55,10 @@ class Estimate:
         self.singular = np.zeros(0)
         self.idle, self.dropped = list[str](), list[str]()
         self.reason, self.settled = "", False
+        self.has_windows = all(
+            starts.keys() & d.log.outputs.keys() and float(d.log.time[-1] - d.log.time[0]) > 3.0 * horizons(d.log)[-1]
+            for d, starts in zip(logs.drives, logs.starts, strict=True)
+        )
         self.covariance: Covariance | None = None
         self.profiles = dict[str, ProfileEntry | None]()
 
@@ -71,7 +77,7 @@ class Estimate:
             self.report("screening the parameters", 0.0)
             self.screened, kept = screen(likelihood)
             if not any(c.estimated for c in self.screened):
-                raise _nothing_identifiable([f"{c.name}: {c.reason}" for c in self.screened[:NAMED_REASONS]])
+                raise _nothing_identifiable(f"{c.name}: {c.reason}" for c in self.screened[:NAMED_REASONS])
             likelihood = self.likelihood = likelihood.restricted(kept)
         rows, count = int(likelihood.best.counts.sum()), len(likelihood.unknowns)
         if rows <= count:
@@ -80,7 +86,7 @@ class Estimate:
                 f"{rows} measured values cannot determine {count} unknowns; name fewer parameters or more logs",
             )
         likelihood = self._fit(likelihood)
-        if self.logs.horizon is None and (reason := self._why_windows(likelihood)):
+        if self.logs.horizon is None and self.has_windows and (reason := self._why_windows(likelihood)):
             self._use_windows(reason)
             chosen = [u for u in likelihood.unknowns if u.log is None]
             chosen += [*self.held.values(), *(p for p in parameters if p.per_log and not p.is_start)]
@@ -88,43 +94,44 @@ class Estimate:
             likelihood = self._fit(self._begin(chosen))
         self.covariance = covariance(likelihood)
         places = {u.name: j for j, u in enumerate(likelihood.unknowns) if u.log is None}
-        alone = {n for c in self.combinations for n in c.names}
+        alone = places.keys() - {n for c in self.combinations for n in c.names}
         for k, name in enumerate(profiled):
             self.report(f"profiling {name}", k / len(profiled))
-            is_alone = name in places and name not in alone
-            self.profiles[name] = profile(likelihood, self.covariance, places[name]) if is_alone else None
+            self.profiles[name] = profile(likelihood, self.covariance, places[name]) if name in alone else None
 
     def _begin(self, parameters: Sequence[Parameter]) -> Likelihood:
         """Return the likelihood of these parameters with its value before the fit; windows need no start values."""
-        values = {p.name: p.start for p in parameters}
+        logs = self.logs
         while True:
-            own = [p for p in parameters if p.per_log and not (p.is_start and self.logs.horizon)]
+            own = [p for p in parameters if p.per_log and not (p.is_start and logs.horizon)]
             unknowns = [p for p in parameters if not p.per_log]
-            unknowns += [replace(p, log=k) for k in range(len(self.logs.drives)) for p in own]
-            if self.logs.horizon is None:
-                unknowns += self.logs.shown_starts(values)
+            unknowns += [replace(p, log=k) for k in range(len(logs.drives)) for p in own]
+            if logs.horizon is None:
+                unknowns += logs.shown_starts({p.name: p.start for p in parameters})
             else:
                 self.dropped = [p.name for p in parameters if p.is_start]
-            likelihood = Likelihood(self.logs, unknowns)
+            likelihood = Likelihood(logs, unknowns)
             if likelihood.point(np.clip(likelihood.prior, likelihood.low, likelihood.high)) is not None:
                 self.likelihood = likelihood
                 return likelihood
-            if self.logs.horizon is not None or not self._has_windows():
-                assert self.logs.first_failure is not None
-                raise self.logs.first_failure[1]
+            if logs.horizon is not None or not self.has_windows:
+                assert logs.first_failure is not None
+                raise logs.first_failure[1]
             self._use_windows("the free run fails with the values before the fit")
+
+    def _use_windows(self, reason: str) -> None:
+        self.reason, self.logs.horizon = reason, max(horizons(d.log)[-1] for d in self.logs.drives)
 
     def _fit(self, likelihood: Likelihood) -> Likelihood:
         """Move to the largest likelihood, and measure central differences there."""
         self.report("measuring sensitivities", 0.0)
         likelihood.slopes = likelihood.measure_slopes()
-        acts = np.zeros(len(likelihood.unknowns), bool)
-        for slope in likelihood.slopes:
-            acts |= np.nanmax(np.abs(slope / likelihood.best.sigma[:, None]), axis=(0, 1), initial=0.0) > 0.0
-        pairs = [*zip(likelihood.unknowns, acts, strict=True)]
-        if idle := {u.name: u for u, act in pairs if not act}:
-            if not any(u.log is None and act for u, act in pairs):
-                raise _nothing_identifiable([f"{name}: no effect on any measured output" for name in idle])
+        sigma, shared = likelihood.best.sigma[:, None], np.array([u.log is None for u in likelihood.unknowns])
+        sizes = [np.nanmax(np.abs(slope / sigma), axis=(0, 1), initial=0.0) for slope in likelihood.slopes]
+        acts = np.max(sizes, axis=0) > 0.0
+        if idle := {u.name: u for u, act in zip(likelihood.unknowns, acts, strict=True) if not act}:
+            if not (acts & shared).any():
+                raise _nothing_identifiable(f"{name}: no effect on any measured output" for name in idle)
             self.idle, self.held = [*idle], {**self.held, **idle}
             likelihood = likelihood.restricted(acts)
         while True:
@@ -132,17 +139,15 @@ class Estimate:
             if combination is None:
                 break
             self.combinations.append(combination)
-            is_held = [u.log is None and u.name == combination.held for u in likelihood.unknowns]
+            is_held = np.array([u.log is None and u.name == combination.held for u in likelihood.unknowns])
             self.held |= {u.name: u for u in likelihood.unknowns if u.name == combination.held}
-            likelihood = likelihood.restricted(~np.array(is_held))
+            likelihood = likelihood.restricted(~is_held)
         self.likelihood = likelihood
-        if self.logs.horizon is None and self._start_effects(likelihood)[0] > GROWS and self._has_windows():
+        if self.logs.horizon is None and self.has_windows and self._start_effects(likelihood)[0] > GROWS:
             return likelihood  # the plant is unstable: windows come next
         for number in range(REFINEMENTS):
             before = likelihood.best.cost
-            self.settled = likelihood.maximize(
-                lambda iteration: self.report(f"fitting, iteration {iteration + 1}", 0.0)
-            )
+            self.settled = likelihood.maximize(lambda k: self.report(f"fitting, iteration {k + 1}", 0.0))
             if number and before - likelihood.best.cost < CLOSE:
                 break
             self.report("measuring sensitivities", 0.0)
@@ -160,18 +165,6 @@ class Estimate:
                 names.append(name)
         return names
 
-    # -- windows ------------------------------------------------------------------------------
-
-    def _has_windows(self) -> bool:
-        """Return whether every log has windows."""
-        return all(
-            starts.keys() & d.log.outputs.keys() and float(d.log.time[-1] - d.log.time[0]) > 3.0 * horizons(d.log)[-1]
-            for d, starts in zip(self.logs.drives, self.logs.starts, strict=True)
-        )
-
-    def _use_windows(self, reason: str) -> None:
-        self.reason, self.logs.horizon = reason, max(horizons(d.log)[-1] for d in self.logs.drives)
-
     def _start_effects(self, likelihood: Likelihood) -> tuple[float, bool]:
         """Return the largest growth of the effect of a start value from the first quarter to the last of its log.
 
@@ -182,44 +175,42 @@ class Estimate:
         for j, unknown in enumerate(likelihood.unknowns):
             if unknown.log is not None and unknown.spread:
                 parts = np.array_split(likelihood.slopes[unknown.log][..., j] / likelihood.best.sigma, 4)
-                sizes = [float(np.sqrt(np.nanmean(p**2))) if np.isfinite(p).any() else 0.0 for p in parts]
-                growth = max(growth, sizes[-1] / sizes[0] if sizes[0] > 0.0 else 0.0)
-                stays = stays or sizes[-1] > STAYS * max(sizes)
+                first, *_, last = sizes = [rmse(part) if np.isfinite(part).any() else 0.0 for part in parts]
+                growth = max(growth, last / first if first > 0.0 else 0.0)
+                stays = stays or last > STAYS * max(sizes)
         return growth, stays
 
     def _why_windows(self, likelihood: Likelihood) -> str:
         """Return why free runs are useless, or ""."""
-        if not self._has_windows():
-            return ""
         growth, stays = self._start_effects(likelihood)
         if growth > GROWS:
             return f"the plant is unstable: a small change of the start grows {growth:.0e} times over a log"
         if not stays:
             return ""
+        logs, point = self.logs, likelihood.best
 
-        def squares(values: Sequence[Mapping[str, float]]) -> Array:
-            """Return the mean square errors over windows, infinite after a failure."""
-            every = []
-            for k, each in enumerate(values):
-                table = self.logs.errors(k, each, horizons(self.logs.drives[k].log)[-1])
-                nothing = np.full(len(self.logs.channels), np.inf)
-                every.append(nothing if table is None else np.nansum(table**2, axis=0) / np.isfinite(table).sum(axis=0))
-            return np.asarray(np.mean(every, axis=0))
+        def squares(k: int, values: Mapping[str, float]) -> Array:
+            """Return the mean square errors over windows of a log, infinite after a failure."""
+            table = logs.errors(k, values, horizons(logs.drives[k].log)[-1])
+            if table is None:
+                return np.full(len(logs.channels), np.inf)
+            return np.asarray(np.nansum(table**2, axis=0) / np.isfinite(table).sum(axis=0))
 
-        point, count = likelihood.best, len(self.logs.drives)
         first = {**likelihood.given, **{u.name: u.start for u in likelihood.unknowns if u.log is None}}
         with np.errstate(invalid="ignore", divide="ignore"):
-            after = squares([likelihood.values(point.x, k) for k in range(count)])
-            ratio = np.nan_to_num(point.sigma / np.sqrt(np.fmin(after, squares([first] * count))))
+            places = range(len(logs.drives))
+            after = np.mean([squares(k, likelihood.values(point.x, k)) for k in places], axis=0)
+            before = np.mean([squares(k, first) for k in places], axis=0)
+            ratio = np.nan_to_num(point.sigma / np.sqrt(np.fmin(after, before)))
         worst = int(np.argmax(ratio))
         if not ratio[worst] > DRIFTS:
             return ""
         return (
-            f"the effect of the start does not fade, and a free run misses {self.logs.channels[worst]} "
+            f"the effect of the start does not fade, and a free run misses {logs.channels[worst]} "
             f"{ratio[worst]:.0f} times as far as windows, even after a fit"
         )
 
 
-def _nothing_identifiable(reasons: Sequence[str]) -> InputError:
+def _nothing_identifiable(reasons: Iterable[str]) -> InputError:
     message = f"no parameter is identifiable from these logs: {'; '.join(reasons)}; name parameters as --vary, or log"
     return InputError.at(Path("--vary"), f"{message} other inputs")

@@ -11,6 +11,7 @@ from cosim.core.version import __version__
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Verdict = Literal["improved", "unchanged", "worse", "stopped"]
+Status = Literal["estimated", "at_bound", "held"]
 Form = Literal["ratio", "product", "sum", "difference", "combination"]
 
 
@@ -36,9 +37,7 @@ class ParameterEntry(BaseModel):
     high: Finite | None
     tolerance: Finite | None = Field(description="half-width of the 95 % interval of a prior about start; null: none")
     ci95: tuple[Finite, Finite] | None = Field(description="95 % confidence interval; null if not identifiable alone")
-    status: Literal["estimated", "at_bound", "held"] = Field(
-        description="held: kept at start, see combinations, or without effect"
-    )
+    status: Status = Field(description="held: kept at start, see combinations, or without effect")
     profile: ProfileEntry | None = None
 
 

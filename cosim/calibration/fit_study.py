@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
@@ -22,13 +22,13 @@ from cosim.files.files import FilePath
 from cosim.files.kinds import check_given
 from cosim.files.kinds import kind_of as kind_of_file
 from cosim.files.yaml_file import YamlFile, short
-from cosim.fmi.description import unit_of
+from cosim.fmi.description import read_description, unit_of
 from cosim.isolation.limits import Limits, read_limits
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.logs.log import read_column_names
+from cosim.logs.log import Log, read_column_names
 from cosim.probing.log_runs import limits_of
 from cosim.refinement.study import FileName, LogLists
-from cosim.residuals.residual_statistics import finite
+from cosim.residuals.drive import check_files, log_of_fmu, start_values
 from cosim.scenario.start_values import convert_value, kind_of, settable
 
 NOT_VARIED = '--vary "{text}" is none of NAME, NAME=20% and NAME=LOW..HIGH, as in mass=0.3..2'
@@ -118,24 +118,15 @@ def request_of(
     columns: Sequence[str] = (),
     limits: str = "",
 ) -> Request:
-    """Return the request of options or of the study that is named in place of logs.
-
-    Args:
-        vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those of the study, or those that logs determine.
-        start: Further values as NAME=VALUE; of a varied parameter: its first value.
-        sealed: Logs for the proof.
-        per_log: Parameters with a value for each log.
-        profile: Parameters whose likelihood is profiled.
-        columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
-        limits: Limits of the FMU; `total` limits the estimate.
+    """Return the request of the options of `fit`, or of the study that is named in place of logs.
 
     Raises:
         InputError: Options do not fit together, or the study has faults.
     """
-    most = read_limits(limits)
-    kind = kind_of_file(Path(logs[0])) if len(logs) == 1 else None
+    most, path = read_limits(limits), Path(logs[0]) if logs else Path("LOG")
+    kind = kind_of_file(path) if len(logs) == 1 else None
     if kind not in {STUDY, FIT_STUDY}:
-        names = read_column_names(columns, Path(logs[0]) if logs else Path("LOG"))
+        names = read_column_names(columns, path)
         if fmu is None:
             for log in logs:
                 check_given(Path(log), LOG, STUDY, FIT_STUDY)
@@ -143,8 +134,7 @@ def request_of(
         return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, per_log, profile, names, most)
     if fmu is not None or sealed or columns:
         message = f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed"
-        raise InputError.at(Path(logs[0]), f"{message} and --column")
-    path = Path(logs[0])
+        raise InputError.at(path, f"{message} and --column")
     yaml = YamlFile(path)
     unused = tuple(k for k in yaml.root if kind == STUDY and k not in FitStudyFile.model_fields)
     content = yaml.validate(FitStudyFile, {k: v for k, v in yaml.root.items() if k not in unused})
@@ -201,15 +191,6 @@ class Parameter:
     log: int | None = None
     spread: float = 0.0
 
-    def entry(self) -> dict[str, float | None]:
-        """Return start, bounds and prior for fit.json."""
-        return {
-            "start": self.start,
-            "low": finite(self.low),
-            "high": finite(self.high),
-            "tolerance": self.tolerance,
-        }
-
     @property
     def scale(self) -> float:
         """Return a typical size: the value, or a tenth of the range if it is zero."""
@@ -222,42 +203,97 @@ class Parameter:
         return math.inf if self.tolerance is None else self.tolerance / NORMAL_95
 
 
-def candidates(description: Any, given: Mapping[str, Any]) -> dict[str, Parameter]:
-    """Return every variable that can be estimated; parameters first, in the order of the FMU.
+class FitInput(NamedTuple):
+    """Logs, parameters to estimate, values of `--start`, and those of them that are not estimated."""
 
-    These are scalar real parameters and states with a start value that may be set.
+    logs: list[Log]
+    parameters: list[Parameter]
+    given: Mapping[str, Any]
+    fixed: Mapping[str, Any]
 
-    Args:
-        given: Values that replace start values of the FMU.
+
+def read_input(request: Request) -> FitInput:
+    """Return the logs of a request, what is estimated from them, and the values of `--start`.
+
+    Raises:
+        InputError: Every fault of logs and arguments.
+        FmuError: Only the FMU has faults.
     """
-    names = {v.name for v in description.modelVariables}
-    found = {}
+    fmu, paths, yaml, faults = request.fmu, request.logs, request.yaml, list[Fault]()
+
+    def attempt(function: Callable[..., Any], default: Any, *arguments: Any, **more: Any) -> Any:
+        try:
+            return function(*arguments, **more)
+        except InputError as error:
+            faults.extend(error.faults)
+            return default
+
+    if yaml is not None:
+        beside = "does not exist; file names are relative to the study"
+        if not fmu.is_file():
+            faults.append(yaml.fault(("model",), f"{yaml.root['model']} {beside}"))
+        faults += [request.log_fault(k, f"{p.name} {beside}") for k, p in enumerate(paths) if not p.exists()]
+    existing = [p for p in paths if not faults or p.exists()]
+    if not request.estimation:
+        message = "names no log to estimate from; name at least one"
+        faults.append(request.fault(("logs",), message, Path("LOG")))
+    twice = "is named twice; a log is used once, for the estimate or as a sealed log"
+    faults += [request.log_fault(k, twice) for k, p in enumerate(paths) if p in paths[:k]]
+    refuse(faults if yaml is not None and not fmu.exists() else ())
+    for path in existing or [fmu]:
+        attempt(check_files, None, path, fmu)
+    refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*existing} else ())
+    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
+    parameters: list[Parameter] = attempt(_parameters, [], request, read_description(fmu), given)
+    alone = len(existing) == 1
+    logs = [attempt(log_of_fmu, None, path, fmu, request.columns, alone=alone) for path in existing]
+    varied = {p.name for p in parameters}
+    for k, name in enumerate(request.profile if parameters else ()):
+        if name not in {p.name for p in parameters if not p.per_log}:
+            message = f"{name} is no parameter that is estimated for all logs{did_you_mean(name, varied)}"
+            faults.append(request.fault(("profile", k), f"{message}; name it as --vary too"))
+    refuse(faults)
+    return FitInput(logs, parameters, given, {n: v for n, v in given.items() if n not in varied})
+
+
+def _parameters(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:
+    """Return the parameters to estimate: those that the request names, or all.
+
+    They can be scalar real parameters and states with a start value that may be set; parameters come first, in the
+    order of the FMU.
+
+    Raises:
+        InputError: Every fault of the names, or there is no parameter.
+    """
+    names, offered = {v.name for v in description.modelVariables}, dict[str, Parameter]()
     for v in description.modelVariables:
         is_parameter = "parameter" in (v.causality, v.variability)  # the latter in FMI 1.0
         is_state = v.causality in {"local", "internal", "output", None}
         if v.type in REALS and not v.shape and v.start is not None and settable(v) and (is_parameter or is_state):
-            low, high = limits_of(v)
-            starts = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
             first = float(given.get(v.name, v.start))
-            found[v.name] = Parameter(v.name, unit_of(v), first, low, high, None, starts, per_log=starts)
-    return dict(sorted(found.items(), key=lambda item: item[1].is_start))
+            starts = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
+            offered[v.name] = Parameter(v.name, unit_of(v), first, *limits_of(v), is_start=starts, per_log=starts)
+    offered = dict(sorted(offered.items(), key=lambda item: item[1].is_start))
+    own = _named(request, "per_log", description, offered)
+    chosen = _named(request, "vary", description, offered)
+    if not request.vary:
+        every = {n: p for n, p in offered.items() if not p.is_start and n not in given}
+        chosen = {n: p for n, p in every.items() if p.low <= p.start <= p.high}
+        if not chosen:
+            message = "has no parameter to estimate: no floating-point parameter with a start value may be set"
+            raise InputError.at(request.fmu, f"{message} before a run")
+    return [replace(p, per_log=p.per_log or n in own) for n, p in {**own, **chosen}.items()]
 
 
-def read_vary(
-    description: Any, offered: Mapping[str, Parameter], texts: Sequence[str], fault: Callable[[str, str], Fault]
-) -> list[Parameter]:
-    """Return the parameters named by texts such as `mass`, `mass=20%`, `mass=0.3..2 kg`.
-
-    Args:
-        fault: Function of (name, message) that adds the place.
+def _named(request: Request, key: str, description: Any, offered: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Return the parameters that a key of the request names, with texts such as `mass`, `mass=20%`, `mass=0.3..2 kg`.
 
     Raises:
         InputError: Every fault.
     """
-    variables = {v.name: v for v in description.modelVariables}
+    variables, faults = {v.name: v for v in description.modelVariables}, list[Fault]()
     chosen: dict[str, Parameter] = {}
-    faults: list[Fault] = []
-    for text in texts:
+    for text in getattr(request, key):
         name, _, value = split_assignment(text, variables)
         with suppress(ValueError):  # a value of Python: a pair is a range, None is no bound
             read = json.loads(value)
@@ -270,17 +306,16 @@ def read_vary(
                 raise ValueError(_not_offered(name, variables, offered))
             if name in chosen:
                 raise ValueError(f"{name} is named twice; name it once")
-            parameter = _bounded(description, variables[name], offered[name], value)
-            if not parameter.low <= parameter.start <= parameter.high:
+            chosen[name] = p = _bounded(description, variables[name], offered[name], value)
+            if not p.low <= p.start <= p.high:
                 raise ValueError(
-                    f"{name} starts at {parameter.start:g}, outside {parameter.low:g} to {parameter.high:g}; give "
-                    f"another value as --start {name}=VALUE"
+                    f"{name} starts at {p.start:g}, outside {p.low:g} to {p.high:g}; give another value as --start "
+                    f"{name}=VALUE"
                 )
-            chosen[name] = parameter
         except ValueError as error:
-            faults.append(fault(name, error.args[0]))
+            faults.append(request.fault((key, name) if key == "vary" else (key,), error.args[0]))
     refuse(faults)
-    return list(chosen.values())
+    return chosen
 
 
 def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, Parameter]) -> str:
@@ -288,10 +323,8 @@ def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, 
         return f'the FMU has no variable "{name}"{did_you_mean(name, variables)}'
     variable = variables[name]
     kind = "an input" if variable.causality == "input" else kind_of(variable)
-    if variable.type not in REALS:
-        kind = f"of type {variable.type}"
-    elif variable.shape:
-        kind = "an array"
+    if variable.type not in REALS or variable.shape:
+        kind = "an array" if variable.type in REALS else f"of type {variable.type}"
     names = [n for n, p in offered.items() if not p.is_start][:MOST_NAMES]
     return (
         f"{name} is {kind}, which has no value to estimate; name a parameter, or the start value of a state "
@@ -306,29 +339,30 @@ def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -
         return parameter
     if text.endswith("%"):
         share = _number(text.removesuffix("%"))
-        if share is None or not 0.0 < share < math.inf:
+        if not 0.0 < share < math.inf:
             raise ValueError(f"{name}: {short(text)} is no tolerance; give a percentage above 0, such as 20%")
         if parameter.start == 0.0:
             raise ValueError(f"{name} starts at 0, of which {text} is nothing; give a range LOW..HIGH")
         return replace(parameter, tolerance=share / 100.0 * abs(parameter.start))
-    first, dots, second = (part.strip() for part in text.partition(".."))
-    if not (dots and first and second):
+    first, _, second = (part.strip() for part in text.partition(".."))
+    if not (first and second):
         raise ValueError(NOT_VARIED.format(text=short(f"{name}={text}")))
     unit = (split_quantity(second) or (0.0, ""))[1]
     ends = []
-    for end in (f"{first} {unit}" if unit and _number(first) is not None else first, second):
+    for end in (f"{first} {unit}" if unit and not math.isnan(_number(first)) else first, second):
         number = _number(end)
         try:
-            ends.append(float(convert_value(description, variable, end if number is None else number)))
+            ends.append(float(convert_value(description, variable, end if math.isnan(number) else number)))
         except ValueError as error:
-            raise ValueError(f"{variable.name}: {short(end)} is not allowed: {error}") from None
+            raise ValueError(f"{name}: {short(end)} is not allowed: {error}") from None
     low, high = ends
     if not low < high:
         raise ValueError(f"{name}: {low:g} is not below {high:g}; give LOW..HIGH with LOW below HIGH")
     return replace(parameter, low=max(low, parameter.low), high=min(high, parameter.high))
 
 
-def _number(text: str) -> float | None:
-    with suppress(ValueError):
+def _number(text: str) -> float:
+    try:
         return float(text)
-    return None
+    except ValueError:
+        return math.nan

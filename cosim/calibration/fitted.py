@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cosim.core.extras import pandas_for_frames
 from cosim.files.folders import content_of
 
 if TYPE_CHECKING:
@@ -53,29 +54,25 @@ class Fitted:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per parameter; raise ImportError without pandas."""
-        try:
-            import pandas
-        except ImportError:
-            raise ImportError("to_pandas() needs pandas: pip install pandas") from None
         rows = []
         for name, entry in self._entries.items():
             low, high = entry["ci95"] or (None, None)
             rows.append({"parameter": name, **entry, "ci95_low": low, "ci95_high": high})
-        return pandas.DataFrame(rows).drop(columns="ci95", errors="ignore")
+        frame: pandas.DataFrame = pandas_for_frames().DataFrame(rows)
+        return frame.drop(columns="ci95", errors="ignore")
 
     def plot(self) -> Figure:
         """Plot the estimates with their intervals, relative to the values before, with matplotlib."""
-        from matplotlib.figure import Figure
+        from cosim.report.figure import new_figure
 
-        figure = Figure(layout="constrained")
+        figure = new_figure()
         axes = figure.add_subplot()
-        entries = list(self._entries.items())
-        for row, (_, entry) in enumerate(entries):
-            scale = abs(entry["start"]) or 1.0
-            low, high = entry["ci95"] or (entry["value"],) * 2
-            axes.plot([(low - entry["start"]) / scale, (high - entry["start"]) / scale], [row, row], "-")
-            axes.plot([(entry["value"] - entry["start"]) / scale], [row], "o")
-        axes.set_yticks(range(len(entries)), [name for name, _ in entries])
+        for row, entry in enumerate(self._entries.values()):
+            ends = *(entry["ci95"] or ()), entry["value"]
+            changes = [(end - entry["start"]) / (abs(entry["start"]) or 1.0) for end in ends]
+            axes.plot([min(changes), max(changes)], [row, row], "-")
+            axes.plot(changes[-1:], [row], "o")
+        axes.set_yticks(range(len(self._entries)), list(self._entries))
         axes.axvline(0.0, linestyle="--")
         axes.set_xlabel("change relative to the value before")
         return figure

@@ -32,37 +32,32 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     Each parameter is changed by 1 % and by 10 % of its scale. Those with an effect compete by pivoted QR of their
     sensitivities: the one that the chosen ones imitate least comes next.
     """
-    logs, x, good = likelihood.logs, likelihood.best.x, [np.isfinite(t) for t in likelihood.best.tables]
-    spread = np.array([logs.spread[n] for n in logs.channels])
-    # the noise of its sensor, or the resolution of models
-    sigma = np.array([max(logs.noise[n], RESOLUTION * logs.spread[n]) for n in logs.channels])
+    logs, good = likelihood.logs, [np.isfinite(t) for t in likelihood.best.tables]
+    sigma = np.maximum(logs.noise, RESOLUTION * logs.spread)  # the noise of its sensor, or the resolution of models
+    shares = np.concatenate([np.broadcast_to(sigma / logs.spread, g.shape)[g] for g in good])
 
-    def changed(j: int, change: float) -> list[Array] | None:
-        """Return the change of the residuals by a change of an unknown; None if the FMU fails."""
+    def changed(j: int, change: float) -> Array | None:
+        """Return the change of the residuals by a change of an unknown, in noise levels; None if the FMU fails."""
         for side in (1.0, -1.0):
-            move = np.zeros(x.size)
+            move = np.zeros(len(likelihood.unknowns))
             move[j] = side * change * likelihood.scales[j]
             if (tables := _changes(likelihood, move)) is not None:
-                return [side * t for t in tables]
+                return np.concatenate([(side * t / sigma)[g] for t, g in zip(tables, good, strict=True)])
         return None
-
-    def flat(changes: Sequence[Array]) -> Array:
-        return np.concatenate([(c / sigma)[g] for c, g in zip(changes, good, strict=True)])
 
     names, effects, reasons = list[str](), list[float](), list[str]()
     columns, nuisance = list[Array](), list[Array]()
     for j, unknown in enumerate(likelihood.unknowns):
         if unknown.log is not None:
             if (moved := changed(j, CHANGES[0])) is not None:
-                nuisance.append(flat(moved))
+                nuisance.append(moved)
             continue
         tried = {c: moved for c in CHANGES if (moved := changed(j, c)) is not None}
-        slope = next((flat(moved) / change for change, moved in tried.items()), None)
-        relative = [float(np.nanmax(np.abs(t) / spread, initial=0.0)) for moved in tried.values() for t in moved]
+        largest = max((np.nanmax(np.abs(moved) * shares, initial=0.0) for moved in tried.values()), default=0.0)
         names.append(unknown.name)
-        columns.append(np.zeros(sum(int(g.sum()) for g in good)) if slope is None else slope)
-        effects.append(float(np.linalg.norm(flat(tried[CHANGES[1]]))) if CHANGES[1] in tried else math.nan)
-        reasons.append("" if max(relative, default=0.0) > NO_EFFECT else "no effect on any measured output")
+        columns.append(next((moved / change for change, moved in tried.items()), np.zeros(shares.size)))
+        effects.append(float(np.linalg.norm(tried[CHANGES[1]])) if CHANGES[1] in tried else math.nan)
+        reasons.append("" if largest > NO_EFFECT else "no effect on any measured output")
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     chosen = _select(names, _without(matrix, starts), np.linalg.norm(matrix, axis=0), reasons)
@@ -143,15 +138,15 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
         return None, np.zeros(0)
     parameters, lengths = np.flatnonzero(shared), np.linalg.norm(matrix, axis=0)
     _, values, directions = np.linalg.svd(matrix, full_matrices=False)
-    for value, direction in sorted(zip(values.tolist(), directions, strict=True), key=lambda pair: pair[0]):
-        if value > SUSPECT * values[0]:
+    for k in np.argsort(values, kind="stable").tolist():
+        if values[k] > SUSPECT * values[0]:
             break
-        largest = float(np.max(np.abs(direction)))
-        parts = np.flatnonzero(np.abs(direction) > TAKES_PART * largest)
+        direction = directions[k] / np.max(np.abs(directions[k]))
+        parts = np.flatnonzero(np.abs(direction) > TAKES_PART)
         if len(parts) == 1 or (likelihood.precision[parameters[parts]] > 0.0).any():
             continue  # too weak alone: its interval says so; or the prior decides
         alone = MOVE * float(np.max(lengths[parts]))
-        if (form := _invisible_form(likelihood, parameters[parts], direction[parts] / largest, alone)) is not None:
+        if (form := _invisible_form(likelihood, parameters[parts], direction[parts], alone)) is not None:
             names = [likelihood.unknowns[j].name for j in parameters[parts].tolist()]
             expression = SIGNS.get(form, ", ").join(names)
             return CombinationEntry(names=names, held=names[-1], form=form, expression=expression), values
@@ -164,7 +159,7 @@ def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alon
     scales, x = np.maximum(likelihood.scales, np.abs(point.x))[places], point.x[places]
 
     def form(pair: Array, equal: Form, opposite: Form) -> Form:
-        if pair.size != 2 or abs(pair[0]) != 1.0 or abs(pair[1]) != 1.0:
+        if pair.size != 2 or np.any(np.abs(pair) != 1.0):
             return "combination"
         return equal if pair[0] == pair[1] else opposite
 
@@ -172,10 +167,9 @@ def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alon
         """Return the change of the outputs by a move, in standard deviations; infinite if the FMU fails."""
         move = np.zeros(point.x.size)
         move[places] = part
-        changes = _changes(likelihood, move)
-        return (
-            math.inf if changes is None else math.sqrt(sum(float(np.nansum((c / point.sigma) ** 2)) for c in changes))
-        )
+        if (changes := _changes(likelihood, move)) is None:
+            return math.inf
+        return math.sqrt(sum(float(np.nansum((c / point.sigma) ** 2)) for c in changes))
 
     # relative to the smallest component, and rounded where close to whole numbers
     relative = [each / np.min(np.abs(each)) for each in (direction, direction * scales)]
@@ -185,6 +179,6 @@ def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alon
     size = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales))
     moves.append((form(shares, "difference", "sum"), MOVE * size * shares))
     for name, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # a name is preferred
-        if min(visible(side * move) for side in (1.0, -1.0)) <= INVISIBLE * alone:
+        if min(visible(move), visible(-move)) <= INVISIBLE * alone:
             return name
     return None

@@ -20,7 +20,7 @@ import numpy as np
 from cosim.calibration.fit_record import ProfileEntry
 from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Array
-from cosim.core.linear_algebra import pseudo_inverse
+from cosim.estimation.fit import inverse as scaled_inverse
 from cosim.logs.channel_noise import NORMAL_95
 
 MOST_LAGS = 30  # order of an autoregression
@@ -67,8 +67,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
     sigma, unknowns = point.sigma, point.x.size
     weighted = [(s / sigma[:, None])[np.isfinite(t)] for s, t in zip(slopes, point.tables, strict=True)]
     information = np.diag(likelihood.precision) + sum(rows.T @ rows for rows in weighted)
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse = scaled_inverse(information)
 
     def sandwich(tables: Sequence[Array]) -> tuple[Array, Array, Sequence[Autoregression]]:
         """Return the covariance of the estimates, that of the channels' innovations, and their autoregressions."""
@@ -130,7 +129,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
     The deviance is scaled so that it is 1.96² at the ends of the interval of the covariance if the model is linear in
     the parameter: residuals that are not white widen the profile as they widen that interval (composite likelihood).
     """
-    best, half, unknown = likelihood.best, float(spread.halves[j]), likelihood.unknowns[j]
+    best, half = likelihood.best, float(spread.halves[j])
     if not (math.isfinite(half) and half > 0.0 and spread.white[j] > 0.0):
         return None
     others = np.arange(best.x.size) != j
@@ -138,17 +137,16 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
 
     def root(value: float, start: Array) -> tuple[float, Array]:
         """Return the root of the scaled deviance at a value, infinite if the FMU fails, and the other unknowns."""
-        free = [u for u, is_other in zip(likelihood.unknowns, others, strict=True) if is_other]
-        inner = Likelihood(likelihood.logs, free, {**likelihood.given, unknown.name: value})
-        inner.steps, inner.slopes = likelihood.steps[others], [s[..., others] for s in likelihood.slopes]
+        inner = likelihood.restricted(others, at=value)
         if inner.point(start) is None:
             return math.inf, start
-        if free:
+        if others.any():
             inner.maximize(lambda iteration: None)
         own = 0.5 * float(likelihood.precision[j]) * (value - float(likelihood.prior[j])) ** 2
         return math.sqrt(max(0.0, 2.0 * scale * (inner.best.cost + own - best.cost))), inner.best.x
 
-    centre, points, ends = float(best.x[j]), {float(best.x[j]): 0.0}, list[float | None]()
+    centre, ends = float(best.x[j]), list[float | None]()
+    points = {centre: 0.0}
     for side, bound in ((-1.0, float(likelihood.low[j])), (1.0, float(likelihood.high[j]))):
         inside, outside, start = (centre, 0.0), (math.nan, math.inf), best.x[others]
         step, end = 0.5 * half, None
@@ -167,11 +165,11 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
                     break
             else:
                 outside = value, here
+            step = abs(outside[0] - inside[0])  # NaN before anything is outside
             if math.isfinite(outside[1]):  # the root of the deviance is nearly linear
-                share = (NORMAL_95 - inside[1]) / (outside[1] - inside[1])
-                step = abs(outside[0] - inside[0]) * share
-            elif math.isfinite(outside[0]):
-                step = 0.5 * abs(outside[0] - inside[0])
+                step = step * ((NORMAL_95 - inside[1]) / (outside[1] - inside[1]))
+            elif math.isfinite(step):
+                step = 0.5 * step
             else:
                 slope = inside[1] / abs(inside[0] - centre) if inside[1] else 0.0
                 step = min((NORMAL_95 - inside[1]) / slope if slope else math.inf, FARTHER * half)

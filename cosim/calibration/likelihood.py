@@ -42,8 +42,8 @@ class Logs:
         deadline: Clock time at which the budget is spent.
         starts: For each log, start parameters by output.
         channels: Measured outputs of any log.
-        spread: Channel → standard deviation of its measurements over all logs.
-        noise: Channel → noise level of its sensor, the median over the logs.
+        spread: Standard deviation of the measurements of each channel over all logs.
+        noise: Noise level of the sensor of each channel, the median over the logs.
         horizon: Length of windows [s]; None for free runs.
         count: Number of simulations of a whole log so far.
         failed: Number of rejected simulations, with values and reason of the first.
@@ -55,12 +55,10 @@ class Logs:
         self.count = self.failed = 0
         self.first_failure: tuple[dict[str, float], SimulationError] | None = None
         self.channels = tuple(dict.fromkeys(name for d in drives for name in d.log.outputs))
-        self.spread, self.noise = dict[str, float](), dict[str, float]()
-        for name in self.channels:
-            parts = [d.log.outputs[name] for d in drives if name in d.log.outputs]
-            values = np.concatenate(parts)
-            self.spread[name] = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
-            self.noise[name] = float(np.median([sigma_of(part) for part in parts]))
+        readings = [[d.log.outputs[name] for d in drives if name in d.log.outputs] for name in self.channels]
+        every = [*map(np.concatenate, readings)]
+        self.spread = np.array([np.nanstd(values) or np.nanmax(np.abs(values)) or 1.0 for values in every])
+        self.noise = np.array([np.median([*map(sigma_of, parts)]) for parts in readings])
         self.starts = [start_parameters(drive) for drive in drives]
 
     def shown_starts(self, values: Mapping[str, float]) -> list[Parameter]:
@@ -71,7 +69,8 @@ class Logs:
             shown = {p.name: (n, p) for n, p in starts.items() if n in drive.log.outputs and p.name not in known}
             first = first_start(drive.with_values(values), dict(shown.values())) if shown else {}
             for name, (output, p) in shown.items():
-                spread, unit = 0.1 * self.spread[output] / abs(p.gain), drive.units.get(output, "")
+                spread = 0.1 * float(self.spread[self.channels.index(output)]) / abs(p.gain)
+                unit = drive.units[output]
                 start = first.get(name, p.tried[0])
                 unknowns.append(Parameter(name, unit, start, p.low, p.high, None, True, True, k, spread))
         return unknowns
@@ -91,7 +90,7 @@ class Logs:
             if horizon is None:
                 outputs = as_columns(drive.run(0, log.rows - 1, {}), drive.outputs)
             else:
-                replay = self_started(drive, self.starts[k], free_run(drive, self.starts[k]), horizon)
+                replay = self_started(drive, free_run(drive, self.starts[k]), horizon)
                 outputs = {} if replay is None else dict(replay.outputs)
         except SimulationError as error:
             self.failed += 1
@@ -152,10 +151,8 @@ class Likelihood:
         tables, best = [], getattr(self, "best", None)
         for k in range(len(self.logs.drives)):
             values = self.values(x, k)
-            if best is not None and values == self.values(best.x, k):
-                table: Array | None = best.tables[k]
-            else:
-                table = self.logs.errors(k, values)
+            same = best is not None and values == self.values(best.x, k)
+            table = best.tables[k] if best is not None and same else self.logs.errors(k, values)
             if table is None:
                 return None
             tables.append(table)
@@ -168,8 +165,7 @@ class Likelihood:
             return None
         counts = np.asarray(sum(np.isfinite(t).sum(axis=0) for t in tables), float)
         squares = sum(np.nansum(t * t, axis=0) for t in tables)
-        least = SMALLEST * np.array([self.logs.spread[n] for n in self.logs.channels])
-        sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), least)
+        sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), SMALLEST * self.logs.spread)
         cost = float(counts @ np.log(sigma)) + 0.5 * float(self.precision @ (x - self.prior) ** 2)
         point = Point(x, tables, counts, sigma, cost)
         if not np.isfinite(point.cost):
@@ -178,12 +174,18 @@ class Likelihood:
             self.best = point
         return point
 
-    def restricted(self, kept: Flags) -> Likelihood:
-        """Return the likelihood of some of the unknowns, the others held at the best point, where no prior acts."""
+    def restricted(self, kept: Flags, at: float | None = None) -> Likelihood:
+        """Return the likelihood of some of the unknowns. The others are held, and no prior acts on them.
+
+        Args:
+            at: Value of the others; None for the best point, which the result then begins with.
+        """
         pairs = [*zip(self.unknowns, self.best.x, kept, strict=True)]
-        held = {u.name: float(v) for u, v, k in pairs if not k and u.log is None}
+        held = {u.name: float(v) if at is None else at for u, v, k in pairs if not k and u.log is None}
         inner = Likelihood(self.logs, [u for u, _, k in pairs if k], {**self.given, **held})
-        inner.steps, inner.best = self.steps[kept], replace(self.best, x=self.best.x[kept])
+        inner.steps = self.steps[kept]
+        if at is None:
+            inner.best = replace(self.best, x=self.best.x[kept])
         if hasattr(self, "slopes"):
             inner.slopes = [s[..., kept] for s in self.slopes]
         return inner
@@ -246,7 +248,7 @@ class Likelihood:
         scales, roots = np.maximum(self.scales, np.abs(begin.x)), np.sqrt(self.precision)
         low, high = (self.low - begin.x) / scales, (self.high - begin.x) / scales
         cells = sum(table.size for table in begin.tables)
-        least = (SMALLEST * np.array([*self.logs.spread.values()]) / begin.sigma) ** 2
+        least = (SMALLEST * self.logs.spread / begin.sigma) ** 2
 
         def misses(x: Array) -> Array:
             """Return residuals in standard deviations at the beginning, and deviations from the priors."""

@@ -18,9 +18,10 @@ from cosim.calibration.fit_record import (
     PartErrors,
     Record,
     StartEntry,
+    Status,
     Verdict,
 )
-from cosim.calibration.fit_study import Request
+from cosim.calibration.fit_study import Parameter, Request
 from cosim.core.arrays import Array
 from cosim.core.text import amount, counted, join_names, plain, size
 from cosim.logs.log import Log
@@ -28,7 +29,7 @@ from cosim.refinement.proof.measure import find_rises
 from cosim.residuals.compare import floors, horizon_name
 from cosim.residuals.drive import Drive
 from cosim.residuals.residual_statistics import FREE_RUN, finite, pool_errors, remaining_excess
-from cosim.residuals.windows import Replay, free_run, horizons, self_started, start_parameters
+from cosim.residuals.windows import Replay, free_run, horizons, replays_over
 
 CLEAR = 0.95  # ratio of errors from which the model is better
 MOST = 2  # outputs in a headline
@@ -66,49 +67,41 @@ def prove(
     Args:
         horizon: Horizon of the noise floor of the values after; FREE_RUN for free runs.
     """
-    logs, sides, squares = [d.log for d in drives], list[list[dict[float, Replay]]](), dict[str, list[float]]()
+    logs, sides, squares = [d.log for d in drives], list[list[Mapping[float, Replay]]](), dict[str, list[float]]()
     for every in (before, after):
         sides.append([])
         for drive, values in zip(drives, every, strict=True):
             moved = drive.with_values(values)
-            parameters = start_parameters(moved)
-            free = free_run(moved, parameters)
-            replays = {FREE_RUN: free}
-            if (windowed := self_started(moved, parameters, free, horizons(moved.log)[-1])) is not None:
-                replays[windowed.horizon] = windowed
-            if every is after:
-                for name, floor in floors(moved, parameters, free, replays.get(horizon, free)).items():
-                    squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
+            free = free_run(moved)
+            replays = replays_over(moved, free, horizons(moved.log)[-1:])
             sides[-1].append(replays)
+            if every is after:
+                for name, floor in floors(moved, free, replays.get(horizon, free)).items():
+                    squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
     common = set.intersection(*(set(replays) for side in sides for replays in side))
     horizon = horizon if horizon in common else FREE_RUN
-    units = {n: u for log in logs for n, u in log.units.items()}
-
-    def errors(span: float) -> dict[str, tuple[float, float]]:
-        """Return channel → root mean square error before and after, pooled over the logs."""
+    errors = {}  # horizon → channel → root mean square error before and after, pooled over the logs
+    for span in sorted(common, key=lambda span: (span != horizon, span)):
         old, new = (pool_errors(r[span].errors(log) for log, r in zip(logs, side, strict=True)) for side in sides)
-        return {name: (old[name], new[name]) for name in old}
-
-    channels = {}
-    for name, (old, new) in errors(horizon).items():
+        errors[span] = {name: (finite(old[name]), finite(new[name])) for name in old}
+    channels, units = {}, {n: u for log in logs for n, u in log.units.items()}
+    for name, (first, last) in errors[horizon].items():
         floor_square = float(np.mean(each)) if (each := squares.get(name)) else math.nan
+        excess = math.nan
+        if first is not None and last is not None:
+            excess = remaining_excess(first, last, math.sqrt(np.nan_to_num(floor_square)))
         channels[name] = ChannelErrors(
             unit=units[name],
-            before=finite(old),
-            after=finite(new),
+            before=first,
+            after=last,
             noise_floor=finite(math.sqrt(floor_square)),
-            excess_left=finite(remaining_excess(old, new, math.sqrt(np.nan_to_num(floor_square)))),
+            excess_left=finite(excess),
         )
-    spans = {
-        "free run" if h == FREE_RUN else f"{h:g} s": {n: (finite(a), finite(b)) for n, (a, b) in errors(h).items()}
-        for h in sorted(common, key=lambda h: (h != horizon, h))
-    }
+    spans = {"free run" if h == FREE_RUN else f"{h:g} s": of for h, of in errors.items()}
     shown = [[(log, r[horizon]) for log, r in zip(logs, side, strict=True)] for side in sides]
     rises = [*find_rises(*shown)] if sealed else []
-    curves = (side[-1][1].outputs for side in shown)
-    return Part(
-        sealed, PartErrors(horizon=finite(horizon), channels=channels, horizons=spans), rises, logs[-1], *curves
-    )
+    part = PartErrors(horizon=finite(horizon), channels=channels, horizons=spans)
+    return Part(sealed, part, rises, logs[-1], *(side[-1][1].outputs for side in shown))
 
 
 def _verdict(part: Part) -> Verdict:
@@ -130,40 +123,41 @@ def write_record(
         given: Values of `--start` that are not estimated.
     """
     assert estimate.likelihood is not None
-    logs, spread, point, unknowns = (
-        estimate.logs,
-        estimate.covariance,
-        estimate.likelihood.best,
-        estimate.likelihood.unknowns,
-    )
+    logs, spread, likelihood = estimate.logs, estimate.covariance, estimate.likelihood
+    point, unknowns = likelihood.best, likelihood.unknowns
     alone = {n for c in estimate.combinations for n in c.names}
     parameters, starts, per_log = dict[str, ParameterEntry](), list[StartEntry](), list[LogEntry]()
 
-    def interval(j: int) -> tuple[float, float] | None:
-        value, half = float(point.x[j]), math.nan if spread is None else float(spread.halves[j])
-        return (value - half, value + half) if math.isfinite(half) else None
-
-    for j, (p, value) in enumerate(zip(unknowns, point.x.tolist(), strict=True)):
-        common = {"value": value, "unit": p.unit}
-        if p.log is not None:
-            entry = LogEntry(**common, log=str(logs.drives[p.log].log.path), name=p.name, ci95=interval(j))
-            if not p.is_start:
-                per_log.append(entry)
-            else:
-                starts.append(StartEntry(**dict(entry), named=not p.spread))
-            continue
+    def add(p: Parameter, value: float, status: Status, ci95: tuple[float, float] | None = None) -> None:
         parameters[p.name] = ParameterEntry(
-            **common,
-            **p.entry(),
-            ci95=None if p.name in alone else interval(j),
-            status="at_bound" if value in (p.low, p.high) else "estimated",
+            value=value,
+            unit=p.unit,
+            start=p.start,
+            low=finite(p.low),
+            high=finite(p.high),
+            tolerance=p.tolerance,
+            ci95=ci95,
+            status=status,
             profile=estimate.profiles.get(p.name),
         )
+
+    halves = np.full(len(unknowns), np.nan) if spread is None else spread.halves
+    for p, value, half in zip(unknowns, point.x.tolist(), halves.tolist(), strict=True):
+        ci95 = (value - half, value + half) if math.isfinite(half) else None
+        if p.log is None:
+            at_bound = value in (p.low, p.high)
+            add(p, value, "at_bound" if at_bound else "estimated", None if p.name in alone else ci95)
+            continue
+        entry = LogEntry(log=str(logs.drives[p.log].log.path), name=p.name, value=value, unit=p.unit, ci95=ci95)
+        if p.is_start:
+            starts.append(StartEntry(**dict(entry), named=not p.spread))
+        else:
+            per_log.append(entry)
     for p in estimate.held.values():
-        parameters[p.name] = ParameterEntry(value=p.start, unit=p.unit, **p.entry(), ci95=None, status="held")
+        add(p, p.start, "held")
     correlation, colour = None, np.full(len(logs.channels), np.nan)
     if spread is not None:
-        shared, colour = [j for j, u in enumerate(unknowns) if u.log is None], spread.colour
+        shared, colour = [u.log is None for u in unknowns], spread.colour
         matrix = spread.matrix[np.ix_(shared, shared)]
         roots = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         correlation = np.clip(matrix / np.outer(roots, roots), -1.0, 1.0).tolist()

@@ -16,14 +16,11 @@ from cosim.calibration.fit_record import LogEntry, ParameterEntry, Record
 from cosim.calibration.outcome import Part
 from cosim.core.text import (
     MISSING,
-    amount,
     counted,
     displayed,
     join_names,
-    percent,
     plain,
     shown_unit,
-    size,
     split_sentence,
 )
 from cosim.core.version import __version__
@@ -47,55 +44,18 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     verdict, tone = str(record.verdict), {"improved": "good", "worse": "bad"}.get(record.verdict, "plain")
     if verdict == "improved" and not estimate.settled:  # no success yet
         verdict, tone = "improved, not settled", "warn"
-    badges = [
-        Badge(verdict, tone),
-        Badge(counted(len(record.logs), "log")),
-        Badge(counted(len(record.sealed), "sealed log")),
-        Badge(counted(record.simulations, "simulation")),
-    ]
+    counts = {"log": len(record.logs), "sealed log": len(record.sealed), "simulation": record.simulations}
+    badges = [Badge(verdict, tone), *(Badge(counted(count, noun)) for noun, count in counts.items())]
     if record.warnings:
         badges.append(Badge(counted(len(record.warnings), "warning"), "warn"))
-    starts, own = (
-        [
-            {"name": s.name, "log": Path(s.log).name, "value": amount(s.value, s.unit, 4), "interval": _range(s)}
-            for s in entries
-        ]
-        for entries in (record.starts, record.per_log)
-    )
     names, matrix = [n for n, p in record.parameters.items() if p.status != "held"], record.correlation or []
     rows = [(n, [plain(v, 2) for v in row]) for n, row in zip(names, matrix, strict=False)]
     strong = [
-        f"{names[i]} and {names[j]} ({plain(matrix[i][j], 2)})"
-        for i in range(len(matrix))
-        for j in range(i)
-        if abs(matrix[i][j]) > STRONG
+        f"{names[i]} and {names[j]} ({plain(value, 2)})"
+        for i, row in enumerate(matrix)
+        for j, value in enumerate(row[:i])
+        if abs(value) > STRONG
     ]
-    screening = [
-        {
-            "name": c.name,
-            "effect": MISSING if c.effect is None else f"{plain(c.effect, 2)} σ",
-            "verdict": "estimated" if c.estimated else "left",
-            "why": c.reason,
-        }
-        for c in record.screening
-    ]
-    units = {n: u for d in estimate.logs.drives for n, u in d.log.units.items()}
-    noise = [
-        {"name": n, "sigma": size(e.sigma, units[n]), "colour": MISSING if e.colour is None else plain(e.colour, 2)}
-        for n, e in record.noise.items()
-    ]
-    errors = []
-    for part, title in zip(record.errors.values(), ("Logs of the estimate", "Sealed logs"), strict=False):
-        table = [
-            {
-                "name": name,
-                **{k: MISSING if (v := getattr(c, k)) is None else size(v, c.unit) for k in ("before", "after")},
-                "floor": MISSING if c.noise_floor is None else size(c.noise_floor, c.unit),
-                "left": MISSING if c.excess_left is None else percent(max(0.0, c.excess_left)),
-            }
-            for name, c in part.channels.items()
-        ]
-        errors.append({"title": f"{title}, {horizon_name(part.horizon)}", "rows": table})
     way = "free runs" if record.windows is None else f"windows of {record.windows:g} s: {record.windows_reason}"
     failed = f", {record.failed_simulations} failed" if record.failed_simulations else ""
     provenance = [
@@ -129,24 +89,17 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
             "details": details,
             "tone": tone,
             "badges": badges,
-            "warnings": [*record.warnings, *record.notes],
+            "record": record,
             "plots": plots,
             "profiles": [
                 _profile_plot(n, p, charts) for n, p in record.parameters.items() if p.profile and p.profile.values[1:]
             ],
-            "log": "" if proof is None else proof.log.path.name,
-            "is_sealed": proof is not None and proof.sealed,
-            "horizon": "" if proof is None else horizon_name(proof.errors.horizon),
-            "parameters": [_parameter(n, p) for n, p in record.parameters.items()],
-            "starts": starts,
-            "own": own,
+            "proof": proof,
+            "parameters": [(n, p, _ruler(p)) for n, p in record.parameters.items()],
             "correlation": {"columns": names, "rows": rows} if len(matrix) > 1 else None,
             "strong": join_names(strong),
-            "singular": [plain(v) for v in record.singular_values],
-            "combinations": [c.sentence for c in estimate.combinations],
-            "errors": errors,
-            "screening": screening,
-            "noise": noise,
+            "units": {n: u for d in estimate.logs.drives for n, u in d.log.units.items()},
+            **{f.__name__: f for f in (displayed, horizon_name, interval, number, Path)},
             "repeat": shlex.join(_repeat(record, estimate)),
             "provenance": provenance,
             "data": charts.data(),  # after all drawings
@@ -155,33 +108,17 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     )
 
 
-def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:
-    """Return a table row: values, and their places on a ruler about value, start and interval."""
-    points = [p.start, p.value, *(p.ci95 or ())]
-    low, high = min(points), max(points)
-    margin = 0.1 * (high - low) or 0.1 * abs(p.value) or 1.0
+def number(value: float | None) -> float:
+    """Return NaN for a missing number."""
+    return math.nan if value is None else value
 
-    def place(value: float) -> float:
-        return float(round(100.0 * (value - low + margin) / (high - low + 2.0 * margin), 2))
 
-    notes = {"estimated": "", "at_bound": "at its bound", "held": "held at its start"}
-    bounds = MISSING
-    if p.tolerance is not None:
-        bounds = f"± {amount(p.tolerance, p.unit, 2, difference=True)}, prior"
-    elif p.low is not None or p.high is not None:
-        ends = ["" if end is None else plain(displayed(end, p.unit)) for end in (p.low, p.high)]
-        bounds = f"{ends[0] or '−∞'} … {ends[1] or '∞'}"
-    return {
-        "name": name,
-        "start": amount(p.start, p.unit, 4),
-        "value": amount(p.value, p.unit, 5),
-        "interval": _range(p),
-        "bounds": bounds,
-        "note": notes[p.status] or ("not identifiable alone" if p.ci95 is None else ""),
-        "at": place(p.value),
-        "old": place(p.start),
-        "span": p.ci95 and (place(p.ci95[0]), round(place(p.ci95[1]) - place(p.ci95[0]), 2)),
-    }
+def _ruler(p: ParameterEntry) -> dict[str, Any]:
+    """Return the places of value, start and interval on a ruler about them [%]."""
+    points = np.array([p.value, p.start, *(p.ci95 or ())])
+    margin = 0.1 * float(np.ptp(points)) or 0.1 * abs(p.value) or 1.0
+    at, old, *ends = np.round(100.0 * (points - points.min() + margin) / (np.ptp(points) + 2.0 * margin), 2).tolist()
+    return {"at": at, "old": old, "span": ends and (ends[0], round(ends[1] - ends[0], 2))}
 
 
 def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
@@ -199,7 +136,7 @@ def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
     return charts.alone(Panel(f"Profile of {name}", "1", [curve, points, level]), ends, (name, shown_unit(p.unit)))
 
 
-def _range(entry: ParameterEntry | LogEntry) -> str:
+def interval(entry: ParameterEntry | LogEntry) -> str:
     """Return a confidence interval with as many digits as its width deserves."""
     if entry.ci95 is None:
         return MISSING

@@ -22,9 +22,9 @@ from cosim.core.errors import InputError
 from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.core.text import counted, join_names, showing
 from cosim.estimation.posing import build_problem, coarsen
-from cosim.experiment.fmu_experiment import FmuOpenLoop
+from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.experiment.question import Question, ask, refinement_folder
-from cosim.experiment.rigs import OpenLoop, RigAxis, Trial
+from cosim.experiment.rigs import FmuOpenLoop, OpenLoop, RigAxis, Trial
 from cosim.experiment.separation import MIN_SEPARATION, Pair, separation
 from cosim.files.csv_source import write_columns
 from cosim.files.files import FilePath, check_writable, write_text
@@ -203,8 +203,8 @@ def excite(
         model = question.loaded.model
         time = _times(text, model.rate, duration)
         common = (question.limits, question.ranges, float(time[-1]))
-        if question.of_fmu is not None:
-            rig: OpenLoop = FmuOpenLoop(question.of_fmu, question.first, *common)
+        if isinstance(question.subject, FmuSubject):
+            rig: OpenLoop = FmuOpenLoop(question.subject, question.first, *common)
         else:  # of the model's class, or that of any model
             entry = registry.entry_of(type(model))
             rig = (registry.resolve(entry.rig) if entry and entry.rig else OpenLoop)(model, *common)
@@ -256,7 +256,7 @@ def _choose(
 
     def play_rivals(trial: Trial) -> dict[str, Trial]:
         """Simulate each rival with the signals of a trial."""
-        base, trials = question.base.model, {}
+        base, trials = subject.model, {}
         sensors = {k.name for k in base.sensors}  # whose errors do not change the model
         for rival in question.rivals:
             values = {n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors}
@@ -340,10 +340,10 @@ def _write(folder: Path, excitation: Excitation, seed: int) -> None:
 
     trial, loaded = excitation.trial, excitation.question.loaded
     write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in loaded.model.inputs})
-    if (of_fmu := excitation.question.of_fmu) is None:
-        build(loaded.recipe(), folder / "plant.fmu")
+    if isinstance(subject := excitation.question.subject, FmuSubject):
+        copyfile(subject.structure.fmu, folder / "plant.fmu")
     else:
-        copyfile(of_fmu.structure.fmu, folder / "plant.fmu")
+        build(loaded.recipe(), folder / "plant.fmu")
     excitation.rig.write(folder, trial)
     write_text(folder / "excitation.yaml", "\n".join(_scenario(excitation, seed)) + "\n")
 
@@ -358,7 +358,7 @@ def _scenario(excitation: Excitation, seed: int) -> Iterator[str]:
     yield f"duration: {trial.time[-1]:.9g}"
     yield f"step: {model.rate:.9g}"
     yield f"seed: {seed}"
-    if question.of_fmu is not None:
+    if isinstance(question.subject, FmuSubject):
         yield "algorithm: jacobi # the input of a row acts until the next one, also where outputs depend on inputs"
     yield ""
     yield "components:"

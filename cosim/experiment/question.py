@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain, combinations
+from itertools import chain, combinations, groupby
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,7 @@ from cosim.core.text import did_you_mean
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
-from cosim.experiment.rigs import Ranges, inputs_to_limit, limits_and_ranges
+from cosim.experiment.rigs import OpenLoop, Ranges, inputs_to_limit, limits_and_ranges
 from cosim.experiment.separation import MIN_SEPARATION, Pair, Rival, typical_rival
 from cosim.files.artefact import ANSWER, CODE, FMU, MODEL
 from cosim.files.folders import newest_run
@@ -26,13 +25,31 @@ from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.refined import names_refine
 from cosim.fmi.building.substep import with_substep
+from cosim.fmi.description import read_description
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
 from cosim.logs.log import Log, read_log
 from cosim.model.model import Model
+from cosim.probing.log_runs import sine_course
+from cosim.probing.places import probe_places
+from cosim.probing.prober import quantities
 from cosim.refinement.search.fits import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
+from cosim.residuals.drive import MODULES, DriveApart, as_columns, model_signals
+from cosim.terms.fmu_model import fmu_model
+from cosim.terms.language import Term, with_place
 
 NOTHING = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
+# Kinds of terms at one place that small or short experiments confuse.
+CONFUSED = (
+    ("delay", "lag", "second_order_lag", "rate_limit"),
+    ("dead_band", "play"),
+    ("gain", "saturation", "square_law"),
+    ("coulomb", "viscous", "quadratic_drag"),
+    ("cubic_spring", "cogging"),
+    ("leak", "growing_leak", "overflow"),
+)
 
 
 @dataclass(frozen=True)
@@ -41,29 +58,22 @@ class Question:
 
     Attributes:
         loaded: Model under test.
-        base: Model from which the rivals differ, used for the filter.
+        subject: Subject of the model from which the rivals differ, for the filter: `loaded`, or it without its effects.
         measured: Logged outputs; `noise` holds standard deviations that differ from the model's.
         limits: Largest excursion of an input or output from its start.
         ranges: Input → least and largest command, declared, requested, or observed in logs.
-        of_fmu: Subject of an FMU; None for a model.
         first: Output of an FMU → reading at the start.
     """
 
     loaded: LoadedModel
-    base: LoadedModel
+    subject: ModelSubject
     rivals: tuple[Rival, ...]
     pairs: tuple[Pair, ...]
     measured: tuple[str, ...]
     noise: Mapping[str, float]
     limits: Mapping[str, float]
     ranges: Ranges = field(default_factory=dict)
-    of_fmu: FmuSubject | None = None
     first: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def subject(self) -> ModelSubject:
-        """Return the subject of the base model, with the library of its FMU if it is one."""
-        return ModelSubject(self.base) if self.of_fmu is None else self.of_fmu
 
 
 class Ranked(BaseModel):
@@ -119,7 +129,7 @@ def ask(
             question = _question_of_refinement(path, against)
         else:
             question = _question_of_model(path, with_substep(load_model(text, Path()))[0], against)
-    model, faults = question.base.model, list[str]()
+    model, faults = question.subject.model, list[str]()
     if not model.base_states:
         raise InputError.at(
             path,
@@ -161,20 +171,19 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         raise InputError([yaml.fault(("study",), message)])
     yaml = YamlFile(file)
     study = yaml.validate(StudyFile)
-    of_fmu, first, logs = None, dict[str, float](), list[Log]()
+    first, logs = dict[str, float](), list[Log]()
     if study.model.lower().endswith(".fmu"):
         of_study = read_study(file)
-        assert isinstance(of_study.subject, FmuSubject)
-        of_fmu, study, logs = of_study.subject, of_study.content, [*of_study.logs]
-        loaded, first = of_fmu.loaded, first_outputs(logs[0])
+        assert isinstance(of_study.subject, ModelSubject)
+        subject, study, logs = of_study.subject, of_study.content, [*of_study.logs]
+        first = _first_outputs(logs[0])
     else:
-        loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
+        subject = ModelSubject(with_substep(load_model(study.model, file.parent, yaml))[0])
+        inputs, outputs = subject.model.inputs, subject.model.outputs
         for name in study.logs.estimation:
             with suppress(InputError):  # missing logs are skipped
-                logs.append(
-                    read_log(file.parent / name, loaded.model.inputs, loaded.model.outputs, columns=study.columns)
-                )
-    candidates, subject = _candidates(loaded), of_fmu or ModelSubject(loaded)
+                logs.append(read_log(file.parent / name, inputs, outputs, columns=study.columns))
+    candidates, model = _candidates(subject.loaded), subject.model
     names = list(against) or [n for n in content.rivals if n != "no_effect"]
     if any(TOGETHER in name for name in names):
         parts = {name: tuple(name.split(TOGETHER)) for name in names}
@@ -191,14 +200,15 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         pairs: Sequence[Pair] = [*combinations(names, 2)]
     else:
         _check_names(path, names, candidates)
-        typical, pairs = _rivals(subject, candidates, names, _groups(loaded.model, candidates))
+        typical, pairs = _rivals(subject, candidates, names, _groups(model, candidates))
         rivals = tuple(_fitted_rival(r, names, content, candidates, subject.values) for r in typical)
     ranges = {}  # (least, largest) command over all logs
-    for name in logs[0].inputs if logs and inputs_to_limit(loaded.model) else ():
+    for name in logs[0].inputs if logs and inputs_to_limit(model) else ():
         commands = np.concatenate([log.inputs[name] for log in logs])
         ranges[name] = float(commands.min()), float(commands.max())
     noise = {**content.sensor_noise, **study.noise}
-    return Question(loaded, loaded, rivals, tuple(pairs), tuple(content.measured), noise, {}, ranges, of_fmu, first)
+    measured = tuple(content.measured)
+    return Question(subject.loaded, subject, rivals, tuple(pairs), measured, noise, {}, ranges, first)
 
 
 def _fitted_rival(
@@ -229,17 +239,40 @@ def _fitted_rival(
 def _question_of_fmu(
     path: Path, against: Sequence[str], limits: Sequence[str], ranges: Sequence[str], duration: float | None
 ) -> Question:
-    """Return the question of an FMU.
+    """Return the question of an FMU, which is probed along a pulse of each input.
 
     Args:
         against: Names of the rivals; by default the terms that are hard to separate at each place.
-        duration: Duration of the pulses along which it is probed [s].
+        duration: Duration of the pulses [s]; None for the duration and step that the FMU declares.
+
+    Raises:
+        InputError: An input has no limit, or an argument has faults.
+        FmuError: The FMU cannot be loaded.
+        SimulationError: The FMU fails.
     """
     check_given(path, FMU)
-    subject, first = subject_of_fmu(path, duration, limits, ranges)
+    description = read_description(path)
+    course = sine_course(description)
+    step = float(course.time[1] - course.time[0])
+    time = step * np.arange(round((duration or float(course.time[-1])) / step) + 1, dtype=np.float64)
+    signals = model_signals(path)
+    inputs, outputs = (quantities(description, [q.name for q in group]) for group in signals)
+    into, out = (tuple(replace(q, name=with_place(q.name)) for q in group) for group in (inputs, outputs))
+    bare = fmu_model(path.stem, (out, into, out), (), (), rate=step)  # with its signals only
+    faults = list[str]()
+    reaches, spans = limits_and_ranges(bare, limits, ranges, {}, faults)
+    refuse(Fault(path, 0, 0, fault) for fault in faults)
+    rig = OpenLoop(bare, reaches, spans, float(time[-1]))
+    commands = rig.commands(bare, rig.usual_signals(time))
+    played = {q.name: commands[with_place(q.name)] for q in inputs}
+    units = {q.name: q.unit for group in signals for q in group}
+    log = Log(path.with_suffix(".csv"), time, played, {}, units, step, units, {})
+    with Worker(*MODULES) as worker, DriveApart(worker, log, path) as drive:
+        log = replace(log, outputs=as_columns(drive.run(0, time.size - 1, {}), drive.outputs))
+    subject = FmuSubject.of_fmu(probe_places(path, [log]).structure, [log], limits=Limits())
     candidates = _candidates(subject.loaded)
     _check_names(path, against, candidates)
-    rivals, pairs = _rivals(subject, candidates, list(against), confused_groups(subject.model))
+    rivals, pairs = _rivals(subject, candidates, list(against), _confused_groups(subject.model))
     if not pairs:
         raise InputError.at(
             path, f"has no terms that are hard to separate; name rivals as --against ({', '.join(candidates)})"
@@ -247,7 +280,25 @@ def _question_of_fmu(
     measured = tuple(q.name for q in subject.outputs)
     variables = {name: variable for variable, name in subject.names.items()}
     noise = {n: NOISE_SHARE * (subject.structure.scales.get(variables[n]) or 1.0) for n in measured}
-    return Question(subject.loaded, subject.loaded, rivals, pairs, measured, noise, {}, {}, subject, first)
+    first = _first_outputs(log)
+    return Question(subject.loaded, subject, rivals, pairs, measured, noise, {}, {}, first)
+
+
+def _first_outputs(log: Log) -> dict[str, float]:
+    """Return output → its first reading in a log, in names of the model."""
+    readings = {with_place(n): values[np.isfinite(values)] for n, values in log.outputs.items()}
+    return {name: float(values[0]) for name, values in readings.items() if values.size}
+
+
+def _confused_groups(model: Model) -> list[set[str]]:
+    """Return the groups of terms of an FMU that are hard to separate: kinds of `CONFUSED` at one place."""
+    groups: list[set[str]] = []
+    terms = [kind for kind in model.catalogue if issubclass(kind, Term)]
+    for _, at in groupby(sorted(terms, key=lambda t: t.place.name), key=lambda t: t.place.name):
+        kinds = {t.kind: t.name for t in at}
+        kinds |= {"delay": "delay"} if "lag" in kinds and any(k.name == "delay" for k in model.catalogue) else {}
+        groups += [{kinds[k] for k in confused if k in kinds} for confused in CONFUSED]
+    return [group for group in groups if len(group) > 1]
 
 
 def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:
@@ -257,12 +308,12 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
         against: Names of the rivals; by default all candidates that are hard to separate from the model's effects.
     """
     model = loaded.model
-    base = replace(loaded, model=replace(model, effects=()))
-    candidates = _candidates(base)
+    base = ModelSubject(replace(loaded, model=replace(model, effects=())))
+    candidates = _candidates(base.loaded)
     _check_names(path, against, candidates)
     own, groups = [e.name for e in model.awake], _groups(model, candidates)
     names = list(against) or sorted(set().union(*(g for g in groups if not g.isdisjoint(own))).difference(own))
-    rivals, pairs = _rivals(ModelSubject(base), candidates, names, groups)
+    rivals, pairs = _rivals(base, candidates, names, groups)
     if own and names:  # against the active effects, with their values in the model
         free, values = tuple(f for n in own for f in candidates[n].free), ModelSubject(loaded).values
         present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.text import append_unit, counted, display, displayed, join_names, plain, shown_unit
+from cosim.core.text import counted, displayed, join_names, plain, shown_unit
 from cosim.core.version import __version__
 from cosim.experiment.excite import MAX_RIVALS, Excitation
 from cosim.experiment.separation import MIN_SEPARATION
@@ -31,13 +31,9 @@ def page(excitation: Excitation, scenario: Path) -> str:
     model = question.loaded.model
     units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
     drawing = charts.over(excitation.trial.time)
-    pairs, names = excitation.hardest_first, question.measured
-    largest = max(
-        [MIN_SEPARATION, *(d for of in (excitation.apart, excitation.usual) for d in of.values() if math.isfinite(d))]
-    )
     panels = []  # each output of the model and of its rivals with its limits: limited outputs first
     limited = [name for name in excitation.trial.outputs if name in question.limits]
-    for name in list(dict.fromkeys((*limited, *names)))[:MAX_OUTPUTS]:
+    for name in list(dict.fromkeys((*limited, *question.measured)))[:MAX_OUTPUTS]:
         unit, values = units[name], excitation.trial.outputs[name]
         traces = [Trace("model", displayed(values, unit), "true")]
         for k, (rival, trial) in enumerate(list(excitation.rivals.items())[:MAX_RIVALS]):
@@ -46,30 +42,21 @@ def page(excitation: Excitation, scenario: Path) -> str:
         limit = question.limits.get(name)
         edges = () if limit is None else tuple(float(displayed(values[0] + x, unit)) for x in (-limit, limit))
         panels.append(Panel(name, shown_unit(unit) or "1", traces, None, edges, "limit" if edges else ""))
-    separates, rows = min(excitation.apart.values()) >= MIN_SEPARATION, []
-    for pair in pairs[:MAX_PAIRS]:
-        distances = excitation.apart[pair], excitation.usual[pair]
-        widths = [round(100.0 * min(1.0, d / largest), 2) if math.isfinite(d) else 100.0 for d in distances]
-        row = {"pair": f"{pair[0]} and {pair[1]}", "apart": plain(distances[0], 2), "usual": plain(distances[1], 2)}
-        rows.append({**row, "width": widths[0], "old": widths[1], "separated": distances[0] >= MIN_SEPARATION})
+    separates = min(excitation.apart.values()) >= MIN_SEPARATION
     return render(
         TEMPLATE,
         {
-            "name": f"Excitation of {question.loaded.model.title}",
-            "outcome": excitation.headline,
+            "excitation": excitation,
             "tone": "warn" if excitation.excess > 1.0 else "good" if separates else "bad",
             "badges": [
                 Badge(f"{plain(seconds)} s"),
                 Badge(counted(len(question.rivals), "rival")),
-                Badge(f"measured: {join_names(names)}"),
+                Badge(f"measured: {join_names(question.measured)}"),
             ],
-            "cautions": excitation.warnings,
             "inputs": drawing.plots(held_panels(excitation.trial.inputs, units)),
-            "needed": plain(MIN_SEPARATION, None),
-            "mark": round(100.0 * MIN_SEPARATION / largest, 2),
-            "usual": excitation.rig.usual,
-            "pairs": rows,
-            "more_pairs": max(0, len(pairs) - MAX_PAIRS),
+            "needed": MIN_SEPARATION,
+            "longest": max(MIN_SEPARATION, *excitation.apart.values(), *excitation.usual.values()),
+            "most": MAX_PAIRS,
             "limits": _limits(excitation, units),
             "outputs": drawing.plots(panels),
             "play": shlex.join(["cosim", "run", str(scenario)]),
@@ -85,22 +72,11 @@ def _limits(excitation: Excitation, units: Mapping[str, str]) -> list[Mapping[st
     starts = dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
     rows: list[Mapping[str, Any]] = []
     for name, limit in excitation.question.limits.items():
-        excursions = {}
-        for rival, trial in trials.items():
-            values = {**trial.inputs, **trial.outputs}.get(name)
-            if values is not None:
-                excursions[rival] = float(np.abs(values - starts.get(name, values[0])).max())
-        if not excursions:
-            continue
-        unit, factor = display(units[name])
-        rival = max(excursions, key=lambda k: math.inf if math.isnan(excursions[k]) else excursions[k])
-        rows.append(
-            {
-                "name": name,
-                "limit": append_unit(f"±{plain(limit * factor, 3)}", unit),
-                "model": append_unit(plain(excursions.get("", math.nan) * factor, 3), unit),
-                "largest": append_unit(plain(excursions[rival] * factor, 3), unit) + (f" ({rival})" if rival else ""),
-                "within": excursions[rival] <= limit * (1.0 + 1e-9),
-            }
-        )
+        signals = {rival: {**trial.inputs, **trial.outputs}.get(name) for rival, trial in trials.items()}
+        excursions = {k: float(np.abs(v - starts.get(name, v[0])).max()) for k, v in signals.items() if v is not None}
+        if excursions:
+            rival = max(excursions, key=lambda k: math.inf if math.isnan(excursions[k]) else excursions[k])
+            sizes = {"limit": limit, "model": excursions.get("", math.nan), "largest": excursions[rival]}
+            is_within = excursions[rival] <= limit * (1.0 + 1e-9)
+            rows.append({"name": name, "unit": units[name], **sizes, "rival": rival, "within": is_within})
     return rows

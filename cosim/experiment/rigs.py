@@ -17,10 +17,14 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.text import did_you_mean
 from cosim.core.units import NUMBER, conversion, read_quantity
+from cosim.estimation.data import data_of, start_state
+from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.interface import Subject
+from cosim.estimation.subject.model_subject import neutral_values
 from cosim.logs.log import Log
 from cosim.model.integrate import Stepper
 from cosim.model.model import Model, Values
+from cosim.terms.fmu_model import FmuModel
 
 Signals = Mapping[str, Array]
 Ranges = Mapping[str, tuple[float, float]]  # input → least and largest command
@@ -116,6 +120,46 @@ class OpenLoop:
             variance: Noise variance of each output.
         """
         yield from (f"  - {{from: excitation.{q.name}, to: plant.{q.name}}}" for q in model.inputs)
+
+
+class FmuOpenLoop(OpenLoop):
+    """Open-loop rig that plays signals through the library of an FMU, with the terms of a hypothesis.
+
+    Args:
+        first: Output → reading at the start.
+    """
+
+    def __init__(
+        self,
+        subject: FmuSubject,
+        first: Mapping[str, float],
+        limits: Mapping[str, float],
+        ranges: Ranges,
+        duration: float,
+    ) -> None:
+        super().__init__(subject.model, limits, ranges, duration)
+        self.subject, self.first = subject, first
+        self.kernel = subject.kernel([q.name for q in subject.outputs])
+
+    def play(self, model: Model, signals: Signals) -> Trial:
+        """Simulate the FMU with the parameters of a model, and input signals clipped to the ranges."""
+        inputs = self.commands(model, signals)
+        time = model.rate * np.arange(len(next(iter(signals.values()))), dtype=np.float64)
+        names = [q.name for q in model.outputs]
+        readings = {n: np.where(np.arange(time.size) == 0, self.first.get(n, np.nan), np.nan) for n in names}
+        log = Log(Path("trial.csv"), time, inputs, readings, {}, model.rate, {}, {})
+        layout = self.kernel.layout
+        data = data_of(self.subject, log, layout)
+        values = neutral_values(model)
+        p = np.array([values.get(name, 1.0) for name in layout.parameters])
+        x0 = start_state(self.subject, data, layout.outputs, layout.states)
+        table = self.kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs
+        return Trial(time, signals, inputs, {}, dict(zip(names, table.T, strict=True)))
+
+    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
+        """Yield the connection of every input."""
+        assert isinstance(model, FmuModel)
+        yield from (f'  - {{from: excitation.{q.name}, to: "plant.{model.variables[q.name]}"}}' for q in model.inputs)
 
 
 def clip(values: Array, name: str, ranges: Ranges) -> Array:

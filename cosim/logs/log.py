@@ -157,8 +157,8 @@ def read_log(
     Raises:
         InputError: Every fault of the file.
     """
-    into, out = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
-    units = {**into, **out}  # units of the values after reading
+    units = {s.name: s.unit for s in (*inputs, *outputs)}  # units of the values after reading
+    into = [s.name for s in inputs]
     signals = [s for s in (*inputs, *outputs) if isinstance(s, Signal)]
     differences = {s.name for s in signals if s.relative}
     definitions = {s.unit: s.definition for s in signals if s.definition is not None}
@@ -172,12 +172,12 @@ def read_log(
         if declare and not is_time:
             if (declared := declare(replace(column, name=name), faults)) is None:
                 return None
-            out[name] = units[name] = declared
-        if not is_time and name not in into and name not in out:
+            units[name] = declared
+        if not is_time and name not in units:
             unread[written] = ""
             return None
         role = "the time" if is_time else "an input" if name in into else ""
-        wanted = "s" if is_time else out[name] if name in out else into[name]
+        wanted = "s" if is_time else units[name]
         if column.unit and not wanted:
             assumed = assume_si(column.unit)
             units[name] = assumed.unit
@@ -200,16 +200,16 @@ def read_log(
             close = closest(written, missing, ALIKE) or closest(written.rpartition(".")[2], missing, ALIKE)
             unread[written] = f'; did you mean "{close}"?' if close else ""
         if declare is None:
-            _check_header(table, faults, into, out, renamings=columns, alone=alone, unread=unread, cells=cells)
+            _check_header(table, faults, into, units, renamings=columns, alone=alone, unread=unread, cells=cells)
         elif len(cells) < 2:
             faults.note(table.header, 1, "holds no column beside the time; a log holds what was measured")
         if not table.faults:
-            _check_values(table, faults, out)
+            _check_values(table, faults, {"time", *into})
     faults.raise_any()
     assert table is not None
     read = {name: table[name] for name in table.by_name}
     time = read.pop("time")
-    measured = {n: values for n, values in read.items() if n in out}
+    measured = {n: values for n, values in read.items() if n not in into}
     unwrapped = dict[str, tuple[float, ...]]()
     for name in [name for name in measured if units[name] == "rad"]:
         rows = np.flatnonzero(np.isfinite(measured[name]))
@@ -240,16 +240,16 @@ def read_log(
 def _check_header(
     table: Table,
     faults: Faults,
-    inputs: Mapping[str, str],
-    outputs: Mapping[str, str],
+    inputs: Collection[str],
+    signals: Collection[str],
     *,
     renamings: Mapping[str, str],
     alone: bool,
     unread: Mapping[str, str],
     cells: Mapping[str, int],
 ) -> None:
-    """Note faults of missing inputs and outputs."""
-    line, signals = table.header, {**inputs, **outputs}
+    """Note faults of missing inputs and outputs; `signals` has both."""
+    line, outputs = table.header, [name for name in signals if name not in inputs]
     for column, name in renamings.items():
         if name == "time":
             continue
@@ -283,8 +283,12 @@ def _check_header(
         faults.note(line, 1, message)
 
 
-def _check_values(table: Table, faults: Faults, outputs: Container[str]) -> None:
-    """Note faults of whole columns: too few rows, no measurement, absurd values."""
+def _check_values(table: Table, faults: Faults, complete: Container[str]) -> None:
+    """Note faults of whole columns: too few rows, no measurement, absurd values.
+
+    Args:
+        complete: Columns with a value in every row.
+    """
     if table.rows < 2 and not faults.faulty:
         count = "no row" if table.rows == 0 else "one row"
         message = f"holds {count}; a log has at least two, and some hundred to be of use"
@@ -293,7 +297,7 @@ def _check_values(table: Table, faults: Faults, outputs: Container[str]) -> None
     for name, column in table.by_name.items() if table.rows else ():
         if column.cell in faults.faulty:
             continue
-        size, is_output = np.abs(table[name]), name in outputs
+        size, is_output = np.abs(table[name]), name not in complete
         if np.isnan(size).all():
             if is_output:
                 message = f'column "{name}" holds no value (NaN in every row); delete the column'
@@ -381,10 +385,8 @@ def stretches(log: Log) -> list[Log]:
     """
     pieces: list[tuple[int, int]] = []
     for first, end in pairwise([0, *(np.flatnonzero(np.diff(log.time) > log.pause) + 1).tolist(), log.rows]):
-        measured = np.zeros(end - first, bool)
-        for values in log.outputs.values():
-            measured |= np.isfinite(values[first:end])
-        rows = np.flatnonzero(measured) + first
+        measured = [np.zeros(end - first, bool), *(np.isfinite(values[first:end]) for values in log.outputs.values())]
+        rows = np.flatnonzero(np.any(measured, axis=0)) + first
         if not rows.size:
             pieces.append((first, end))
             continue
@@ -394,11 +396,8 @@ def stretches(log: Log) -> list[Log]:
         # Commands before the first and after the last measurement belong to the part, except after a pause.
         start = first if log.time[rows[0]] - log.time[first] <= limit else rows[0]
         stop = end if log.time[end - 1] - log.time[rows[-1]] <= limit else rows[-1] + 1
-        starts, ends = (start, *rows[edges + 1]), (*rows[edges] + 1, stop)
-        pieces += [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
-    if pieces == [(0, log.rows)]:
-        return [log]
-    return [_cut(log, slice(*piece)) for piece in pieces]
+        pieces += zip([start, *rows[edges + 1].tolist()], [*(rows[edges] + 1).tolist(), stop], strict=True)
+    return [log] if pieces == [(0, log.rows)] else [_cut(log, slice(*piece)) for piece in pieces]
 
 
 def fill_holes(log: Log) -> Log:
@@ -410,8 +409,7 @@ def fill_holes(log: Log) -> Log:
     whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
     for name, values in log.inputs.items():
         first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
-        hold, line = float(np.sum((middle - first) ** 2)), float(np.sum((middle - 0.5 * (first + last)) ** 2))
-        if line < SMOOTH * hold:
+        if np.sum((middle - 0.5 * (first + last)) ** 2) < SMOOTH * np.sum((middle - first) ** 2):
             smooth.add(name)
     rows = np.arange(int(grid[-1]) + 1)
     if rows.size == log.rows or not smooth:

@@ -119,9 +119,8 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
         else:  # unlike its prediction, a signal may still move more than it by the factor of another unit
             size, own = (float(np.nanstd(moving_part(log, values))) for values in (measured, model[name]))
-            ratio = size / own if own > 0.0 else 0.0
-            moves = ratio > OTHER_SIZE and size > MIN_SIGNAL * noise_level(measured)
-            if moves and (question := other_unit(name, unit, ratio)):
+            ratio = size / own if own > 0.0 and size > MIN_SIGNAL * noise_level(measured) else 0.0
+            if ratio > OTHER_SIZE and (question := other_unit(name, unit, ratio)):
                 yield Finding("warning", "unit", name, f"moves {plain(ratio, 2)} times as far as the model; {question}")
 
 
@@ -135,12 +134,13 @@ def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             own, others = (factor(log.written.get(n, ""), log.units[n]) or 1.0 for n in (a, b))
             fits = fit is not None and fit.is_certain and SAME_SIZE[0] < fit.slope * others / own < SAME_SIZE[1]
             least = min(least, abs(fit.correlation) if fit is not None and fits else 0.0)
+        if least < 0.5 * TELLING:
+            continue
         largest = 0.0  # the largest correlation of either with its own prediction, at any delay
-        for name in (one, other) if least >= 0.5 * TELLING else ():
+        for name in (one, other):
             parts = moving_part(log, model[name]), moving_part(log, log.outputs[name])
-            rho = correlation_at_lags(*parts, _longest_lag(log))
-            largest = max(largest, float(np.nanmax(np.abs(rho), initial=0.0)))
-        if least >= 0.5 * TELLING and largest < least:
+            largest = float(np.nanmax(np.abs(correlation_at_lags(*parts, _longest_lag(log))), initial=largest))
+        if largest < least:
             text = (
                 f"moves as {other} does in the model (correlation {plain(least, 2)}), and {other} as {one}: are "
                 "the columns swapped?"

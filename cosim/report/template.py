@@ -7,17 +7,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cosim.core import text as text_of_numbers
 from cosim.core.messages import printable
 from cosim.files.cache import cache_folder
 
+IN_TEMPLATES = ("MISSING", "amount", "counted", "percent", "plain", "size")  # of `cosim.core.text`
 TEMPLATES = Path(__file__).with_name("templates")
 
 
 def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), *, is_report: bool = True) -> str:
     """Return a self-contained HTML page from a template.
 
-    The template may use the shared templates and templates in `folders`. Every `.css` and `.js` in the page's
-    folder is inlined. Lines of a template literal lose their indentation.
+    The template may use the shared templates, templates in `folders`, and the functions IN_TEMPLATES. Every `.css` and
+    `.js` in the page's folder is inlined. Lines of a template literal lose their indentation.
 
     Args:
         is_report: Whether the page draws the charts of `Charts.data` by itself.
@@ -37,6 +39,7 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals |= {name: getattr(text_of_numbers, name) for name in IN_TEMPLATES}
     environment.filters["code"] = lambda text: Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
     # A page's own style overrides the shared style.
     style = inline([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])

@@ -37,10 +37,10 @@ from cosim.residuals.residual_statistics import (
 from cosim.residuals.windows import (
     HORIZONS,
     Replay,
-    StartParameter,
     chains,
     first_start,
     horizons,
+    replays_over,
     self_started,
 )
 
@@ -70,7 +70,6 @@ class ChannelSummary:
     """Comparison of one measured channel with the model.
 
     Attributes:
-        horizon: Horizon of the windows [s].
         measure: Horizon that decides the verdict [s]: that of the windows if available, else FREE_RUN.
         noise: Standard deviation of the measurement noise.
         floor: Noise floor over the horizon, or over the free run without windows.
@@ -84,7 +83,6 @@ class ChannelSummary:
 
     name: str
     unit: str
-    horizon: float
     measure: float
     noise: float
     floor: ChannelFloor
@@ -108,9 +106,7 @@ class Comparison:
     findings: tuple[Finding, ...]
 
 
-def compare(
-    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, findings: Sequence[Finding]
-) -> Comparison:
+def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparison:
     """Return the complete comparison for a free run, with windows, noise floor and statistics.
 
     Args:
@@ -119,65 +115,41 @@ def compare(
     Raises:
         InputError: The comparison shows a wrong unit.
     """
-    log, replays = drive.log, {FREE_RUN: free}
+    log = drive.log
     *_, measure = spans = horizons(log)
     against = output_findings(log, free.outputs)
     refuse_faults(log, against)
-    for horizon in spans:
-        if (windowed := self_started(drive, parameters, free, horizon)) is not None:
-            replays[horizon] = windowed
-    floor = floors(drive, parameters, free, replays.get(measure, free))
-    channels = tuple(_summary(log, replays, name, measure, floor[name]) for name in log.outputs)
-    hidden = [
-        Finding(
-            "warning",
-            "hidden_state",
-            c.name,
-            f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s where the FMU is restarted "
-            "from its own outputs: it keeps a state that no output shows, and only the free run measures it",
-            {"rmse": c.floor.astray, "noise": c.floor.rmse},
-        )
-        for c in channels
-        if c.lost
-    ]
+    replays = replays_over(drive, free, spans)
+    every = floors(drive, free, replays.get(measure, free))
+    channels, hidden, lags = [], list[Finding](), lags_of(log.rows, log.step)
+    for name, measured in log.outputs.items():
+        scores = {span: score(measured, replay.outputs[name]) for span, replay in sorted(replays.items())}
+        residual, floor, unit = measured - replays[min(replays)].outputs[name], every[name], log.units[name]
+        inputs = input_correlations(residual, log.inputs, lags)
+        decisive = measure if measure in scores else FREE_RUN
+        error, lost = scores[decisive], floor.astray > floor.rmse
+        excess = error.rmse / floor.rmse if not lost and floor.rmse > 0.0 else math.nan
+        # at rounding level, or without anything to compare
+        exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - EXACT)
+        matched = not lost and (exact or excess < floor.limit)
+        explained = matched and (exact or not any(u.strength > FOLLOWS for u in inputs[:1]))
+        noise, white = least_noise_level(measured, free.outputs[name]), whiteness(residual, lags)
+        errors = noise, floor, scores, white, inputs
+        channels.append(ChannelSummary(name, unit, decisive, *errors, lost, excess, matched, explained))
+        if lost:
+            message = (
+                f"is missed by {size(floor.astray, unit)} over {plain(measure)}\u00a0s where the FMU is restarted "
+                "from its own outputs: it keeps a state that no output shows, and only the free run measures it"
+            )
+            numbers = {"rmse": floor.astray, "noise": floor.rmse}
+            hidden.append(Finding("warning", "hidden_state", name, message, numbers))
     everything = sorted((*findings, *against, *hidden), key=lambda f: ORDER.index(f.severity))
-    return Comparison(log, drive, replays, channels, tuple(everything))
+    return Comparison(log, drive, replays, tuple(channels), tuple(everything))
 
 
 def steps_of(log: Log) -> int:
     """Return the approximate number of steps of a comparison."""
     return log.rows * (1 + len(HORIZONS) + 1 + draws(log, horizons(log)[-1]))
-
-
-def _summary(
-    log: Log, replays: Mapping[float, Replay], name: str, horizon: float, floor: ChannelFloor
-) -> ChannelSummary:
-    measured = log.outputs[name]
-    scores = {horizon: score(measured, r.outputs[name]) for horizon, r in sorted(replays.items())}
-    residual = measured - replays[min(replays)].outputs[name]
-    lags = lags_of(log.rows, log.step)
-    inputs = input_correlations(residual, log.inputs, lags)
-    measure = horizon if horizon in scores else FREE_RUN
-    error, lost = scores[measure], floor.astray > floor.rmse
-    excess = error.rmse / floor.rmse if not lost and floor.rmse > 0.0 else math.nan
-    # at rounding level, or without anything to compare
-    exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - EXACT)
-    matched = not lost and (exact or excess < floor.limit)
-    return ChannelSummary(
-        name=name,
-        unit=log.units[name],
-        horizon=horizon,
-        measure=measure,
-        noise=least_noise_level(measured, replays[FREE_RUN].outputs[name]),
-        floor=floor,
-        scores=scores,
-        whiteness=whiteness(residual, lags),
-        inputs=inputs,
-        lost=lost,
-        excess=excess,
-        is_matched=matched,
-        is_explained=matched and (exact or not any(u.strength > FOLLOWS for u in inputs[:1])),
-    )
 
 
 def as_json(comparison: Comparison) -> list[dict[str, Any]]:
@@ -214,9 +186,7 @@ def draws(log: Log, horizon: float) -> int:
     return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
 
 
-def floors(
-    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, measured: Replay
-) -> dict[str, ChannelFloor]:
+def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFloor]:
     """Return channel → noise floor over the horizon of `measured`.
 
     The model is replayed against its free run, with the noise and gaps of the log, and with gaps only. An error without
@@ -226,28 +196,27 @@ def floors(
     sampled = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
     levels = {name: least_noise_level(values, free.outputs[name]) for name, values in log.outputs.items()}
 
-    linear = _linear_run(drive, parameters, free, levels) if horizon == FREE_RUN else None
+    linear = _linear_run(drive, free, levels) if horizon == FREE_RUN else None
 
     def predict(readings: Mapping[str, Array]) -> Mapping[str, Array]:
         other = copy.copy(drive)
         other.log = replace(log, outputs=readings)
         if horizon != FREE_RUN:
-            replayed = self_started(other, parameters, free, horizon)
+            replayed = self_started(other, free, horizon)
             return {} if replayed is None else replayed.outputs
-        if not parameters.keys() & readings.keys():  # a start without measurement is unchanged
+        if not free.parameters.keys() & readings.keys():  # a start without measurement is unchanged
             return free.outputs
         if linear is not None:
             other.run = linear  # type: ignore[method-assign, assignment]
-        return as_columns(other.run(0, log.rows - 1, first_start(other, parameters)), drive.outputs)
+        return as_columns(other.run(0, log.rows - 1, first_start(other, free.parameters)), drive.outputs)
 
     restarted, errors = predict(sampled), []
     for draw in range(count := draws(log, horizon)):
         rng = np.random.default_rng([SEED, draw])
-        noise = {n: (0.0 if math.isnan(s) else s) * rng.standard_normal(log.rows) for n, s in levels.items()}
+        noise = {n: np.nan_to_num(s) * rng.standard_normal(log.rows) for n, s in levels.items()}
         noisy = predict({n: values + noise[n] for n, values in sampled.items()})
         errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})
-    totals, starts = pool_errors(errors), sorted(measured.starts)
-    found = {}
+    totals, starts, result = pool_errors(errors), sorted(measured.starts), {}
     for name, model in sampled.items():
         squares = []
         for error in (e[name] for e in errors):  # the mean squared error of each window
@@ -255,19 +224,17 @@ def floors(
             window = np.searchsorted(starts, rows, side="left")
             _, place, counts = np.unique(window, return_inverse=True, return_counts=True)
             squares.append(np.bincount(place, error[rows] ** 2) / counts)
-        astray = 0.0
-        if horizon != FREE_RUN:
-            error = model - restarted[name]
-            values = model[np.isfinite(error)]
-            if values.size:
-                size = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values))))
-                astray = rest if (rest := rmse(error)) > size else 0.0
-        found[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
-    return found
+        error = model - restarted[name]
+        values, astray = model[np.isfinite(error)], 0.0
+        if horizon != FREE_RUN and values.size:
+            least = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values))))
+            astray = rest if (rest := rmse(error)) > least else 0.0
+        result[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
+    return result
 
 
 def _linear_run(
-    drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
+    drive: Drive, free: Replay, levels: Mapping[str, float]
 ) -> Callable[[int, int, Mapping[str, Any]], Array] | None:
     """Return a run of the FMU's linearization about the free run, with respect to the start values, to save FMU runs.
 
@@ -275,10 +242,10 @@ def _linear_run(
     """
     table = np.column_stack([free.outputs[name] for name in drive.outputs])
     start = free.starts[0]
-    about = {p.name: float(start.get(p.name, p.value(free.outputs[name][0]))) for name, p in parameters.items()}
+    about = {p.name: float(start.get(p.name, p.value(free.outputs[name][0]))) for name, p in free.parameters.items()}
     slopes = {}
     try:
-        for name, p in parameters.items():
+        for name, p in free.parameters.items():
             level = levels.get(name, math.nan)
             step = level / abs(p.gain) if level > 0.0 else STEP * max(1.0, abs(about[p.name]))
             step = step if about[p.name] + step <= p.high else -step

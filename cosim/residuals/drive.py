@@ -7,10 +7,9 @@ import ctypes
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -18,12 +17,11 @@ from cosim.blocks.compiling import with_permission
 from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock, RestartableFmu
 from cosim.blocks.shared_code import claim
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, Flags, Rows
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
 from cosim.core.scratch import ScratchFolder, scratch
 from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.times import rounding, roundings
-from cosim.core.units import Conversion, conversion
 from cosim.files.artefact import FMU, LOG
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import Document, NotYaml, short
@@ -33,7 +31,8 @@ from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
-from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows, allocate, mapped_table, read_table
+from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, allocate, mapped_table, read_table
+from cosim.isolation.rows import Rows as SharedRows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log, read_log
 from cosim.scenario.start_values import NOT_NUMBERS, start_value
@@ -46,8 +45,7 @@ COARSE = 1e3  # times the tolerance of times, for logs whose times are printed
 PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
 
 
-@dataclass(frozen=True)
-class DriveSteps:
+class DriveSteps(NamedTuple):
     """Steps of an FMU along a stretch of a log.
 
     Attributes:
@@ -57,11 +55,11 @@ class DriveSteps:
         reached: Times of output readings, start included [s].
     """
 
-    times: list[float]
-    lengths: list[float]
-    rows: list[int]
-    reads: list[bool]
-    reached: list[float]
+    times: Array
+    lengths: Array
+    rows: Rows
+    reads: Flags
+    reached: Array
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
@@ -139,17 +137,12 @@ class Drive:
         faults = []
         sides = (("input", log.inputs, self.block.inputs), ("output", log.outputs, self.block.outputs))
         for kind, names, signals in sides:
-            units = {s.name: s.unit for s in signals}
-            for name in names:
-                if name not in units:
-                    cure, every = did_you_mean(name, units), ", ".join(units) or "none"
-                    faults.append(f'has no {kind} "{name}", which {log.path.name} holds{cure} (its {kind}s: {every})')
-                elif conversion(log.units[name], units[name]) != Conversion():
-                    faults.append(
-                        f"{name} is in {units[name]} here and in {log.units[name]} in the log as it was read; read the "
-                        "log for this FMU"
-                    )
-        refuse(Fault(fmu, 0, 0, message) for message in faults)
+            known = [s.name for s in signals]
+            every = ", ".join(known) or "none"
+            for name in (n for n in names if n not in known):
+                cure = f"{did_you_mean(name, known)} (its {kind}s: {every})"
+                faults.append(Fault(fmu, 0, 0, f'has no {kind} "{name}", which {log.path.name} holds{cure}'))
+        refuse(faults)
         self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
@@ -168,7 +161,7 @@ class Drive:
         self._row = (ctypes.c_double * (len(self.block.inputs) + len(self.outputs)))()
         self.block.bind(self._row, 0)
         self._driven = [0]  # steps so far, shared by copies
-        self._new_rows: Callable[[int, int], Rows] = Rows.in_memory
+        self._new_rows: Callable[[int, int], SharedRows] = SharedRows.in_memory
 
     def __enter__(self) -> Self:
         return self
@@ -237,14 +230,15 @@ class Drive:
         table, done, doing = written.table, written.made, written.doing
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, acting, whole = table.ctypes.data, self.block, first, 0
-        reached, width = np.array(steps.reached), len(self.inputs)
+        reached, width = steps.reached, len(self.inputs)
         close = roundings(reached, COARSE * self.log.step)
         following = np.searchsorted(self.log.time, reached + close, side="right") - 1  # row that acts at each reading
         commands = [self._commands[k] for k in following.tolist()] if self._commands else []
-        each = zip(steps.times, steps.lengths, steps.rows, self._puts(steps, first), steps.reads, strict=True)
+        times, lengths, number, reading = (part.tolist() for part in steps[:4])
+        each = zip(times, lengths, number, self._puts(steps, first), reading, strict=True)
         try:
             doing[0] = OTHER
-            self._begin(start, first, max(float(self.log.time[last]), steps.reached[-1]))
+            self._begin(start, first, max(float(self.log.time[last]), float(reached[-1])))
             block.start()
             block.get()  # First call for FMI 1.0; some FMUs return correct outputs only from here.
             if memory:
@@ -275,10 +269,10 @@ class Drive:
                 if self.progress is not None and made % PROGRESS_EVERY == 0:
                     self.progress(self._driven[0] + made)
         except SimulationError:
-            self.left = self._at_rows(table[:whole], steps.reached, first, last)
+            self.left = self._at_rows(table[:whole], reached, first, last)
             raise
         self._count(steps)
-        return self._at_rows(table, steps.reached, first, last), states
+        return self._at_rows(table, reached, first, last), states
 
     # -- internals ----------------------------------------------------------------------------
 
@@ -318,34 +312,33 @@ class Drive:
             )
             lengths, reads = np.full(times.size, step), np.ones(times.size, bool)
             rows = first + np.searchsorted(time, times + roundings(times, COARSE * step), side="right") - 1
-        reached = [float(time[0]), *(times + lengths)[reads].tolist()]
-        return DriveSteps(times.tolist(), lengths.tolist(), rows.tolist(), reads.tolist(), reached)
+        return DriveSteps(times, lengths, rows, reads, np.append(time[0], (times + lengths)[reads]))
 
     def _puts(self, steps: DriveSteps, first: int) -> list[Any]:
         """Return the command before each step, None if unchanged.
 
         An interpolated input takes its value at the midpoint of the step.
         """
+        k, time = steps.rows, self.log.time
         if not self._commands:
-            return [None] * len(steps.rows)
+            return [None] * k.size
         if not self._ramps.any():
-            acting = zip(steps.rows, [first, *steps.rows], strict=False)
-            return [None if k == before else self._commands[k] for k, before in acting]
-        k, time = np.array(steps.rows, np.intp), self.log.time
+            is_new = np.diff(k, prepend=first) != 0
+            return [self._commands[row] if new else None for row, new in zip(k.tolist(), is_new.tolist(), strict=True)]
         here, following = self._table[k], np.minimum(k + 1, time.size - 1)
         lasts = np.where(following > k, time[following] - time[k], 1.0)
-        share = (np.array(steps.times) + 0.5 * np.array(steps.lengths) - time[k]) / lasts
+        share = (steps.times + 0.5 * steps.lengths - time[k]) / lasts
         moved: list[list[float]] = (
             here + np.where(self._ramps, share[:, None] * (self._table[following] - here), 0.0)
         ).tolist()
         return moved
 
-    def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
+    def _at_rows(self, table: Array, times: Array, first: int, last: int) -> Array:
         """Return the outputs at the finished rows of the log, interpolated between steps."""
         times, wanted = times[: len(table)], self.log.time[first : last + 1]
         close = coarse_rounding(self.log)
-        reached = wanted[wanted <= (times[-1] if times else -math.inf) + close]
-        if len(times) == reached.size and np.allclose(times, reached, rtol=0.0, atol=close):
+        reached = wanted[wanted <= times.max(initial=-math.inf) + close]
+        if times.size == reached.size and np.allclose(times, reached, rtol=0.0, atol=close):
             return table
         return np.column_stack([np.interp(reached, times, column) for column in table.T])
 
@@ -407,7 +400,7 @@ def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], table: Path)
     claim(fmu)
     drive, progress = Drive(log, fmu, interpolated=interpolated), here.progress
     here.share_log(drive.block)
-    drive._new_rows = lambda rows, columns: Rows(
+    drive._new_rows = lambda rows, columns: SharedRows(
         mapped_table(table, rows, columns), made=progress.made, doing=progress.doing
     )
     return drive
@@ -466,7 +459,7 @@ class DriveApart(Drive):
         self.left = None
         try:
             answer: tuple[Array, dict[int, Own]]
-            answer = self._ask("run_and_keep", first, last, start, rows, memory, times=steps.reached)
+            answer = self._ask("run_and_keep", first, last, start, rows, memory, times=steps.reached.tolist())
         except BaseException:
             finished = read_table(self._file, self._worker.progress.made[0], len(self.outputs))
             self.left = self._at_rows(finished, steps.reached, first, last)

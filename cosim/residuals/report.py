@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from cosim.residuals.residual_statistics import FREE_RUN, Whiteness
 from cosim.residuals.windows import SKIPPED, horizons
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
+Cell = Callable[[ChannelSummary], str]  # of a table
 STEMS = 100  # about, lags of an autocorrelation
 
 
@@ -44,7 +45,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
     channels, replays = comparison.channels, comparison.replays
     charts = Charts()
     drawing = charts.over(log.time)
-    measure, basis, skipped = horizons(log)[-1], min(replays), SKIPPED * log.slowness
+    measure = horizons(log)[-1]
     headline, details = split_sentence(verdict(comparison))
     explained, warnings = sum(c.is_explained for c in channels), sum(f.severity == "warning" for f in findings)
     badges = [
@@ -52,15 +53,8 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
         Badge(counted(log.rows, "row")),
     ]
-    quality = "Clock, units, signs and channels of the log are in order."
     if warnings:
         badges.append(Badge(counted(warnings, "warning"), "warn"))
-        quality = f"{counted(warnings, 'warning')} about the log, to be known before the numbers are believed."
-    tiles = []
-    for c in channels[:6]:
-        over = "in a free run" if c.measure == FREE_RUN else f"rms over {horizon_name(c.measure)}"
-        noise = f", {plain(c.excess, 2)} × what noise explains" if np.isfinite(c.excess) else ""
-        tiles.append(Row(c.name, size(c.scores[c.measure].rmse, c.unit), over + noise))
     about = drive.description
     units = {v.name: v.unit or "" for v in about.modelVariables}
     starts = [
@@ -91,35 +85,41 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         traces, band = [Trace("measured − model", error, "error")], Band("±2σ of its noise", -width, width)
         residuals.append(Panel(f"Residual of {c.name}", unit or "1", traces, band))
     return {
-        "name": log.path.name,
-        "description": f"Replayed through {about.modelName} ({drive.fmu.name}): the recorded commands "
-        "drive the model; its outputs are compared with the measurements.",
+        "comparison": comparison,
+        "log": log,
+        "drive": drive,
+        "channels": channels,
         "headline": headline,
         "details": details,
         "tone": "good" if explained == len(channels) else "plain",
         "badges": badges,
-        "tiles": tiles,
-        "horizons": [horizon_name(h) for h in sorted(replays)],
-        "measure": horizon_name(measure),
-        "skipped": horizon_name(skipped),
-        "least": horizon_name(skipped + measure),
-        "basis": "the free run" if basis == FREE_RUN else horizon_name(basis),
+        "bad": warnings,
+        "measure": measure,
+        "skipped": SKIPPED * log.slowness,
         "within": drawing.plots(_pair_panels(comparison, measure)) if measure in replays else [],
         "free": drawing.plots(_pair_panels(comparison, FREE_RUN)),
         "residual": drawing.plots(residuals),
         "commands": drawing.plots(held_panels(log.inputs, log.units)),
         "autocorrelation": _autocorrelation(comparison, charts),
         "inputs": _input_correlation(comparison, charts),
-        "rows": [_row(c, sorted(replays)) for c in channels],
-        "quality": quality,
-        "warnings": [f.whole for f in findings if f.severity != "note"],
-        "notes": [Row(f.channel or "log", f.sentence) for f in findings if f.severity == "note"],
+        "horizons": [(horizon_name(h), *_scores(h)) for h in sorted(replays)],
         "starts": starts,
         "provenance": provenance,
+        **{f.__name__: f for f in (horizon_name, isfinite, neighbours)},
         "repeat": shlex.join(["cosim", "replay", str(log.path), *words]),
         "data": charts.data(),  # after all drawings
         "version": __version__,
     }
+
+
+def _scores(horizon: float) -> tuple[Cell, Cell]:
+    """Return functions that show error and fit of a channel over a horizon."""
+
+    def fit(c: ChannelSummary) -> str:
+        share = c.scores[horizon].fit
+        return f"{plain(share)}\u00a0%" if isfinite(share) else MISSING
+
+    return lambda c: size(c.scores[horizon].rmse, c.unit), fit
 
 
 # -- charts -----------------------------------------------------------------------------------
@@ -173,34 +173,3 @@ def _input_correlation(comparison: Comparison, charts: Charts) -> list[Plot]:
         ends = float(lag.min()), float(lag.max())
         plots += charts.over(lag, Abscissa(("lag of the residual behind the command", "s"), ends)).plots([panel])
     return plots
-
-
-# -- tables -----------------------------------------------------------------------------------
-
-
-def _row(c: ChannelSummary, horizons: list[float]) -> dict[str, Any]:
-    """Return one channel of the tables, as text."""
-    scores = [c.scores[h] for h in horizons]
-    p, white = c.whiteness.p_value, "no"
-    if math.isnan(p):
-        white = "too few rows to tell"
-    elif c.whiteness.white:
-        white = "yes"
-    elif c.is_matched:
-        white = "no, but no larger than noise and start explain"
-    follows = "no command moves"
-    if c.inputs:
-        first, distance = c.inputs[0], f"{plain(c.inputs[0].strength, 2)} times the band"
-        follows = f"{first.name}, {distance}"
-        if not first.stands_out:
-            follows = f"none ({first.name} comes closest, {distance})"
-    return {
-        "name": c.name,
-        "noise": size(c.noise, c.unit),
-        "scores": [(size(s.rmse, c.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING) for s in scores],
-        "excess": f"{plain(c.excess, 2)} ×" if np.isfinite(c.excess) else MISSING,
-        "neighbours": neighbours(c.whiteness),
-        "p_value": "< 0.001" if p < 1e-3 else plain(p, 2),
-        "white": white,
-        "follows": follows,
-    }

@@ -56,24 +56,27 @@ class Replay:
         starts: First row of each run → start values.
         outputs: Name → (rows,), NaN without a prediction.
         states: Possible first row of a chain of windows → state of a cosim FMU.
+        parameters: Output → start parameter, of the FMU of a free run.
     """
 
     horizon: float
     starts: Mapping[int, Mapping[str, Any]]
     outputs: Mapping[str, Array]
     states: Mapping[int, Own] = field(default_factory=dict)
+    parameters: Mapping[str, StartParameter] = field(default_factory=dict)
 
     def errors(self, log: Log) -> dict[str, Array]:
         """Return channel → measured − model, NaN if incomplete."""
         return {name: values - self.outputs[name] for name, values in log.outputs.items()}
 
 
-def free_run(drive: Drive, parameters: Mapping[str, StartParameter]) -> Replay:
+def free_run(drive: Drive, parameters: Mapping[str, StartParameter] | None = None) -> Replay:
     """Return the whole log as one run, from the start values of its first measurements."""
+    parameters = start_parameters(drive) if parameters is None else parameters
     log, chosen = drive.log, first_start(drive, parameters)
     rows = {chain[0] for span in horizons(log) for chain, _ in chains(log, span)} if readable(parameters) else set()
     table, states = drive.run_and_keep(0, log.rows - 1, chosen, rows)
-    return Replay(FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), states)
+    return Replay(FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), states, parameters)
 
 
 def windows(
@@ -98,13 +101,13 @@ def windows(
     return Replay(horizon, dict(starts), as_columns(table, drive.outputs))
 
 
-def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, horizon: float) -> Replay | None:
+def self_started(drive: Drive, free: Replay, horizon: float) -> Replay | None:
     """Return consecutive windows started from measurements.
 
     The free run provides the start of each chain. An output first measured later is predicted from then on. The result
     is None if the FMU or the log allows no windows.
     """
-    log, runs = drive.log, chains(drive.log, horizon)
+    log, runs, parameters = drive.log, chains(drive.log, horizon), free.parameters
     if not runs or not parameters.keys() & log.outputs.keys():
         return None
     table, starts, sigma = np.full((log.rows, len(drive.outputs)), np.nan), {}, noise_levels(log, free.outputs)
@@ -129,6 +132,12 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
             earliest = times[0] + SKIPPED * log.slowness - coarse_rounding(log) if times.size else np.inf
             table[: min((k for k in starts if log.time[k] >= earliest), default=log.rows) + 1, j] = np.nan
     return Replay(horizon, starts, as_columns(table, drive.outputs))
+
+
+def replays_over(drive: Drive, free: Replay, spans: Sequence[float]) -> dict[float, Replay]:
+    """Return horizon → replay: the free run, and windows of each span that the FMU and the log allow."""
+    windowed = (self_started(drive, free, span) for span in spans)
+    return {FREE_RUN: free, **{replay.horizon: replay for replay in windowed if replay is not None}}
 
 
 def horizons(log: Log) -> tuple[float, ...]:
@@ -203,8 +212,7 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
     parameters: dict[str, StartParameter] = {}
     for output in drive.outputs:
         names = (f"{output}_start", f"{output.removesuffix('_actual')}_start", output)
-        variable = next((variables[n] for n in names if n in variables), None)
-        if variable is None:
+        if (variable := next((variables[n] for n in names if n in variables), None)) is None:
             continue
         default = float(variable.start or 0.0)
         low = -math.inf if variable.min is None else float(variable.min)
@@ -230,9 +238,7 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
         return parameters
     # the indices of the state that each parameter moves
     places = {n: tuple(k for k, a in enumerate(s) if a != before[k]) for n, s in after.items()}
-    if not all(places.values()):
-        return parameters
-    return {n: replace(p, places=places[n]) for n, p in parameters.items()}
+    return {n: replace(p, places=places[n]) for n, p in parameters.items()} if all(places.values()) else parameters
 
 
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
@@ -243,15 +249,20 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     log = drive.log
     fixed = {p.name: drive.given[p.name] for p in parameters.values() if p.name in drive.given}
     first = {n: float(v[np.isfinite(v)][0]) for n, v in log.outputs.items() if n in parameters}
-    start = {parameters[n].name: parameters[n].value(value) for n, value in first.items()} | fixed
+    start = _values_for(parameters, first) | fixed
     sigma = noise_levels(log)
     last = max(rows_of(log, 0, FIRST * log.slowness), min(FEWEST, log.rows - 1))
     for _ in range(PASSES if first else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
         corrected = _corrections(drive, carrier, sigma, state, 0, np.arange(last + 1))
-        start = start | {parameters[n].name: parameters[n].value(value) for n, value in corrected.items()} | fixed
+        start = start | _values_for(parameters, corrected) | fixed
     return start
+
+
+def _values_for(parameters: Mapping[str, StartParameter], outputs: Mapping[str, float]) -> dict[str, float]:
+    """Return the values of start parameters that give some outputs."""
+    return {parameters[name].name: parameters[name].value(value) for name, value in outputs.items()}
 
 
 def window_start(
@@ -275,8 +286,7 @@ def window_start(
     state = {name: float(carrier[name][k]) for name in parameters}
     oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * log.slowness))
     corrected = _corrections(drive, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1))
-    state = corrected if readable(parameters) else state | corrected
-    return {parameters[name].name: parameters[name].value(value) for name, value in state.items()}
+    return _values_for(parameters, corrected if readable(parameters) else state | corrected)
 
 
 def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -47,10 +46,10 @@ from cosim.fmi.building.file import load_model
 from cosim.fmi.building.refined import ANSWER, folder_of
 from cosim.fmi.description import display_units, read_description
 from cosim.fmi.fmu_build import build as build_fmu
-from cosim.isolation.limits import Limits, read_limits
+from cosim.isolation.limits import read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, outliers, refuse_faults
-from cosim.logs.log import SENSORS, Finding, Log, read_column_names
+from cosim.logs.log import SENSORS, Finding, read_column_names
 from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, steps_of, verdict
@@ -59,7 +58,7 @@ from cosim.residuals.replay_signals import Replay, read_replay
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay as Replayed
-from cosim.residuals.windows import StartParameter, free_run, start_parameters
+from cosim.residuals.windows import free_run
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 NEXT_STUDY = "study.yaml"
@@ -71,6 +70,7 @@ HEAD = """\
 """
 
 
+@far_beyond
 def replay(
     log: FilePath,
     out: FilePath | None = None,
@@ -115,8 +115,9 @@ def replay(
         stack.enter_context(compiling(compile))
         folder = stack.enter_context(results_in(out, "cosim replay", name_of_file(path), force=force))
         stack.enter_context(one_stop())
-        rows_name("results", format)  # An unavailable format must fail before the replay.
         place = named_path(folder)
+        # An unavailable format must fail before the replay.
+        rows_file, residual_file = (place / rows_name(stem, format) for stem in ("results", "residual"))
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # The worker starts while files are read.
@@ -124,20 +125,46 @@ def replay(
         names = read_column_names(column_names(columns), path)
         driven = Path(fmu) if fmu else _plant_of(path, names, scratch)
         measured = log_of_fmu(path, driven, names)
-        stack.enter_context(showing({"display": display_units([read_description(driven)])}))
-        comparison = write_replay(
-            place,
-            measured,
-            driven,
-            given=start_values(driven, values),
-            report=report and out is not None,
-            passing=fmu is None,
-            proposed="" if fmu is None else _next_study(place, driven, path, names, values),
-            worker=worker,
-            limits=most,
-            format_=format,
-            progress=progress,
-        )
+        display = display_units([read_description(driven)])
+        stack.enter_context(showing({"display": display}))
+        given, total = start_values(driven, values), steps_of(measured)
+        report_step = None if progress is None else lambda done: progress(min(done, total), total)
+        remote = None
+        if worker is not None:
+            remote = DriveApart(worker, measured, driven, report_step, limits=most, given=given)
+        drive = stack.enter_context(remote or Drive(measured, driven, report_step, given=given))
+        findings = gate(measured, drive.rate, drive.traits, {}, drive.starts)
+        if claimed := _claimed_sensors(driven):
+            message = (
+                f"the readings have {join_names(claimed)}, which the refine beside {driven.name} claims and an FMU "
+                "does not hold; correct the readings, or see error.after in its refine.json"
+            )
+            findings.append(Finding("warning", SENSORS, "", message))
+        refuse_faults(measured, findings)
+        written = rows_file.name, residual_file.name, "report.html", REPLAY, NEXT_STUDY
+        check_writable(place, written, (path, driven))
+        remove_earlier(place, read=(path, driven))
+        sources: dict[str, Any] = {"log": str(path), "fmu": str(driven) if fmu else ""}
+        sources |= {"start": dict(given)} if given else {}
+        describe_run(place, sources)
+        free = _free_run(drive, rows_file)
+        try:
+            release_stops()
+            findings += outliers(measured, find_spikes(measured, lambda _: free.outputs))
+            comparison = compare(drive, free, findings)
+            errors = residuals(comparison)
+            errors.write(residual_file)
+            units = {**results(drive, free.outputs).units, **errors.units}
+            content = {"schema_version": SCHEMA_VERSION, **sources, "sentence": verdict(comparison), "units": units}
+            write_json(place / REPLAY, {**content, "display": display}, indent=1)
+            if fmu and not claimed and not all(c.is_explained for c in comparison.channels):
+                write_text(place / NEXT_STUDY, _next_study(place, driven, path, names, values))
+            if report and out is not None:
+                write_text(place / "report.html", render(TEMPLATE, context(comparison, passing=fmu is None)))
+        except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
+            ended = stop_error(stop, float(measured.time[-1]), "the comparison")
+            ended.left = place
+            raise ended from None
         result = read_replay(folder, kept=out is not None)
     assert result is not None  # else an error was raised
     return replace(result, comparison=comparison)
@@ -153,85 +180,18 @@ def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:
     return build_fmu(base.recipe(), folder / "plant.fmu")
 
 
-@far_beyond
-def write_replay(
-    folder: Path,
-    log: Log,
-    fmu: Path,
-    *,
-    given: Mapping[str, Any] = MappingProxyType({}),
-    report: bool = True,
-    passing: bool = False,
-    proposed: str = "",
-    worker: Worker | None = None,
-    limits: Limits | None = None,
-    format_: str = "csv",
-    progress: Callable[[int, int], None] | None = None,
-) -> Comparison:
-    """Replay a log through an FMU and write results and report to `folder`.
-
-    Args:
-        given: Start values and parameters of every run.
-        passing: True if the FMU was built for this replay only.
-        proposed: Study to write if the FMU lacks something.
-        worker: Process of the FMU, within limits; default: this process.
-
-    Raises:
-        InputError: The log has faults, gate included.
-        FmuError: The FMU cannot be used.
-        SimulationError: The FMU fails; finished rows are written before.
-    """
-    total = steps_of(log)
-    rows_file, residual_file = folder / rows_name("results", format_), folder / rows_name("residual", format_)
-
-    report_step = None if progress is None else lambda done: progress(min(done, total), total)
-    remote = None if worker is None else DriveApart(worker, log, fmu, report_step, limits=limits, given=given)
-    with remote or Drive(log, fmu, report_step, given=given) as drive:
-        beside = folder_of(fmu)  # a refine beside the FMU may claim errors of sensors, which no FMU holds
-        effects = content_of(beside / ANSWER).get("effects") if beside else None
-        entries = effects if isinstance(effects, list) else []
-        claimed = [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
-        findings = gate(log, drive.rate, drive.traits, {}, drive.starts)
-        if claimed:
-            message = (
-                f"the readings have {join_names(claimed)}, which the refine beside {fmu.name} claims and an FMU "
-                "does not hold; correct the readings, or see error.after in its refine.json"
-            )
-            findings.append(Finding("warning", SENSORS, "", message))
-        refuse_faults(log, findings)
-        written = "report.html", REPLAY, NEXT_STUDY
-        check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
-        remove_earlier(folder, read=(log.path, fmu))
-        sources: dict[str, Any] = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
-        sources |= {"start": dict(given)} if given else {}
-        describe_run(folder, sources)
-        parameters = start_parameters(drive)
-        free = _free_run(drive, parameters, rows_file)
-        try:
-            release_stops()
-            findings += outliers(log, find_spikes(log, lambda _: free.outputs))
-            comparison = compare(drive, parameters, free, findings)
-            errors = residuals(comparison)
-            errors.write(residual_file)
-            units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
-            content = {"schema_version": SCHEMA_VERSION, **sources, "sentence": verdict(comparison), "units": units}
-            content["display"] = display_units([drive.description])
-            write_json(folder / REPLAY, content, indent=1)
-            if proposed and not claimed and not all(c.is_explained for c in comparison.channels):
-                write_text(folder / NEXT_STUDY, proposed)
-            if report:
-                write_text(folder / "report.html", render(TEMPLATE, context(comparison, passing=passing)))
-        except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
-            ended = stop_error(stop, float(log.time[-1]), "the comparison")
-            ended.left = folder
-            raise ended from None
-    return comparison
+def _claimed_sensors(fmu: Path) -> list[str]:
+    """Return the errors of sensors that a refine beside an FMU claims; no FMU holds them."""
+    beside = folder_of(fmu)
+    effects = content_of(beside / ANSWER).get("effects") if beside else None
+    entries = effects if isinstance(effects, list) else []
+    return [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
 
 
-def _free_run(drive: Drive, parameters: Mapping[str, StartParameter], file: Path) -> Replayed:
+def _free_run(drive: Drive, file: Path) -> Replayed:
     """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
     try:
-        free = free_run(drive, parameters)
+        free = free_run(drive)
         hold_stops()  # From here, rows exist that must not be lost.
     except (SimulationError, KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
@@ -239,7 +199,7 @@ def _free_run(drive: Drive, parameters: Mapping[str, StartParameter], file: Path
         rows = results(drive, as_columns(drive.left, drive.outputs))
         _write_rows(rows, file)
         time = rows.time[-1] if rows.time.size else drive.log.time[0]
-        error = stop if isinstance(stop, SimulationError) else stop_error(stop, time, "the replay")
+        error = stop_error(stop, time, "the replay")
         error.left = file.parent
         raise error from None
     _write_rows(results(drive, free.outputs), file)
