@@ -133,7 +133,7 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
     """Return for each cell the calibration runs, one per load, with random errors of the loads."""
     by_channel, step = dict[str, list[Recording]](), protocol.file.step
     time = np.asarray(step * np.arange(round(LOAD_TIME / step) + 1), dtype=np.float64)
-    rest = [np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT)]
+    duty, servo_duty, height = (np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT))
     for place, channel in enumerate(CHANNELS):
         cell, rng = protocol.file.cells[channel], np.random.default_rng([seed, 100 + place])
         to_si, runs = protocol.load_in_si(channel), by_channel.setdefault(channel, [])
@@ -141,7 +141,8 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
         for load, e in zip(cell.loads, off, strict=True):
             noise = _noise(protocol, rng, time.size, tare=False)
             loads = tuple((load + e) * to_si * (c == channel) for c in CHANNELS)
-            runs.append(Recording(f"load {load:g} {cell.unit}", time, *rest, loads=loads, noise=noise))
+            label = f"load {load:g} {cell.unit}"
+            runs.append(Recording(label, time, duty, servo_duty, height, loads=loads, noise=noise))
     return by_channel
 
 
