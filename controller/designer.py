@@ -14,8 +14,6 @@ from pydantic import AfterValidator, Field
 
 from controller.design_model import Matrix
 from controller.settings import (
-    GAINS,
-    INTEGRALS,
     OF_CRAFT,
     FullSettings,
     IntegralSettings,
@@ -35,7 +33,6 @@ from controller.synthesis import (
     numbers_of,
     placed_gain,
     pole_faults,
-    roll_numbers_of,
     worst_modes,
 )
 from cosim.core.errors import Fault, refuse
@@ -48,6 +45,7 @@ Controller = Literal[
     "controller.fmu", "controller-pole.fmu", "controller-lqi.fmu", "controller-mpc.fmu", "controller-ltv-mpc.fmu"
 ]
 LQR, PLACED, INTEGRAL, PREDICTIVE, TIME_VARIANT = get_args(Controller)
+Place = tuple[str | int, ...]
 SETTINGS: Mapping[str, type[Settings]] = {
     LQR: Settings,
     PLACED: Settings,
@@ -55,15 +53,19 @@ SETTINGS: Mapping[str, type[Settings]] = {
     PREDICTIVE: PredictiveSettings,
     TIME_VARIANT: TimeVariantSettings,
 }
-LISTS = {  # key → start values of a predictive law, which has no fifth state
-    "Q": ("weight_x", "weight_vx", "weight_psi", "weight_psi_dot"),
-    "Q_lateral": ("weight_y", "weight_vy"),
-    "R": ("weight_tilt",),
-    "duty_limits": ("duty_min", "duty_max"),
+# option, its place in a list → start value; a predictive law has no fifth state
+UNCHANGED: dict[Place, str] = {("thrust_nominal",): "thrust_nominal", ("lag",): "lag"}
+OF_PREDICTION: dict[Place, str] = {
+    ("horizon",): "horizon",
+    ("speed_max",): "speed_max",
+    **{("Q", k): f"weight_{state}" for k, state in enumerate(("x", "vx", "psi", "psi_dot"))},
+    **{("Q_lateral", k): f"weight_{state}" for k, state in enumerate(("y", "vy"))},
+    ("R", 0): "weight_tilt",
+    **{("duty_limits", k): f"duty_{end}" for k, end in enumerate(("min", "max"))},
+    ("R_duty",): "weight_duty",
 }
 WEIGHTS = {"Q": [*Q_THESIS], "R": [*R_THESIS], "Q_integral": [*Q_INTEGRAL]}
 POLES_OF = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
-Place = tuple[str | int, ...]
 Objections = list[tuple[Place, str]]  # reasons against a design, or warnings of it, at the place of an option
 
 
@@ -153,25 +155,21 @@ def controller_starts(
         craft: Source of the numbers of the design model; None takes those of the controller's own parameters.
     """
     kind, options, predicts = SETTINGS[name], file.model_dump(), name in (PREDICTIVE, TIME_VARIANT)
-    given = ("thrust_nominal", "lag", *(("horizon", "speed_max") if predicts else ()))
-    # start value → place in the file and number, for options used unchanged
-    placed: dict[str, tuple[Place, float]] = {n: ((n,), options[n]) for n in given if options[n] is not None}
-    if predicts:
-        for option, names in LISTS.items():
-            placed |= {n: ((option, k), options[option][k]) for k, n in enumerate(names)}
-        placed["weight_duty"] = (("R_duty",), options["R_duty"])
-    values: dict[str, Any] = {}
+    placed = dict[str, tuple[Place, float]]()  # start value → place and number of an option used unchanged
+    for place, start in (UNCHANGED | OF_PREDICTION if predicts else UNCHANGED).items():
+        value = options[str(place[0])]
+        if value is not None:
+            placed[start] = place, value[place[1]] if place[1:] else value
+    declared, values = {p.name: p for p in parameters_of(kind)}, dict[str, Any]()
     if craft is not None:
         values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
-        values |= numbers_of(craft) | (roll_numbers_of(craft) if name == PREDICTIVE else {})
+        values |= {n: value for n, value in numbers_of(craft).items() if n in declared}
     values |= {n: float(value) for n, (_, value) in placed.items()}
     if name != TIME_VARIANT and options["estimator"] is not None:
         values["estimator"] = options["estimator"]
-    declared = {p.name: p for p in parameters_of(kind)}
-    objections: Objections = []
-    for n, (place, value) in placed.items():
-        if reason := declared[n].fault(value):
-            objections.append((place, reason))
+    objections: Objections = [
+        (place, reason) for n, (place, value) in placed.items() if (reason := declared[n].fault(value))
+    ]
     if name == PLACED:
         poles = [complex(pole) for pole in options["poles"]]
         objections += [(("poles", k), message) for k, message in pole_faults(poles)]
@@ -192,24 +190,20 @@ def controller_starts(
             except ValueError as error:  # a number of the craft out of its bounds
                 objections = [((), str(error))]
         return values, objections, []
-    K_i: Matrix | None = None
     try:
         p = replace(Settings(), **values)
         if name == PLACED:
             K = placed_gain(p, [complex(pole) for pole in options["poles"]])
         else:
             K = lqr_gain(p, options["Q"], options["R"], options["Q_integral"] if name == INTEGRAL else ())
-            K, K_i = K[:, :5], K[:, 5:] if name == INTEGRAL else None
     except ValueError as error:
         return values, [(_place_of("forward", options, name)[:1], str(error))], []
-    values |= {n: float(K[divmod(k, 5)]) for k, n in enumerate(GAINS)}
-    if K_i is not None:
-        values |= {n: float(K_i[divmod(k, 2)]) for k, n in enumerate(INTEGRALS)}
-    return values, *_judged(values, options, name, K, K_i)
+    values |= {f"k_{i + 1}_{j + 1}": float(gain) for (i, j), gain in np.ndenumerate(K)}
+    return values, *_judged(values, options, name, K)
 
 
 def _judged(
-    values: Mapping[str, Any], options: Mapping[str, Any], name: str, K: Matrix, K_i: Matrix | None
+    values: Mapping[str, Any], options: Mapping[str, Any], name: str, K: Matrix
 ) -> tuple[Objections, Objections]:
     """Return objections to designed gains, and warnings: bounds, then stability and damping of the sampled loop."""
     gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
@@ -221,11 +215,12 @@ def _judged(
     names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
     p = FullSettings(**{n: v for n, v in values.items() if n in names})
     try:
-        modes = flown_modes(p, K, K_i)
+        modes = flown_modes(p, K)
     except np.linalg.LinAlgError:  # The estimator has no steady gain.
         return [], []
-    objections: Objections = []
-    warnings: Objections = []
+    objections, warnings = Objections(), Objections()
+    nearer = f"take poles nearer to {', '.join(f'{pole:g}' for pole in POLES)}"
+    cure = nearer if name == PLACED else "weigh the tilts more, or the states less"
     for mode in worst_modes(modes):
         place, pole = _place_of(mode.axis, options, name), mode.pole
         shown = f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
@@ -233,8 +228,6 @@ def _judged(
             f"with the lag of {p.lag:g} s, a sample of {p.sample_time:g} s and the estimator {p.estimator} the "
             f"{mode.axis} axis has a pole at {shown} rad/s"
         )
-        nearer = f"take poles nearer to {', '.join(f'{pole:g}' for pole in POLES)}"
-        cure = nearer if name == PLACED else "weigh the tilts more, or the states less"
         if mode.grows:
             objections.append((place, f"is not stable as it flies, {loop}; {cure}"))
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any
 
@@ -11,7 +11,16 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 
 from controller.design_model import Matrix, discrete_model, fix_matrix, measurement_matrix
-from controller.settings import AXES, PLANT_STATES, SENSED, ExtendedSettings, FilterSettings, variances_of
+from controller.settings import (
+    AXES,
+    PLANT_STATES,
+    SENSED,
+    ExtendedSettings,
+    FilterSettings,
+    Floats,
+    Numbers,
+    variances_of,
+)
 from cosim.model import Moment, Stepper
 from plant.hovercraft import Hovercraft
 
@@ -45,6 +54,8 @@ class Stateful:
 class Estimator(Stateful):
     """A state estimator, by default a filter of filterpy.
 
+    A subclass fills in `advance`, `locate` if it uses fixes, `estimate` and `variances`.
+
     Attributes:
         fix: Number of the latest position fix.
         nis, fix_nis: Normalised squared innovation of the last sample, and of the last fix.
@@ -54,9 +65,7 @@ class Estimator(Stateful):
     filter: Any
     fix, nis, fix_nis = 0.0, 0.0, 0.0
 
-    def step(
-        self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
-    ) -> None:
+    def step(self, measured: Numbers, command: Numbers, fix: float = 0.0, position: Numbers = (0, 0)) -> None:
         """Process a sample.
 
         Args:
@@ -65,21 +74,38 @@ class Estimator(Stateful):
             fix: Number of the latest position fix.
             position: Latest position fix (x, y) [m].
         """
+        self.advance(measured, command)
+        if fix != self.fix:
+            self.fix = fix
+            self.locate(position)
+
+    def advance(self, measured: Numbers, command: Numbers) -> None:
+        """Predict a sample and update by its readings."""
         raise NotImplementedError
 
+    def locate(self, position: Numbers) -> None:
+        """Update by a new position fix."""
+
     @property
-    def estimate(self) -> tuple[float, ...]:
+    def estimate(self) -> Floats:
         """Return (x, ẋ, ψ, ψ̇, a) of the five-state model, then y, 0 where it is not estimated."""
         raise NotImplementedError
 
     @property
-    def sigma(self) -> tuple[float, ...]:
-        """Return estimated standard deviations of x, ψ and y."""
+    def variances(self) -> Floats:
+        """Return estimated variances of x, ψ and y."""
         raise NotImplementedError
 
-    def squared_innovation(self) -> float:
-        """Return the normalised squared innovation of the last update."""
-        return float(self.filter.y @ self.filter.SI @ self.filter.y)
+    @property
+    def sigma(self) -> Floats:
+        """Return estimated standard deviations of x, ψ and y."""
+        return tuple(math.sqrt(max(0.0, v)) for v in self.variances)
+
+    def update(self, readings: Numbers, *model: Any) -> float:
+        """Update the filter, and return the normalised squared innovation; `model` as filterpy takes it."""
+        kf = self.filter
+        kf.update(np.array(readings), *model)
+        return float(kf.y @ kf.SI @ kf.y)
 
 
 def kalman_filter(p: FilterSettings, x_hat: Matrix) -> KalmanFilter:
@@ -97,31 +123,24 @@ def kalman_filter(p: FilterSettings, x_hat: Matrix) -> KalmanFilter:
 class LinearFilter(Estimator):
     """Kalman filter of the thesis, eqs 5.37-5.41, as in the controller: prediction, update, new fix."""
 
-    def __init__(self, settings: FilterSettings, start: Sequence[float], fix: float = 0.0) -> None:
-        self.filter = kalman_filter(settings, np.array(start, dtype=float))
-        self.fix_matrix, self.fix_noise = fix_matrix(settings), np.diag((settings.measurement_variance_x,))
-        self.fix = fix
+    def __init__(self, settings: FilterSettings, start: Numbers, fix: float = 0.0) -> None:
+        self.filter, self.fix = kalman_filter(settings, np.array(start)), fix
+        self.fix_model = np.diag((settings.measurement_variance_x,)), fix_matrix(settings)
 
-    def step(
-        self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
-    ) -> None:
-        kf = self.filter
-        kf.predict(u=np.array(command[2:]))
-        kf.update(np.array(measured))
-        self.nis = self.squared_innovation()
-        if fix != self.fix:
-            self.fix = fix
-            kf.update(np.array(position[:1]), self.fix_noise, self.fix_matrix)
-            self.fix_nis = self.squared_innovation()
+    def advance(self, measured: Numbers, command: Numbers) -> None:
+        self.filter.predict(u=np.array(command[2:]))
+        self.nis = self.update(measured)
+
+    def locate(self, position: Numbers) -> None:
+        self.fix_nis = self.update(position[:1], *self.fix_model)
 
     @property
-    def estimate(self) -> tuple[float, ...]:
+    def estimate(self) -> Floats:
         return *self.filter.x.tolist(), 0.0
 
     @property
-    def sigma(self) -> tuple[float, ...]:
-        P = self.filter.P
-        return math.sqrt(max(0.0, P[0, 0])), math.sqrt(max(0.0, P[2, 2])), 0.0
+    def variances(self) -> Floats:
+        return self.filter.P[0, 0], self.filter.P[2, 2], 0.0
 
 
 class DoubleIntegration(Estimator):
@@ -130,34 +149,31 @@ class DoubleIntegration(Estimator):
     v̂ += Δt·a_x,   x̂ += Δt·v̂ + Δt²/2·a_x,   P = F·P·F' + g·W_a·g',   g = (Δt²/2, Δt)
     """
 
-    memory = ("values", "variances")
+    memory = ("values", "spread")
 
-    def __init__(self, settings: FilterSettings, start: Sequence[float], fix: float = 0.0) -> None:
+    def __init__(self, settings: FilterSettings, start: Numbers, fix: float = 0.0) -> None:
         self.dt, self.noise = settings.sample_time, settings.measurement_variances
         self.values = [float(v) for v in start]
-        self.variances = [0.0, 0.0, 0.0]  # variances of x̂, of x̂ with v̂, and of v̂
+        self.spread = [0.0, 0.0, 0.0]  # variances of x̂, of x̂ with v̂, and of v̂
 
-    def step(
-        self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
-    ) -> None:
-        dt, W = self.dt, self.noise[2]
-        x, v, *_ = self.values
+    def advance(self, measured: Numbers, command: Numbers) -> None:
+        dt, W, (x, v, *_) = self.dt, self.noise[2], self.values
         psi, psi_dot, ax = measured
         self.values = [x + dt * v + 0.5 * dt * dt * ax, v + dt * ax, psi, psi_dot, ax]
-        xx, xv, vv = self.variances
-        self.variances = [
+        xx, xv, vv = self.spread
+        self.spread = [
             xx + dt * (2.0 * xv + dt * vv) + 0.25 * dt**4 * W,
             xv + dt * vv + 0.5 * dt**3 * W,
             vv + dt * dt * W,
         ]
 
     @property
-    def estimate(self) -> tuple[float, ...]:
+    def estimate(self) -> Floats:
         return *self.values, 0.0
 
     @property
-    def sigma(self) -> tuple[float, ...]:
-        return math.sqrt(self.variances[0]), math.sqrt(self.noise[0]), 0.0
+    def variances(self) -> Floats:
+        return self.spread[0], self.noise[0], 0.0
 
 
 # -- extended Kalman filter on the craft's equations, observable with absolute fixes ----------------
@@ -179,13 +195,14 @@ class Slopes:
             value = getattr(owners[owner], own) if owner in owners else craft.declared[name].default
             self.numbers.append(float(value))
 
-    def along(self, name: str, states: Matrix, commands: Matrix, shape: tuple[int, int]) -> Matrix:
-        """Return a Jacobian (points, *shape) at states (points, 14) and commands (points, 4)."""
+    def along(self, name: str, states: Matrix, commands: Matrix) -> Matrix:
+        """Return a Jacobian at states (points, 14) and commands (points, 4), shape (points, rows, columns)."""
         places, function = self.printed[name.upper()], self.printed[f"{name}_jacobian"]
         entries: list[Any] = [0.0] * len(places)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # both sides of branches are computed
             function(0.0, tuple(states.T), tuple(commands.T), self.numbers, entries)
-        matrices = np.zeros((len(states), *shape))
+        rows, columns = 1 if name == "output" else SIZE, (commands if name == "command" else states).shape[1]
+        matrices = np.zeros((len(states), rows, columns))
         for (row, column), entry in zip(places, entries, strict=True):
             matrices[:, row, column] = entry
         return matrices
@@ -193,10 +210,8 @@ class Slopes:
 
 def carried(psi: float) -> Matrix:
     """Return G (14, 14), which transfers noise from craft to world axes."""
-    G = np.eye(SIZE)
-    along, aside = AT("x"), AT("y")
-    G[AT("x_world"), along], G[AT("x_world"), aside] = math.cos(psi), math.sin(psi)
-    G[AT("y_world"), along], G[AT("y_world"), aside] = math.sin(psi), -math.cos(psi)
+    G, s, c = np.eye(SIZE), math.sin(psi), math.cos(psi)
+    G[np.ix_([AT("x_world"), AT("y_world")], [AT("x"), AT("y")])] = (c, s), (s, -c)
     return G
 
 
@@ -230,44 +245,36 @@ class ExtendedFilter(Estimator):
         kf.R = np.diag(variances_of(settings, "measurement", SENSED))
         self.fixed = [AT(name) for name in AXES[settings.axes]]
         self.fix_noise = np.diag(variances_of(settings, "measurement", ("x", "y")))
-        self.command: tuple[float, ...] = model.start_command()
-        self.fix = fix
+        self.command, self.fix = model.start_command(), fix
         self.damping = model.friction / model.mass  # [1/s]
 
-    def step(
-        self, measured: Sequence[float], command: Sequence[float], fix: float = 0.0, position: Sequence[float] = (0, 0)
-    ) -> None:
-        kf, dt, latency = self.filter, self.settings.sample_time, self.settings.fix_latency
-        self.command = tuple(command)
-        A = dt * self.slope("state", SIZE)
-        A2 = A @ A
-        G = carried(float(kf.x[AT("psi")]))
+    def advance(self, measured: Numbers, command: Numbers) -> None:
+        kf, dt, self.command = self.filter, self.settings.sample_time, tuple(command)
+        A = dt * self.slope("state")
+        A2, G = A @ A, carried(float(kf.x[AT("psi")]))
         F = np.eye(SIZE) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
         kf.x = np.array(self.stepper.step(Moment(0.0, tuple(kf.x.tolist())), self.command, dt).state)
         kf.P = F @ kf.P @ F.T + G @ self.noise @ G.T
 
         H = np.zeros((3, SIZE))
         H[0, AT("psi")] = H[1, AT("psi_dot")] = 1.0
-        H[2] = self.slope("output", 1)[0]
-        kf.update(np.array(measured), lambda _: H, self.sensed)
-        self.nis = self.squared_innovation()
-        if fix == self.fix:
-            return
-        self.fix = fix
+        H[2] = self.slope("output")[0]
+        self.nis = self.update(measured, lambda _: H, self.sensed)
+
+    def locate(self, position: Numbers) -> None:
+        latency = self.settings.fix_latency
 
         def located(x: Matrix) -> Matrix:
             """Return a fix of age T: p(t − T) = p − T·ṗ to first order."""
             rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
             return np.array([x[k] - latency * rate[k] for k in self.fixed])
 
-        H_fix = (np.eye(SIZE) - latency * self.slope("state", SIZE))[self.fixed]
-        kf.update(np.array(position), lambda _: H_fix, located, self.fix_noise)
-        self.fix_nis = self.squared_innovation()
+        H = (np.eye(SIZE) - latency * self.slope("state"))[self.fixed]
+        self.fix_nis = self.update(position, lambda _: H, located, self.fix_noise)
 
-    def slope(self, name: str, rows: int) -> Matrix:
+    def slope(self, name: str) -> Matrix:
         """Return ∂f/∂x or ∂h/∂x at the estimate."""
-        slopes: Matrix = self.slopes.along(name, self.filter.x[None], np.array([self.command]), (rows, SIZE))[0]
-        return slopes
+        return np.asarray(self.slopes.along(name, self.filter.x[None], np.array([self.command]))[0])
 
     def sensed(self, x: Matrix) -> Matrix:
         """Return (ψ, ψ̇, a_x)."""
@@ -275,15 +282,14 @@ class ExtendedFilter(Estimator):
         return np.array([y[k] for k in self.outputs])
 
     @property
-    def estimate(self) -> tuple[float, ...]:
+    def estimate(self) -> Floats:
         x = dict(zip(PLANT_STATES, self.filter.x.tolist(), strict=True))
         ax = float(self.sensed(self.filter.x)[2])
         return *(x[name] for name in ESTIMATED), ax + self.damping * x["vx"], x["y"]
 
     @property
-    def sigma(self) -> tuple[float, ...]:
-        P = self.filter.P
-        return tuple(math.sqrt(max(0.0, P[k, k])) for k in map(AT, ("x", "psi", "y")))
+    def variances(self) -> Floats:
+        return tuple(self.filter.P[k, k] for k in map(AT, ("x", "psi", "y")))
 
 
 def level_tilt(model: Hovercraft, a: float) -> float:

@@ -7,7 +7,7 @@ prediction is the same at every step and sample.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import daqp
@@ -16,10 +16,12 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
 from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
-from controller.laws import Law, LawInput
+from controller.loop import Law, LawInput
 from controller.observers import Estimator, ExtendedFilter, Slopes, level_tilt
 from controller.settings import (
     PLANT_STATES,
+    Floats,
+    Numbers,
     PredictionSettings,
     PredictiveSettings,
     TimeVariantSettings,
@@ -192,7 +194,7 @@ class PredictiveLaw(Predicting):
         kf.R = np.eye(1) * p.measurement_variance_x  # same sensor as for x
         self.fix = 0.0
 
-    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
+    def command(self, x_hat: Numbers, seen: LawInput) -> Floats:
         if seen.started:
             self.observer.predict(u=self.last)
             if seen.fix != self.fix:
@@ -238,7 +240,7 @@ class TimeVariantLaw(Predicting):
         self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
         self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
 
-    def estimator(self, p: TimeVariantSettings, x_hat: Sequence[float], fix: float) -> Estimator:
+    def estimator(self, p: TimeVariantSettings, x_hat: Numbers, fix: float) -> Estimator:
         """Return the extended Kalman filter, started at x_hat with the tilts that cause its acceleration."""
         x, vx, psi, psi_dot, a = x_hat
         tilt = level_tilt(self.craft, a)
@@ -246,7 +248,7 @@ class TimeVariantLaw(Predicting):
         self.filter = ExtendedFilter(self.craft, p, self.printed, {**start, "tilt_left": tilt}, fix)
         return self.filter
 
-    def command(self, x_hat: Sequence[float], seen: LawInput) -> tuple[float, ...]:
+    def command(self, x_hat: Numbers, seen: LawInput) -> Floats:
         x = self.filter.filter.x[PREDICTED]
         target = self.hover.copy()
         target[POSITIONS] += seen.x_ref, seen.y_ref, seen.psi_ref
@@ -276,10 +278,8 @@ class TimeVariantLaw(Predicting):
 
     def _linear(self, states: Matrix, commands: Matrix) -> tuple[Matrix, Matrix]:
         """Return the Jacobians along the horizon: A (N, 12, 12) by predicted states, B (N, 12, 4) by commands."""
-        n = len(PLANT_STATES)
-        A = self.slopes.along("state", states, commands, (n, n))
-        B = self.slopes.along("command", states, commands, (n, COMMANDS))
-        return A[:, PREDICTED][:, :, PREDICTED], B[:, PREDICTED]
+        A, B = (self.slopes.along(name, states, commands)[:, PREDICTED] for name in ("state", "command"))
+        return A[:, :, PREDICTED], B
 
     def _zero_order_hold(self, A: Matrix) -> tuple[Matrix, Matrix]:
         """Return F = exp(h·A) and ∫₀ʰ exp(s·A) ds = h·φ₁(h·A) of each A over a prediction step.

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from cosim.model import SCALAR, parameter, parameters_of
+from cosim.model import SCALAR, parameters_of
 from cosim.model.model import Parametric
+from plant.effects import bounded, frozen
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from plant.powertrain import ground_effect
 
+Floats = tuple[float, ...]
+Numbers = Sequence[float]
 ESTIMATORS, DOUBLE_INTEGRATION = ("appendix_f", "lagged", "consistent"), "double_integration"
 SENSED = ("psi", "psi_dot", "ax")
 GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
@@ -30,26 +32,26 @@ def gain(default: float, tilt: str, state: str, source: str = ", eq 6.5") -> Any
     """Declare an entry of K or K_i: tilt command [rad] per unit of a state."""
     units = {"x": "rad/m", "vx": "rad.s/m", "psi": "1", "psi_dot": "s", "a": "rad.s2/m"}
     unit = (units | {"the integral of x": "rad/m/s", "the integral of psi": "1/s"})[state]
-    return parameter(default, unit=unit, bounds=(-1e4, 1e4), doc=f"gain from {state} to the {tilt} tilt{source}")
+    return bounded(default, unit, (-1e4, 1e4), f"gain from {state} to the {tilt} tilt{source}")
 
 
 def of_craft(name: str, about: str = "") -> Any:
     """Declare a parameter of the craft again, with words before its meaning."""
     p = CRAFT[name]
-    return parameter(p.default, unit=p.unit, bounds=p.bounds, doc=about + p.doc)
+    return bounded(p.default, p.unit, p.bounds, about + p.doc)
 
 
 def variance(default: float, unit: str, doc: str) -> Any:
     """Declare a noise variance."""
-    return parameter(default, unit=unit, bounds=(0, 1e6), doc=doc)
+    return bounded(default, unit, (0, 1e6), doc)
 
 
-def variances_of(p: Any, kind: str, names: Sequence[str]) -> tuple[float, ...]:
+def variances_of(p: Any, kind: str, names: Sequence[str]) -> Floats:
     """Return variances by the names of their states or readings, 0 for one without noise."""
     return tuple(getattr(p, f"{kind}_variance_{name}", 0.0) for name in names)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Noise(Parametric):
     """Noise that every filter assumes, by step or reading, and its sample time."""
 
@@ -63,11 +65,11 @@ class Noise(Parametric):
     )
     measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
     measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x; the thesis has no fixes, §7.1")
-    fix_latency: float = parameter(0.0, unit="s", bounds=(0, 1), doc="how old a fix is when it arrives, §7.1")
-    sample_time: float = parameter(0.02, unit="s", bounds=(1e-4, 1), doc="sample time, Fig 4.8")
+    fix_latency: float = bounded(0.0, "s", (0, 1), "how old a fix is when it arrives, §7.1")
+    sample_time: float = bounded(0.02, "s", (1e-4, 1), "sample time, Fig 4.8")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class FilterSettings(Noise):
     """Parameters of a filter on the design model, or of double integration; the estimator is one of `estimators`."""
 
@@ -79,11 +81,11 @@ class FilterSettings(Noise):
     friction: float = of_craft("friction", DESIGN)
     lag: float = of_craft("lag", DESIGN)
     duty_nominal: float = of_craft("duty_nominal", DESIGN)
-    thrust_nominal: float = parameter(
-        2.4973, unit="N", bounds=(0.01, 100), doc="design model: thrust per propeller in ground effect T_N, eq 5.36"
+    thrust_nominal: float = bounded(
+        2.4973, "N", (0.01, 100), "design model: thrust per propeller in ground effect T_N, eq 5.36"
     )
-    yaw_damping: float = parameter(
-        0.0, unit="N.m.s/rad", bounds=(0, 10), doc="design model: viscous yaw moment per yaw rate; the thesis has none"
+    yaw_damping: float = bounded(
+        0.0, "N.m.s/rad", (0, 10), "design model: viscous yaw moment per yaw rate; the thesis has none"
     )
     process_variance_a: float = variance(1e-4, "m2/s4", "process noise of the thrust acceleration per step, eq 5.47")
 
@@ -98,21 +100,22 @@ class FilterSettings(Noise):
         return faults
 
     @property
-    def process_variances(self) -> tuple[float, ...]:
+    def process_variances(self) -> Floats:
         """Return the diagonal of V, eq 5.47, shape (5,)."""
         return variances_of(self, "process", ("x", "vx", "psi", "psi_dot", "a"))
 
     @property
-    def measurement_variances(self) -> tuple[float, ...]:
+    def measurement_variances(self) -> Floats:
         """Return the diagonal of W, eq 5.46, shape (3,)."""
         return variances_of(self, "measurement", SENSED)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Settings(FilterSettings):
     """Parameters of the controller FMU."""
 
     estimators: ClassVar[tuple[str, ...]] = ESTIMATORS
+    fed_back: ClassVar[int] = 5  # states
 
     k_1_1: float = gain(K_X, "right", "x")
     k_1_2: float = gain(K_VX, "right", "vx")
@@ -124,17 +127,15 @@ class Settings(FilterSettings):
     k_2_3: float = gain(-K_PSI, "left", "psi")
     k_2_4: float = gain(-K_PSI_DOT, "left", "psi_dot")
     k_2_5: float = gain(K_A, "left", "a")
-    tilt_max: float = parameter(math.radians(12), unit="rad", bounds=(0, math.pi / 2), doc="tilt saturation, App G")
+    tilt_max: float = bounded(math.radians(12), "rad", (0, math.pi / 2), "tilt saturation, App G")
 
     @property
-    def gain_matrix(self) -> tuple[tuple[float, ...], ...]:
-        """Return K, shape (2, 5)."""
-        return tuple(tuple(getattr(self, f"k_{i}_{j}") for j in range(1, 6)) for i in (1, 2))
+    def gain_matrix(self) -> tuple[Floats, ...]:
+        """Return K, shape (2, `fed_back`)."""
+        return tuple(tuple(getattr(self, f"k_{i}_{j + 1}") for j in range(self.fed_back)) for i in (1, 2))
 
 
 # -- other laws --------------------------------------------------------------------------------
-
-INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))  # K_i, row by row
 
 # Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn), and of the LQR with integral weights 0.3 and 0.05.
 # Tests repeat the design.
@@ -145,10 +146,10 @@ OF_X_INTEGRAL, OF_PSI_INTEGRAL = 0.3872983346207414, 0.15811388300841878
 
 def weight(default: float, unit: str, doc: str) -> Any:
     """Declare a weight of the predictive law."""
-    return parameter(default, unit=unit, bounds=(0, 1e6), doc=f"weight of {doc}")
+    return bounded(default, unit, (0, 1e6), f"weight of {doc}")
 
 
-def mirrored(row: Sequence[float]) -> dict[str, Any]:
+def mirrored(row: Numbers) -> dict[str, Any]:
     """Return ten gains from the right tilt's five; ψ and ψ̇ change sign for the left."""
     signs = (1.0, 1.0, -1.0, -1.0, 1.0)
     left = (sign * k for sign, k in zip(signs, row, strict=True))
@@ -158,19 +159,16 @@ def mirrored(row: Sequence[float]) -> dict[str, Any]:
 PLACED_SETTINGS = Settings(**mirrored(PLACED))
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class IntegralSettings(Settings):
     """Parameters of the LQR with integrals of measured x and ψ as states six and seven."""
+
+    fed_back = 7
 
     k_1_6: float = gain(OF_X_INTEGRAL, "right", "the integral of x", "")
     k_1_7: float = gain(OF_PSI_INTEGRAL, "right", "the integral of psi", "")
     k_2_6: float = gain(OF_X_INTEGRAL, "left", "the integral of x", "")
     k_2_7: float = gain(-OF_PSI_INTEGRAL, "left", "the integral of psi", "")
-
-    @property
-    def integral_matrix(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the gains of the integrals, shape (2, 2)."""
-        return (self.k_1_6, self.k_1_7), (self.k_2_6, self.k_2_7)
 
 
 INTEGRAL_SETTINGS = IntegralSettings(**mirrored(WITH_INTEGRAL))
@@ -199,29 +197,20 @@ def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class FullSettings(Settings):
     """Parameters with roll and motors, for the fourteen states linearized at hover."""
 
-    ixx: float = parameter(0.009377, unit="kg.m2", bounds=(2e-3, 1), doc="design model: roll inertia, eq 5.4")
-    ground_gain: float = parameter(
-        1.1420239, unit="1", bounds=(1, 10), doc="design model: gain of the ground effect at hover, eq 4.28"
+    ixx: float = bounded(0.009377, "kg.m2", (2e-3, 1), "design model: roll inertia, eq 5.4")
+    ground_gain: float = bounded(1.1420239, "1", (1, 10), "design model: gain of the ground effect at hover, eq 4.28")
+    thrust_per_duty: float = bounded(3.530619, "N/%", (0.01, 100), "design model: slope of the thrust line, eq 4.20")
+    roll_stiffness: float = bounded(
+        5.4174681, "N.m/rad", (-1e3, 1e4), "design model: roll moment per roll, table and ground effect"
     )
-    thrust_per_duty: float = parameter(
-        3.530619, unit="N/%", bounds=(0.01, 100), doc="design model: slope of the thrust line, eq 4.20"
-    )
-    roll_stiffness: float = parameter(
-        5.4174681,
-        unit="N.m/rad",
-        bounds=(-1e3, 1e4),
-        doc="design model: roll moment per roll, table and ground effect",
-    )
-    roll_damping: float = parameter(
-        0.45, unit="N.m.s/rad", bounds=(0, 10), doc="design model: roll moment per roll rate"
-    )
+    roll_damping: float = bounded(0.45, "N.m.s/rad", (0, 10), "design model: roll moment per roll rate")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class PredictionSettings(Settings):
     """Parameters of predictive laws: weights, limits, horizon. The gains `k_i_j` are unused."""
 
@@ -233,15 +222,15 @@ class PredictionSettings(Settings):
     weight_vy: float = weight(0.5, "s2/m2", "vy")
     weight_tilt: float = weight(1.0, "1/rad2", "each tilt")
     weight_duty: float = weight(1.0, "1/%2", "the duty of each motor, from the nominal one")
-    duty_min: float = parameter(6.0, unit="%", bounds=(0, 100), doc="least duty; eq 4.20 was fitted on 6-7 %")
-    duty_max: float = parameter(7.0, unit="%", bounds=(0, 100), doc="greatest duty; eq 4.20 was fitted on 6-7 %")
-    speed_max: float = parameter(
-        0.0, unit="m/s", bounds=(0, 100), doc="greatest speed forward or back, 0 for none; given up where it must be"
+    duty_min: float = bounded(6.0, "%", (0, 100), "least duty; eq 4.20 was fitted on 6-7 %")
+    duty_max: float = bounded(7.0, "%", (0, 100), "greatest duty; eq 4.20 was fitted on 6-7 %")
+    speed_max: float = bounded(
+        0.0, "m/s", (0, 100), "greatest speed forward or back, 0 for none; given up where it must be"
     )
-    prediction_step: float = parameter(0.02, unit="s", bounds=(0.01, 1), doc="step of the prediction")
-    horizon: float = parameter(2.0, unit="s", bounds=(0.1, 20), doc="how far is predicted; then as the LQR would")
-    iterations_max: float = parameter(
-        200.0, unit="1", bounds=(1, 1e5), doc="most iterations of the solver a sample; then limits only cut off"
+    prediction_step: float = bounded(0.02, "s", (0.01, 1), "step of the prediction")
+    horizon: float = bounded(2.0, "s", (0.1, 20), "how far is predicted; then as the LQR would")
+    iterations_max: float = bounded(
+        200.0, "1", (1, 1e5), "most iterations of the solver a sample; then limits only cut off"
     )
 
     def invalid_values(self) -> list[str]:
@@ -249,7 +238,7 @@ class PredictionSettings(Settings):
         return [*super().invalid_values(), *(said for _, said in conflicts(self))]
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class PredictiveSettings(PredictionSettings, FullSettings):
     """Parameters of the predictive law linearized once."""
 
@@ -260,7 +249,7 @@ AXES = {"own": ("x", "y"), "world": ("x_world", "y_world")}
 PLANT_STATES = tuple(q.name for q in Hovercraft.base_states)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ExtendedSettings(Noise):
     """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
 
@@ -296,7 +285,7 @@ def equation_noise(default: float, unit: str, of: str) -> Any:
     return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     """Parameters of the craft's equations besides the design model, and noise of the extended filter.
 

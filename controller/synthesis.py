@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.design_model import PLANT_INPUTS, Matrix, design_model, discretize, full_model
 from controller.observers import kalman_filter
-from controller.settings import PLANT_STATES, FullSettings, Settings
+from controller.settings import PLANT_STATES, FullSettings, Numbers, Settings
 from cosim.model import SCALAR
 from cosim.model.symbolic.linearize import linearize
 from plant.hovercraft import Hovercraft
@@ -19,6 +19,7 @@ Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
 Q_INTEGRAL = (0.3, 0.05)  # diagonal for the integrals of x and ψ, chosen here
 STABLE_DECAY = 1e-6  # [rad/s] least distance of a pole of an LQR from the imaginary axis
+SIDES = ("right", "left")
 # Operating point of the viscous friction: about the mean of the manoeuvre. At rest, the slope of dry friction is no
 # damping.
 WORKING_SPEED, WORKING_YAW_RATE = 0.4, 1.0  # [m/s], [rad/s]
@@ -34,23 +35,29 @@ AXES = (((0, 1, 4), (1.0, 1.0)), ((2, 3), (1.0, -1.0)))
 
 
 def numbers_of(craft: Hovercraft) -> dict[str, float]:
-    """Return the design model parameters of a craft with its effects, named as in `Settings`.
+    """Return the design model parameters of a hovering craft with its effects, named as in `FullSettings`.
 
         thrust_nominal: m/2·Σ ∂v̇x/∂α_i of the hovering craft
         lag: mean delay of a tilt after its command, −G'(0)/G(0) of G(s) = C·(sI − A)⁻¹·B (τ of first order, 2ζ/ωₙ of
             second), plus the command delay
         friction, yaw_damping: opposing force or moment divided by the working speed or yaw rate
+        k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, averaged over both sides
 
     Asymmetry, offsets, backlash, dead band, rate limit and inflow have no place in five symmetric states.
     """
     linear = linearize(craft)
-    row = linear.states.index("vx")
-    thrust = 0.5 * craft.mass * sum(linear.A[row, linear.states.index(f"tilt_{side}")] for side in ("right", "left"))
-    tilts = [k for k, name in enumerate(linear.states) if "tilt" in name]
-    A, B = linear.A[np.ix_(tilts, tilts)], linear.B[tilts, linear.inputs.index("tilt_right")]
-    right, once = [linear.states[k] for k in tilts].index("tilt_right"), np.linalg.solve(A, B)
+    names, inputs = linear.states, linear.inputs
+
+    def slope(rate: str, of: str) -> float:
+        return float(linear.A[names.index(rate), names.index(of)])
+
+    tilts = [k for k, name in enumerate(names) if "tilt" in name]
+    A, B = linear.A[np.ix_(tilts, tilts)], linear.B[tilts, inputs.index("tilt_right")]
+    right, once = [names[k] for k in tilts].index("tilt_right"), np.linalg.solve(A, B)
     mean_delay = float(-np.linalg.solve(A, once)[right] / once[right])
-    derivative, names = craft.equations(SCALAR).derivative, [q.name for q in craft.states]
+    lift = 0.5 * (slope("phi_dot", "thrust_right") - slope("phi_dot", "thrust_left"))
+    duty = sum(float(linear.B[names.index(f"thrust_{side}"), inputs.index(f"duty_{side}")]) for side in SIDES)
+    derivative = craft.equations(SCALAR).derivative
 
     def damping(state: str, rate: float) -> float:
         """Return the deceleration per rate [1/s] at ±rate without constant forces: (f(−v) − f(v))/2v."""
@@ -63,40 +70,25 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
     return {
         "mass": craft.mass,
         "izz": craft.izz,
+        "ixx": craft.ixx,
         "arm": craft.arm,
         "friction": craft.mass * damping("vx", WORKING_SPEED),
         "lag": mean_delay + sum(effect.time for effect in craft.awake if effect.name == "actuator_delay"),
-        "thrust_nominal": float(thrust),
+        "thrust_nominal": 0.5 * craft.mass * sum(slope("vx", f"tilt_{side}") for side in SIDES),
         "yaw_damping": craft.izz * damping("psi_dot", WORKING_YAW_RATE),
         "duty_nominal": craft.duty_nominal,
-    }
-
-
-def roll_numbers_of(craft: Hovercraft) -> dict[str, float]:
-    """Return the roll and motor parameters that the predictive law uses for a hovering craft with effects.
-
-    From the linearization: k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, averaged over both
-    sides.
-    """
-    linear = linearize(craft)
-    at = {name: k for k, name in enumerate(linear.states)}
-    roll = linear.A[at["phi_dot"]]
-    lift = 0.5 * (roll[at["thrust_right"]] - roll[at["thrust_left"]])
-    duty = [linear.B[at[f"thrust_{side}"], linear.inputs.index(f"duty_{side}")] for side in ("right", "left")]
-    return {
-        "ixx": craft.ixx,
-        "ground_gain": float(lift * craft.ixx / craft.arm),
-        "thrust_per_duty": float(craft.lag * sum(duty) / 2.0),
-        "roll_stiffness": float(-roll[at["phi"]] * craft.ixx),
-        "roll_damping": float(-roll[at["phi_dot"]] * craft.ixx),
+        "ground_gain": lift * craft.ixx / craft.arm,
+        "thrust_per_duty": craft.lag * duty / 2.0,
+        "roll_stiffness": -slope("phi_dot", "phi") * craft.ixx,
+        "roll_damping": -slope("phi_dot", "phi_dot") * craft.ixx,
     }
 
 
 def lqr_gain(
     p: Settings,
-    Q: Sequence[float] = Q_THESIS,
-    R: Sequence[float] = R_THESIS,
-    Q_integral: Sequence[float] = (),
+    Q: Numbers = Q_THESIS,
+    R: Numbers = R_THESIS,
+    Q_integral: Numbers = (),
 ) -> Matrix:
     """Return the LQR gain K (2, 5), which minimises ∫ x'Qx + u'Ru for the design model, eqs 6.1-6.3.
 
@@ -200,15 +192,14 @@ class LoopMode(NamedTuple):
         return -self.pole.real / abs(self.pole) if self.pole.imag else 1.0
 
 
-def flown_modes(p: FullSettings, K: Matrix, K_i: Matrix | None = None) -> list[LoopMode]:
+def flown_modes(p: FullSettings, K: Matrix) -> list[LoopMode]:
     """Return the modes of craft, hold and filter at hover with ψ = 0, without saturation and fixes, fastest first.
 
-         xₖ₊₁ = F·xₖ + G·uₖ,   zₖ₊₁ = H·xₖ₊₁,   x̂ₖ₊₁ = F̂·x̂ₖ + Ĝ·uₖ + L·(zₖ₊₁ − Ĥ·(F̂·x̂ₖ + Ĝ·uₖ)),   uₖ = −K·x̂ₖ −
-         K_i·ξₖ
+         xₖ₊₁ = F·xₖ + G·uₖ,   zₖ₊₁ = H·xₖ₊₁,   x̂ₖ₊₁ = F̂·x̂ₖ + Ĝ·uₖ + L·(zₖ₊₁ − Ĥ·(F̂·x̂ₖ + Ĝ·uₖ)),   uₖ = −K·(x̂ₖ, ξₖ)
 
     F, G belong to the craft with lag on both axes and held inputs; F̂, Ĝ, Ĥ to the design model, both with the numbers
-    p of the controller; L is the steady gain of the estimator. The modes are those of the craft's five states, x̂ and
-    optional integrals ξ of x and ψ.
+    p of the controller; L is the steady gain of the estimator. The modes are those of the craft's five states, x̂, and
+    the integrals ξ of x and ψ where K (2, 7) has their gains.
 
     Raises:
         LinAlgError: The estimator has no steady gain.
@@ -224,7 +215,7 @@ def flown_modes(p: FullSettings, K: Matrix, K_i: Matrix | None = None) -> list[L
         if np.abs(kf.K - last).max() <= MAX_CHANGE:
             break
         last = kf.K.copy()
-    u = -np.hstack([np.zeros((2, 5)), K, *([] if K_i is None else [K_i])])
+    u = -np.hstack([np.zeros((2, 5)), K])
     n = u.shape[1]
     now = np.eye(n)
     x = F @ now[:5] + G @ u

@@ -11,8 +11,7 @@ from typing import Any, ClassVar
 
 from pythonfmu.enums import Fmi2Status
 
-from controller.laws import IntegralFeedback, Law, StateFeedback
-from controller.loop import Loop
+from controller.loop import IntegralFeedback, Law, Loop, StateFeedback
 from controller.observers import DoubleIntegration, ExtendedFilter, LinearFilter, level_tilt
 from controller.settings import (
     DOUBLE_INTEGRATION,
@@ -190,13 +189,14 @@ class HovercraftController(SampledSlave):
     """
 
     who = "controller"
+    feedback: ClassVar[type[Law]] = StateFeedback
     settings: ClassVar[Settings] = Settings()
     ports = controller_ports(settings)
     depends = DEPENDENCIES, INITIAL_DEPENDENCIES
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
         """Return the control law for parameters and start values of the host."""
-        return StateFeedback(settings)
+        return self.feedback(settings)
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Loop:
         """Return the control loop."""
@@ -233,6 +233,7 @@ class HovercraftPolesController(HovercraftController):
 class HovercraftIntegralController(HovercraftController):
     """LQR with integral action on measured errors: of x from position fixes, of ψ from the IMU."""
 
+    feedback = IntegralFeedback
     settings = INTEGRAL_SETTINGS
     ports = controller_ports(settings, *INTEGRALS)
     # saturation of a tilt affects both integrals
@@ -240,10 +241,6 @@ class HovercraftIntegralController(HovercraftController):
         {**DEPENDENCIES, **dict.fromkeys(("x_integral", "psi_integral"), TILTS)},
         {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()},
     )
-
-    def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return state feedback with integrals."""
-        return IntegralFeedback(settings)
 
 
 def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from controller.design_model import design_model, discrete_model, fix_matrix, measurement_matrix
 from controller.settings import ESTIMATORS, Settings
@@ -60,32 +62,31 @@ def _design(place: dict[str, int]) -> str:
         own = replace(settings, estimator=estimator)
         lines.append(f"{'} else ' if k else ''}if (strcmp(estimator, {quote(estimator)}) == 0) {{")
         if estimator == "appendix_f":
-            F, G = discrete_model(own)
-            branch = [*_matrix("d->F", F, places), *_matrix("d->G", G, places)]
+            branch = [*_assigned(places, zip(("d->F", "d->G"), discrete_model(own), strict=True))]
         else:
-            A, B = design_model(own)
-            branch = ["double A[NX][NX], B[NX][NU];", *_matrix("A", A, places), *_matrix("B", B, places)]
+            branch = ["double A[NX][NX], B[NX][NU];", *_assigned(places, zip("AB", design_model(own), strict=True))]
             branch.append(f"hold({places[own.sample_time]}, A, B, d->F, d->G);")
-        branch += _matrix("d->H", measurement_matrix(own, estimator), places)
+        branch += _assigned(places, [("d->H", measurement_matrix(own, estimator))])
         lines += [f"    {line}" for line in branch]
     names = ", ".join(ESTIMATORS)
     lines.append(f'}} else return refuse(m, "estimator is %s; it is one of {names}", estimator);')
-    lines += _matrix("d->L", settings.gain_matrix, places)
-    lines += _vector("d->V", settings.process_variances, places)
-    lines += _vector("d->W", settings.measurement_variances, places)
-    lines += _matrix("d->fix_H", fix_matrix(settings), places)
-    lines += _vector("d->fix_W", (settings.measurement_variance_x,), places)
+    common = {
+        "d->L": settings.gain_matrix,
+        "d->V": settings.process_variances,
+        "d->W": settings.measurement_variances,
+        "d->fix_H": fix_matrix(settings),
+        "d->fix_W": (settings.measurement_variance_x,),
+    }
+    lines += _assigned(places, common.items())
     lines += [f"d->limit = p[{place['tilt_max']}];", f"d->sample = p[{place['sample_time']}];", "return 0;"]
     return "\nstatic int design(Instance *m, Design *d)\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
 
-def _matrix(name: str, rows: Any, places: dict[Any, str]) -> Iterator[str]:
-    for k, row in enumerate(rows):
-        yield from _vector(f"{name}[{k}]", row, places)
-
-
-def _vector(name: str, values: Sequence[Any], places: dict[Any, str]) -> Iterator[str]:
+def _assigned(places: dict[Any, str], arrays: Iterable[tuple[str, Any]]) -> Iterator[str]:
+    """Yield the assignments in C of the entries of vectors and matrices by name."""
     import sympy
 
     printer = LANGUAGE.printer(places)
-    yield " ".join(f"{name}[{k}] = {printer.doprint(sympy.sympify(v))};" for k, v in enumerate(values))
+    for name, values in arrays:
+        for index, value in np.ndenumerate(np.array(values, dtype=object)):
+            yield f"{name}{''.join(f'[{k}]' for k in index)} = {printer.doprint(sympy.sympify(value))};"

@@ -92,7 +92,7 @@ integral_recipe = partial(
     f"{FLIGHT}Kalman filter and LQR with integrals of position and heading",
     LOOP,
     MODEL,
-    "laws:IntegralFeedback",
+    "loop:IntegralFeedback",
 )
 predictive_recipe = partial(
     _sampled,

@@ -7,7 +7,6 @@ Equation numbers, sections and appendices refer to J. Jorquera Grau, SDSM&T, 201
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from cosim.model import (
     SCALAR,
@@ -20,7 +19,7 @@ from cosim.model import (
     Values,
     parameter,
 )
-from plant.effects import ActuatorSecondOrder
+from plant.effects import ActuatorSecondOrder, bounded, frozen
 from plant.powertrain import (
     assembly_moment,
     ground_effect,
@@ -62,7 +61,7 @@ OUTPUTS = (
 OWN = len(STATES)  # index of the state of an effect
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class BenchDelay(Delay):
     """Delay of all commands of the bench by T, like the craft's effect `actuator_delay`."""
 
@@ -70,7 +69,7 @@ class BenchDelay(Delay):
     memory = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class BenchSecondOrder(ActuatorSecondOrder):
     """Overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
 
@@ -78,7 +77,7 @@ class BenchSecondOrder(ActuatorSecondOrder):
     states = (Quantity("tilt_rate", "rad/s", "rate of the tilt"),)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Bench(Model):
     """Testing bench: one power-train on three load cells, calibrated at the hub (§3.5); see `equations`."""
 
@@ -92,29 +91,21 @@ class Bench(Model):
     forced = ("thrust", "tilt")
     calibrated = ("lag", "thrust_factor")
 
-    thrust_offset: float = parameter(-2076.0, unit="gf", bounds=(-1e4, 0), doc="thrust line at zero duty, eq 4.20")
-    thrust_slope: float = parameter(359.9, unit="gf/%", bounds=(1, 2000), doc="thrust line slope, eq 4.20")
-    thrust_factor: float = parameter(
-        1.0, unit="1", bounds=(0.1, 10), doc="factor on the thrust, by the battery's state"
+    thrust_offset: float = bounded(-2076.0, "gf", (-1e4, 0), "thrust line at zero duty, eq 4.20")
+    thrust_slope: float = bounded(359.9, "gf/%", (1, 2000), "thrust line slope, eq 4.20")
+    thrust_factor: float = bounded(1.0, "1", (0.1, 10), "factor on the thrust, by the battery's state")
+    ground_effect_exponent: float = bounded(1.902, "1", (0.5, 5), "exponent of the ground effect, eq 4.28")
+    propeller_radius: float = bounded(0.127, "m", (0.01, 1), "propeller radius, §3.5")
+    lag: float = bounded(0.0884, "s", (0.005, 2), "first-order lag of thrust and tilt, eq 4.29")
+    assembly_mass: float = bounded(0.145, "kg", (0.001, 10), "mass of the propeller assembly, §5.2")
+    assembly_arm: float = bounded(-1.170e-4, "m", (-0.1, 0.1), "tilting axis to the assembly's centre of mass, §4.5.5")
+    gravity: float = bounded(9.81, "m/s2", (0.1, 30), "gravity")
+    servo_neutral: float = bounded(7.5, "%", (0, 100), "duty of the servo upright, eq 3.1")
+    servo_slope: float = bounded(0.3927, "rad/%", (-10, 10), "angle per duty of the servo, eq 3.1")
+    servo_dead_band: float = bounded(
+        0.04 * 0.3927, "rad", (0, 0.5), "total width of the servo's dead band, 8 µs, App. B.2"
     )
-    ground_effect_exponent: float = parameter(
-        1.902, unit="1", bounds=(0.5, 5), doc="exponent of the ground effect, eq 4.28"
-    )
-    propeller_radius: float = parameter(0.127, unit="m", bounds=(0.01, 1), doc="propeller radius, §3.5")
-    lag: float = parameter(0.0884, unit="s", bounds=(0.005, 2), doc="first-order lag of thrust and tilt, eq 4.29")
-    assembly_mass: float = parameter(0.145, unit="kg", bounds=(0.001, 10), doc="mass of the propeller assembly, §5.2")
-    assembly_arm: float = parameter(
-        -1.170e-4, unit="m", bounds=(-0.1, 0.1), doc="tilting axis to the assembly's centre of mass, §4.5.5"
-    )
-    gravity: float = parameter(9.81, unit="m/s2", bounds=(0.1, 30), doc="gravity")
-    servo_neutral: float = parameter(7.5, unit="%", bounds=(0, 100), doc="duty of the servo upright, eq 3.1")
-    servo_slope: float = parameter(0.3927, unit="rad/%", bounds=(-10, 10), doc="angle per duty of the servo, eq 3.1")
-    servo_dead_band: float = parameter(
-        0.04 * 0.3927, unit="rad", bounds=(0, 0.5), doc="total width of the servo's dead band, 8 µs, App. B.2"
-    )
-    servo_speed: float = parameter(
-        math.radians(60) / 0.14, unit="rad/s", bounds=(0.1, 100), doc="fastest tilt, 0.14 s for 60°, App. B.2"
-    )
+    servo_speed: float = bounded(math.radians(60) / 0.14, "rad/s", (0.1, 100), "fastest tilt, 0.14 s for 60°, App. B.2")
     z_zero: float = parameter(3.25, unit="V", doc="vertical cell without load; 3.3 V, the rail, in Table C.1")
     z_slope: float = parameter(-0.853, unit="V/N", doc="vertical cell, linear, Table C.1")
     z_square: float = parameter(-0.1107, unit="V/N2", doc="vertical cell, quadratic: 0 V at 285 gf as in Table C.1")
@@ -127,11 +118,9 @@ class Bench(Model):
     m_slope: float = parameter(-48.32, unit="V/N.m", doc="cell of the torquemeter, linear, Table C.2")
     m_square: float = parameter(232.0, unit="V/N2.m2", doc="cell of the torquemeter, quadratic, Table C.2")
     m_cube: float = parameter(7630.0, unit="V/N3.m3", doc="cell of the torquemeter, cubic, Table C.2")
-    converter_range: float = parameter(3.3, unit="V", bounds=(0.1, 100), doc="largest voltage converted, §3.4")
-    converter_levels: float = parameter(4095.0, unit="1", bounds=(1, 1e9), doc="steps of the converter: 12 bit, §3.4")
-    filter_time: float = parameter(
-        0.0, unit="s", bounds=(0, 10), doc="time constant of the low pass, App. D.2; 0 = off"
-    )
+    converter_range: float = bounded(3.3, "V", (0.1, 100), "largest voltage converted, §3.4")
+    converter_levels: float = bounded(4095.0, "1", (1, 1e9), "steps of the converter: 12 bit, §3.4")
+    filter_time: float = bounded(0.0, "s", (0, 10), "time constant of the low pass, App. D.2; 0 = off")
 
     def equations(self, m: Namespace) -> Equations:
         """Return the equations of forces, voltages and lags.
@@ -153,16 +142,6 @@ class Bench(Model):
         curves = [[getattr(self, f"{c}_{power}") for power in ("zero", "slope", "square", "cube")] for c in CHANNELS]
         overshoot = next((e for e in self.awake if isinstance(e, BenchSecondOrder)), None)
 
-        def tilting(state: Values, target: Number) -> tuple[Number, Values]:
-            """Return the tilt rate, and the tilt's acceleration for an actuator of second order."""
-            rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
-            if overshoot is None:
-                return rate, ()
-            w, own = overshoot.natural_frequency, state[OWN]
-            error = servo_error(m, target, state[1], self.servo_dead_band)
-            rate = m.clip(m.where(w > 0.0, own, rate), -self.servo_speed, self.servo_speed)
-            return rate, (second_order(error, 0.0, own, w, overshoot.damping_ratio),)
-
         def converted(state: Values, command: Values) -> Values:
             step = self.converter_range / self.converter_levels
             volts = []
@@ -178,14 +157,14 @@ class Bench(Model):
             )
             target = servo_angle(servo_duty, self.servo_neutral, self.servo_slope)
             slow = m.maximum(self.filter_time, FASTEST_FILTER)
-            volts = converted(state, command)
-            tilt, own = tilting(state, target)
-            return (
-                lag(steady, state[0], self.lag),
-                tilt,
-                *(lag(v, f, slow) for v, f in zip(volts, state[2:OWN], strict=True)),
-                *own,
-            )
+            filtered = (lag(v, f, slow) for v, f in zip(converted(state, command), state[2:OWN], strict=True))
+            rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
+            own: Values = ()  # acceleration of the tilt of an actuator of second order
+            if overshoot is not None:
+                w, error = overshoot.natural_frequency, servo_error(m, target, state[1], self.servo_dead_band)
+                rate = m.clip(m.where(w > 0.0, state[OWN], rate), -self.servo_speed, self.servo_speed)
+                own = (second_order(error, 0.0, state[OWN], w, overshoot.damping_ratio),)
+            return (lag(steady, state[0], self.lag), rate, *filtered, *own)
 
         def output(t: Number, state: Values, command: Values) -> Values:
             z, x, moment = forces(state, command)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
 from cosim.model import Delay, Effect, Namespace, Number, Quantity, Values, parameter
 from cosim.model.planar import local_vector
@@ -17,6 +17,17 @@ from plant.powertrain import second_order
 
 Pair = tuple[Number, Number]
 Wrench = tuple[Number, Number, Number, Number]
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def frozen(kind: type[Any]) -> type[Any]:
+    """Make a class of parameters a frozen dataclass whose fields are given by name."""
+    return dataclass(frozen=True, kw_only=True)(kind)
+
+
+def bounded(default: float, unit: str, bounds: tuple[float, float], doc: str) -> Any:
+    """Return a parameter by its default, unit, bounds and meaning."""
+    return parameter(default, unit=unit, bounds=bounds, doc=doc)
 
 
 def off_at_zero(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> Any:
@@ -65,7 +76,7 @@ def clip(m: Namespace, value: Number, low: Number, high: Number) -> Number:
     return m.minimum(m.maximum(value, low), high)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ActuatorDelay(Delay, HovercraftEffect):
     """Delay of all four commands by T: u(t) → u(t − T)."""
 
@@ -79,7 +90,7 @@ class ActuatorDelay(Delay, HovercraftEffect):
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ServoBacklash(HovercraftEffect):
     """Backlash of total width w on the tilt commands: p ← clip(p, α_cmd − w/2, α_cmd + w/2)."""
 
@@ -98,7 +109,7 @@ class ServoBacklash(HovercraftEffect):
         return (*command[:2], *play), play
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class TiltOffset(HovercraftEffect):
     """Offset of misaligned servo horns: α_cmd,R + r, α_cmd,L + l."""
 
@@ -113,7 +124,7 @@ class TiltOffset(HovercraftEffect):
         return (duty_right, duty_left, tilt_right + self.right, tilt_left + self.left), memory
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ServoDeadBand(HovercraftEffect):
     """Dead band around neutral: α_cmd − w·sign(α_cmd), 0 inside ±w."""
 
@@ -128,7 +139,7 @@ class ServoDeadBand(HovercraftEffect):
         return (*command[:2], *(a - clip(m, a, -w, w) for a in command[2:])), memory
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ActuatorSecondOrder(HovercraftEffect):
     """Second-order tilt instead of the first-order lag: α̈ = ωₙ²·(α_cmd − α) − 2ζωₙ·α̇ (overshoot in §4.5.4)."""
 
@@ -141,7 +152,7 @@ class ActuatorSecondOrder(HovercraftEffect):
     starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and overdamped resembles slow and underdamped
 
     natural_frequency: float = off_at_zero("rad/s", (0, 100), 15.0, "natural frequency ωₙ; 0 = off")
-    damping_ratio: float = parameter(0.7, unit="1", bounds=(0.02, 2.5), doc="damping ratio ζ")
+    damping_ratio: float = bounded(0.7, "1", (0.02, 2.5), "damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
         w, zeta = self.natural_frequency, self.damping_ratio
@@ -151,7 +162,7 @@ class ActuatorSecondOrder(HovercraftEffect):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ServoRateLimit(HovercraftEffect):
     """Slew limit after the lag: |α̇_i| ≤ r. Under load, r may be far below the 7.5 rad/s of the data sheet."""
 
@@ -169,7 +180,7 @@ class ServoRateLimit(HovercraftEffect):
 # -- thrust of the propellers
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ThrustAsymmetry(HovercraftEffect):
     """Unequal propellers: T_R·(1 + ε), T_L·(1 − ε)."""
 
@@ -182,7 +193,7 @@ class ThrustAsymmetry(HovercraftEffect):
         return 1.0 + self.ratio, 1.0 - self.ratio
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class BatterySag(HovercraftEffect):
     """Discharging battery: both thrusts × (1 − p·(1 − e^(−t/θ))), t the simulation time."""
 
@@ -190,14 +201,14 @@ class BatterySag(HovercraftEffect):
     equation = "both thrusts × (1 − p·(1 − e^(−t/θ)))"
 
     drop: float = off_at_zero("1", (0, 0.9), 0.1, "share p of the thrust lost in the end")
-    time: float = parameter(15.0, unit="s", bounds=(0.5, 600), doc="time constant θ")
+    time: float = bounded(15.0, "s", (0.5, 600), "time constant θ")
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
         factor = 1.0 - self.drop * (1.0 - m.exp(-t / self.time))
         return factor, factor
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class InflowThrustLoss(HovercraftEffect):
     """Thrust loss by air flow into the disc: both thrusts × (1 − κ·vx)."""
 
@@ -229,7 +240,7 @@ def along(motion: Motion, gain: Number) -> Wrench:
     return gain * motion.vx, gain * motion.vy, 0.0, 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class CoulombFriction(HovercraftEffect):
     """Dry friction on the table: −F·tanh(s/0.01)·(vx, vy)/s."""
 
@@ -243,7 +254,7 @@ class CoulombFriction(HovercraftEffect):
         return along(motion, -self.force * m.tanh(s / STICTION_SPEED) / s)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class StribeckFriction(HovercraftEffect):
     """Friction that decreases with speed: −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s."""
 
@@ -253,7 +264,7 @@ class StribeckFriction(HovercraftEffect):
 
     force: float = off_at_zero("N", (0, 2), 0.05, "sliding friction force F")
     static_force: float = off_at_zero("N", (0, 2), 0.08, "breakaway force F_s")
-    speed: float = parameter(0.05, unit="m/s", bounds=(0.005, 1), doc="Stribeck speed v_s")
+    speed: float = bounded(0.05, "m/s", (0.005, 1), "Stribeck speed v_s")
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
         s = speed(m, motion)
@@ -261,7 +272,7 @@ class StribeckFriction(HovercraftEffect):
         return along(motion, -force * m.tanh(s / STICTION_SPEED) / s)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class QuadraticDrag(HovercraftEffect):
     """Aerodynamic drag: −k·s·(vx, vy)."""
 
@@ -274,7 +285,7 @@ class QuadraticDrag(HovercraftEffect):
         return along(motion, -self.coefficient * speed(m, motion))
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class YawDamping(HovercraftEffect):
     """Viscous moment −d·ψ̇."""
 
@@ -287,7 +298,7 @@ class YawDamping(HovercraftEffect):
         return 0.0, 0.0, -self.coefficient * motion.psi_dot, 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class YawCoulombFriction(HovercraftEffect):
     """Dry moment −M·tanh(ψ̇/0.02)."""
 
@@ -303,7 +314,7 @@ class YawCoulombFriction(HovercraftEffect):
 # -- rigid body and table
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ComOffset(HovercraftEffect):
     """CoM e to the right of the mid-line: yaw −e·(F_Rx + F_Lx), roll −e·(F_Rz + F_Lz)."""
 
@@ -316,7 +327,7 @@ class ComOffset(HovercraftEffect):
         return 0.0, 0.0, -self.right * motion.thrust_x, -self.right * motion.thrust_z
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class TableTilt(HovercraftEffect):
     """Tilted table: force m·g·(sin θ_X, sin θ_Y) along world X, Y, not sensed by the accelerometer."""
 
@@ -330,7 +341,7 @@ class TableTilt(HovercraftEffect):
         return local_vector(m, psi, gravity * m.sin(self.x), gravity * m.sin(self.y))
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Coriolis(HovercraftEffect):
     """Rotation of the body axes, neglected in the thesis: v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx."""
 

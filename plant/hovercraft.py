@@ -10,7 +10,6 @@ axes: X forward and Y left at ψ = 0, z up. Only this convention satisfies eqs 5
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from cosim.model import (
     SCALAR,
@@ -26,7 +25,7 @@ from cosim.model import (
     parameter,
     world_velocity,
 )
-from plant.effects import CATALOGUE, HovercraftEffect, Motion
+from plant.effects import CATALOGUE, HovercraftEffect, Motion, bounded, frozen
 from plant.powertrain import ground_effect, lag, thrust_out_of_ground, thrust_vector
 from plant.sensor_errors import SENSORS
 
@@ -106,7 +105,7 @@ DRAWN_AGAINST = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Hovercraft(Model):
     """Two tilting propellers on an air table; see `equations` for the model."""
 
@@ -119,36 +118,23 @@ class Hovercraft(Model):
     told_apart_by, drawn_against = TOLD_APART_BY, DRAWN_AGAINST
     measured, excursion, planar, valid = MEASURED, EXCURSION, PLANAR, (DUTY_FITTED,)  # eq 4.20
 
-    mass: float = parameter(0.705, unit="kg", bounds=(0.05, 20), doc="vehicle mass, §5.2")
-    izz: float = parameter(0.01023, unit="kg.m2", bounds=(1e-4, 1), doc="yaw inertia, eq 5.3")
-    ixx: float = parameter(0.009377, unit="kg.m2", bounds=(2e-3, 1), doc="roll inertia, eq 5.4")
-    arm: float = parameter(0.17145, unit="m", bounds=(0.01, 2), doc="lateral arm from CoM to each propeller, §5.2")
-    propeller_radius: float = parameter(0.127, unit="m", bounds=(0.01, 1), doc="propeller radius, §3.5")
-    height: float = parameter(0.095, unit="m", bounds=(0.01, 5), doc="propeller height over the table, §4.4")
-    thrust_offset: float = parameter(-2076.0, unit="gf", bounds=(-1e4, 0), doc="thrust line at zero duty, eq 4.20")
-    thrust_slope: float = parameter(
-        359.9, unit="gf/%", bounds=(1, 2000), doc="thrust line slope, eq 4.20; fitted on 6-7 %"
+    mass: float = bounded(0.705, "kg", (0.05, 20), "vehicle mass, §5.2")
+    izz: float = bounded(0.01023, "kg.m2", (1e-4, 1), "yaw inertia, eq 5.3")
+    ixx: float = bounded(0.009377, "kg.m2", (2e-3, 1), "roll inertia, eq 5.4")
+    arm: float = bounded(0.17145, "m", (0.01, 2), "lateral arm from CoM to each propeller, §5.2")
+    propeller_radius: float = bounded(0.127, "m", (0.01, 1), "propeller radius, §3.5")
+    height: float = bounded(0.095, "m", (0.01, 5), "propeller height over the table, §4.4")
+    thrust_offset: float = bounded(-2076.0, "gf", (-1e4, 0), "thrust line at zero duty, eq 4.20")
+    thrust_slope: float = bounded(359.9, "gf/%", (1, 2000), "thrust line slope, eq 4.20; fitted on 6-7 %")
+    ground_effect_exponent: float = bounded(1.902, "1", (0.5, 5), "exponent of the ground effect, eq 4.28")
+    lag: float = bounded(0.0884, "s", (0.005, 2), "first-order lag of thrust and tilt, eq 4.29")
+    friction: float = bounded(0.25, "N.s/m", (0, 10), "viscous table friction, §5.5; sideways by our choice")
+    gravity: float = bounded(9.81, "m/s2", (0.1, 30), "gravity")
+    duty_nominal: float = bounded(DUTY_NOMINAL, "%", (0, 100), "duty at which the craft hovers, eqs 4.20 and 5.36")
+    table_roll_stiffness: float = bounded(
+        5.0, "N.m/rad", (0, 1e3), "roll stiffness of the air cushion; not in the thesis, §4.2 implies it"
     )
-    ground_effect_exponent: float = parameter(
-        1.902, unit="1", bounds=(0.5, 5), doc="exponent of the ground effect, eq 4.28"
-    )
-    lag: float = parameter(0.0884, unit="s", bounds=(0.005, 2), doc="first-order lag of thrust and tilt, eq 4.29")
-    friction: float = parameter(
-        0.25, unit="N.s/m", bounds=(0, 10), doc="viscous table friction, §5.5; sideways by our choice"
-    )
-    gravity: float = parameter(9.81, unit="m/s2", bounds=(0.1, 30), doc="gravity")
-    duty_nominal: float = parameter(
-        DUTY_NOMINAL, unit="%", bounds=(0, 100), doc="duty at which the craft hovers, eqs 4.20 and 5.36"
-    )
-    table_roll_stiffness: float = parameter(
-        5.0,
-        unit="N.m/rad",
-        bounds=(0, 1e3),
-        doc="roll stiffness of the air cushion; not in the thesis, §4.2 implies it",
-    )
-    table_roll_damping: float = parameter(
-        0.45, unit="N.m.s/rad", bounds=(0, 4), doc="roll damping of the air cushion; not in the thesis"
-    )
+    table_roll_damping: float = bounded(0.45, "N.m.s/rad", (0, 4), "roll damping of the air cushion; not in the thesis")
     # Bounds keep |λ|·h of the fastest mode within the range of RK4 at 5 ms, with other parameters as declared.
     roll_ground_effect: bool = parameter(
         True, unit="", doc="ground effect of each propeller at its own height; the thesis takes one height"
@@ -181,15 +167,10 @@ class Hovercraft(Model):
         z, radius, exponent = self.height, self.propeller_radius, self.ground_effect_exponent
         offset, slope, g = self.thrust_offset, self.thrust_slope, self.gravity
         k_t, d_t, own_height = self.table_roll_stiffness, self.table_roll_damping, self.roll_ground_effect
-        awake = self.awake
-        first, added = dict[str, int](), 0  # index of each effect's first state after the base states
-        for effect in awake:
-            first[effect.name] = added
-            added += len(effect.states)
-        tilt_terms = tuple((e, first[e.name]) for e in overrides(awake, "tilt_rate", HovercraftEffect))
-        thrust_terms = overrides(awake, "thrust_factor", HovercraftEffect)
-        wrench_terms = overrides(awake, "wrench", HovercraftEffect)
-        acceleration_terms = overrides(awake, "acceleration", HovercraftEffect)
+        hooks = ("tilt_rate", "thrust_factor", "wrench", "acceleration")
+        tilt_terms, thrust_terms, wrench_terms, acceleration_terms = (
+            overrides(self.awake, hook, HovercraftEffect) for hook in hooks
+        )
 
         def thrusts(t: Number, vx: Number, phi: Number, right: Number, left: Number) -> tuple[Number, Number]:
             """Return both thrusts [N] with ground effect."""
@@ -231,12 +212,10 @@ class Hovercraft(Model):
             for term in acceleration_terms:
                 d_ax, d_ay = term.acceleration(m, g, psi, vx, vy, psi_dot)
                 ax, ay = ax + d_ax, ay + d_ay
-            rate = (lag(tilt_right, right, tau), lag(tilt_left, left, tau))
-            extra = [0.0] * added
-            for term, k in tilt_terms:
-                own = state[OWN + k : OWN + k + len(term.states)]
-                rate, own_rate = term.tilt_rate(m, rate, (tilt_right, tilt_left), (right, left), own)
-                extra[k : k + len(own)] = own_rate
+            rate, extra, own = (lag(tilt_right, right, tau), lag(tilt_left, left, tau)), (), state[OWN:]
+            for term in tilt_terms:  # only these have states of their own
+                rate, more = term.tilt_rate(m, rate, (tilt_right, tilt_left), (right, left), own[: len(term.states)])
+                extra, own = (*extra, *more), own[len(more) :]
             return (
                 vx,
                 vy,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from cosim.model import (
     Bias,
@@ -17,12 +16,12 @@ from cosim.model import (
     Values,
     parameter,
 )
-from plant.effects import off_at_zero
+from plant.effects import frozen, off_at_zero
 
 HOVER_THRUST = 2.4973  # [N], T_N of eq 5.36
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class AccelerometerBias(Bias):
     """Accelerometer bias: reading a_x + b."""
 
@@ -33,7 +32,7 @@ class AccelerometerBias(Bias):
     value: float = off_at_zero("m/s2", (-2, 2), 0.05, "bias b")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class AccelerometerScale(Scale):
     """Accelerometer scale error: reading s·a_x."""
 
@@ -44,7 +43,7 @@ class AccelerometerScale(Scale):
     value: float = parameter(1.0, unit="1", bounds=(0.3, 3), neutral=1.0, typical=0.1, doc="scale s")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class GyroBias(Bias):
     """Gyroscope bias: reading ψ̇ + b."""
 
@@ -55,7 +54,7 @@ class GyroBias(Bias):
     value: float = off_at_zero("rad/s", (-0.5, 0.5), 0.01, "bias b")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class AccelerometerLeverArm(LeverArm):
     """Accelerometer mounted l ahead of the centre of mass.
 
@@ -72,7 +71,7 @@ class AccelerometerLeverArm(LeverArm):
         return (-psi_dot * psi_dot,)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class AccelerometerDrift(Drift):
     """Accelerometer drift: reading a_x + d·t."""
 
@@ -83,7 +82,7 @@ class AccelerometerDrift(Drift):
     value: float = off_at_zero("m/s3", (-0.2, 0.2), 5e-3, "drift d")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class GyroDrift(Drift):
     """Gyroscope drift: reading ψ̇ + d·t."""
 
@@ -94,7 +93,7 @@ class GyroDrift(Drift):
     value: float = off_at_zero("rad/s2", (-0.05, 0.05), 1e-3, "drift d")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class CameraLatency(Latency):
     """Camera latency T: positions at t are those of t − T."""
 
@@ -103,7 +102,7 @@ class CameraLatency(Latency):
     outputs = ("x_world", "y_world")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class MagnetometerDisturbance(SensorError):
     """Magnetometer disturbance by the motors (§5.2): a heading error proportional to their duty, zero at hover.
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from controller.closed_loop import manoeuvre
 from controller.designer import DesignFile, controller_starts
-from controller.laws import IntegralFeedback, Law, LawInput, StateFeedback
-from controller.loop import Loop
+from controller.loop import IntegralFeedback, Law, LawInput, Loop, StateFeedback
 from controller.predictive import PredictiveLaw, TimeVariantLaw
 from controller.settings import (
     ESTIMATORS,
@@ -230,8 +229,7 @@ def swings() -> dict[str, dict[str, LoopMode]]:
     for estimator, modes in found.items():
         for name in GAINS:
             settings: Any = LAWS[name][0]
-            K_i = np.array(settings.integral_matrix) if name == "LQI" else None
-            every = flown_modes(FullSettings(estimator=estimator), np.array(settings.gain_matrix), K_i)
+            every = flown_modes(FullSettings(estimator=estimator), np.array(settings.gain_matrix))
             modes[name] = next(m for m in every if m.axis == "turning" and m.pole.imag > 0)
     return found
 

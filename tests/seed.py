@@ -15,10 +15,9 @@ from typing import Any
 import pandas as pd
 
 import cosim
-from plant.identification.cells import calibrate
 from plant.identification.estimates import Result
 from plant.identification.protocol import Protocol
-from plant.identification.recordings import Recording, load_runs, runs_of
+from plant.identification.recordings import Recording, calibrate, load_runs, runs_of
 from plant.identification.workflow import analyse
 from tests.bench_runs import Play, play_plain, read_protocol
 

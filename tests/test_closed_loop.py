@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.laws import IntegralFeedback, StateFeedback
-from controller.settings import ESTIMATORS, GAINS, INTEGRAL_SETTINGS, INTEGRALS, FullSettings, Settings
+from controller.loop import IntegralFeedback, StateFeedback
+from controller.settings import ESTIMATORS, INTEGRAL_SETTINGS, FullSettings, Settings
 from controller.synthesis import POLES, Q_INTEGRAL, LoopMode, flown_modes, lqr_gain, placed_gain, worst_modes
 from plant.hovercraft import Hovercraft
 from tests.controllers import OFF, STEP, Flight, fly
@@ -22,7 +22,7 @@ FREE = {"tilt_max": math.pi / 2}  # never reached
 
 def flown(values: Mapping[str, Any], until: float, start: Mapping[str, float], **more: Any) -> Flight:
     """A flight with other settings, with integrals where their gains are given."""
-    kind, law = (INTEGRAL_SETTINGS, IntegralFeedback) if INTEGRALS[0] in values else (Settings(), StateFeedback)
+    kind, law = (INTEGRAL_SETTINGS, IntegralFeedback) if "k_1_6" in values else (Settings(), StateFeedback)
     return fly((replace(kind, **values), law), duration=until, start=start, **more)
 
 
@@ -58,14 +58,14 @@ def test_roll_that_figure_6_2_does_not_show() -> None:
 # The poles of the sampled loop, the lag on both axes, the filter; held against flights.
 
 
-def slowest(K: Any, K_i: Any = None, *, axis: str, estimator: str = "appendix_f") -> LoopMode:
+def slowest(K: Any, *, axis: str, estimator: str = "appendix_f") -> LoopMode:
     p = FullSettings(estimator=estimator)
-    return next(mode for mode in flown_modes(p, K, K_i) if mode.axis == axis and mode.pole.imag >= 0)
+    return next(mode for mode in flown_modes(p, K) if mode.axis == axis and mode.pole.imag >= 0)
 
 
-def flown_poles(K: Any, start: Mapping[str, float], until: float, K_i: Any = (), **settings: Any) -> list[complex]:
+def flown_poles(K: Any, start: Mapping[str, float], until: float, **settings: Any) -> list[complex]:
     """Poles [rad/s] of a pair, out of the last half second of a flight: αₖ₊₂ = a·αₖ₊₁ + b·αₖ of a tilt."""
-    gains = dict(zip((*GAINS, *INTEGRALS), (*K.ravel(), *np.ravel(K_i)), strict=False))
+    gains = {f"k_{i + 1}_{j + 1}": k for (i, j), k in np.ndenumerate(K)}
     tilt = flown(gains | settings, until, start).command[-25:, 2]
     a, b = np.linalg.lstsq(np.column_stack([tilt[1:-1], tilt[:-2]]), tilt[2:], rcond=None)[0]
     return [cmath.log(z) / STEP for z in np.roots([1, -a, -b])]
@@ -88,18 +88,18 @@ def test_the_forward_axis_grows_in_a_flight_as_its_pole_says_and_integrals_count
     assert expected.imag == pytest.approx(math.pi / STEP)  # from sample to sample
     found = flown_poles(K, {"x": 1e-21}, 0.6)
     assert min(abs(s.real - expected.real) for s in found) < 1e-3 * expected.real
-    K, K_i = np.hsplit(lqr_gain(Settings(), (10.0, 0.5, 10.0, 0.01, 0.0), Q_integral=(1.0, 400.0)), [5])
-    expected = slowest(K, K_i, axis="turning").pole
+    K = lqr_gain(Settings(), (10.0, 0.5, 10.0, 0.01, 0.0), Q_integral=(1.0, 400.0))
+    expected = slowest(K, axis="turning").pole
     assert expected.real > 0
-    assert slowest(K, axis="turning").pole.real < expected.real - 0.1  # without its integrals
-    found = flown_poles(K, {"psi": 1e-5}, 3.0, K_i)
+    assert slowest(K[:, :5], axis="turning").pole.real < expected.real - 0.1  # without its integrals
+    found = flown_poles(K, {"psi": 1e-5}, 3.0)
     assert min(abs(s - expected) for s in found) < 1e-3 * abs(expected)
 
 
 def test_all_designs_of_the_thesis_and_ours_are_damped_with_every_estimator() -> None:
     for estimator in ESTIMATORS:
         p = FullSettings(estimator=estimator)
-        integral = np.hsplit(lqr_gain(p, Q_integral=Q_INTEGRAL), [5])
-        every = [*flown_modes(p, lqr_gain(p)), *flown_modes(p, placed_gain(p)), *flown_modes(p, *integral)]
+        integral = lqr_gain(p, Q_integral=Q_INTEGRAL)
+        every = [mode for K in (lqr_gain(p), placed_gain(p), integral) for mode in flown_modes(p, K)]
         assert worst_modes(every) == []
         assert min(mode.damping for mode in every) > 0.29

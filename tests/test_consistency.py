@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from controller.consistency import Consistency, consistency, consistency_of
-from controller.monte_carlo import CASES, FlightCase, squares_of
+from controller.consistency import CASES, Consistency, FlightCase, consistency, consistency_of, squares_of
 from cosim.core.errors import InputError
 from cosim.verbs.cli import command_line
 

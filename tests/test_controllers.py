@@ -13,8 +13,7 @@ from scipy.optimize import lsq_linear
 
 from controller.closed_loop import manoeuvre
 from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
-from controller.laws import LawInput
-from controller.loop import Loop
+from controller.loop import LawInput, Loop
 from controller.predictive import NAMES, PREDICTED, PredictiveLaw, TimeVariantLaw
 from controller.settings import (
     GAINS,
@@ -31,7 +30,6 @@ from controller.synthesis import (
     lqr_gain,
     numbers_of,
     placed_gain,
-    roll_numbers_of,
 )
 from cosim.fmi.fmu_build import build
 from cosim.model import Stepper
@@ -68,8 +66,7 @@ def test_the_poles_stand_where_they_are_asked_for() -> None:
 
 def test_the_frozen_gains_with_integrals_are_the_designed_ones() -> None:
     p = INTEGRAL_SETTINGS
-    frozen = np.hstack([p.gain_matrix, p.integral_matrix])
-    assert pytest.approx(lqr_gain(Settings(), Q_integral=Q_INTEGRAL), rel=1e-9) == frozen
+    assert pytest.approx(lqr_gain(Settings(), Q_integral=Q_INTEGRAL), rel=1e-9) == np.array(p.gain_matrix)
 
 
 def test_the_measured_position_has_no_steady_error_with_fixes_and_keeps_one_with_the_imu_alone() -> None:
@@ -92,7 +89,7 @@ def test_the_predicted_model_is_the_linearised_plant_entry_by_entry() -> None:
         {"mass": 0.8, "lag": 0.1, "table_roll_stiffness": 3.0, "yaw_damping.coefficient": 0.004}
     )
     linear = linearize(craft)
-    p = PredictiveSettings(**{**numbers_of(craft), **roll_numbers_of(craft), "duty_max": 9.0})
+    p = PredictiveSettings(**{**numbers_of(craft), "duty_max": 9.0})
     A, B = full_model(p)
     assert linear.states[:14] == PLANT_STATES
     assert linear.inputs == PLANT_INPUTS
@@ -152,7 +149,7 @@ def planned() -> TimeVariantLaw:
 def test_a_t_and_b_t_are_those_of_the_linearised_plant_all_along_the_plan(planned: TimeVariantLaw) -> None:
     states = np.zeros((len(planned.plan), len(PLANT_STATES)))
     states[:, PREDICTED] = planned.path[:-1]
-    A, B = (planned.slopes.along(of, states, planned.plan, (14, n)) for of, n in (("state", 14), ("command", 4)))
+    A, B = (planned.slopes.along(of, states, planned.plan) for of in ("state", "command"))
     for k in (0, 7, 30, 99):
         linear = linearize(planned.craft, states[k].tolist(), planned.plan[k].tolist())
         np.testing.assert_allclose(A[k], linear.A, rtol=1e-11, atol=1e-11)

@@ -19,12 +19,10 @@ from cosim.fmi.building.file import read_model
 from cosim.model.namespaces import arrays
 from cosim.verbs.checks import check as check_files
 from plant.bench import Bench
-from plant.identification.cells import Cell
+from plant.identification.analyses import after_step, ground_effect_exponent
 from plant.identification.estimates import Measurement, tilt_response
 from plant.identification.protocol import HeightTest, StepTest
-from plant.identification.recordings import COLUMNS, Recording, runs_of
-from plant.identification.thrust import ground_effect_exponent
-from plant.identification.tilt import after_step
+from plant.identification.recordings import COLUMNS, Cell, Recording, runs_of
 from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
 from tests.bench_runs import play_plain, read_protocol

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from controller.design_model import design_model, fix_matrix, measurement_matrix
-from controller.laws import StateFeedback
-from controller.loop import Loop
+from controller.loop import Loop, StateFeedback
 from controller.settings import ESTIMATORS, Settings
 from tests.controllers import OFF, fly
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
 from controller.design_model import design_model
-from controller.laws import feedback
+from controller.loop import feedback
 from controller.settings import Settings
 from controller.synthesis import Q_THESIS, R_THESIS, lqr_gain
 

@@ -24,8 +24,7 @@ from cosim.model import SCALAR
 from cosim.verbs.cli import command_line
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
-from plant.identification.cells import calibrate
-from plant.identification.recordings import load_runs, runs_of
+from plant.identification.recordings import calibrate, load_runs, runs_of
 from plant.identification.workflow import analyse
 from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
 from tests.bench_runs import play_plain, read_protocol

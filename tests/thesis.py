@@ -20,7 +20,7 @@ from controller.settings import Settings
 from cosim.core.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
-from plant.identification.thrust import least_degree
+from plant.identification.analyses import least_degree
 from plant.powertrain import assembly_moment, ground_effect
 
 BENCH = Bench()

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from controller.settings import Settings
 from cosim.core.arrays import Array
 from cosim.core.units import read_quantity
+from cosim.report.panels import extent
 from cosim.simulation import criteria
 from cosim.simulation.report.recorded import Run, number
 
@@ -29,43 +30,44 @@ TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
 
 @dataclass(frozen=True)
 class Craft:
-    """A craft with its estimator and controller."""
+    """A craft with its estimator and controller; a signal that is not recorded is NaN."""
 
     run: Run
     name: str
     estimator: str | None
 
-    def signal(self, variable: str) -> Array | None:
-        """Return a variable of the craft."""
-        return self.run.signal(f"{self.name}.{variable}")
+    def recorded(self, column: str | None) -> Array:
+        """Return a column of the results."""
+        line = self.run.signal(column or "")
+        return np.full(self.run.time.size, math.nan) if line is None else line
 
-    def estimate(self, variable: str) -> Array | None:
+    def signal(self, variable: str) -> Array:
+        """Return a variable of the craft."""
+        return self.recorded(f"{self.name}.{variable}")
+
+    def estimate(self, variable: str) -> Array:
         """Return a variable of the estimator."""
-        return self.run.signal(f"{self.estimator}.{variable}") if self.estimator else None
+        return self.recorded(self.estimator and f"{self.estimator}.{variable}")
 
     def reference_column(self, variable: str) -> str | None:
         """Return the reference column of `x` or `psi`.
 
         The column is the source of the controller's input, else the input.
         """
-        if self.estimator is None:
-            return None
         own = f"{self.estimator}.{variable}_ref"
-        columns = (self.run.source(own), own)
+        columns = (self.run.source(own), own) if self.estimator else ()
         return next((column for column in columns if column is not None and column in self.run.results), None)
 
-    def reference(self, variable: str) -> Array | None:
+    def reference(self, variable: str) -> Array:
         """Return the reference of `x` or `psi`, recorded or constant."""
-        column = self.reference_column(variable)
-        if column is not None:
+        if column := self.reference_column(variable):
             return self.run.results[column]
-        value = number(self.run.start(self.estimator).get(f"{variable}_ref"))
-        return np.full(self.run.time.size, value) if np.isfinite(value) else None
+        return np.full(self.run.time.size, number(self.run.start(self.estimator).get(f"{variable}_ref")))
 
-    def command(self, variable: str) -> Array | None:
+    def command(self, variable: str) -> Array:
         """Return a tilt command of the craft or controller."""
         here = self.signal(variable)
-        return self.estimate(variable) if here is None else here
+        return here if is_drawn(here) else self.estimate(variable)
 
     @property
     def tilt_limit(self) -> float | None:
@@ -80,11 +82,15 @@ class Craft:
             limit = math.nan
         if np.isfinite(limit) and limit > 0:
             return limit
-        commands = [self.command(f"tilt_{side}") for side in SIDES]
-        if self.estimator is None or any(c is None for c in commands):
+        spans = [extent([self.command(f"tilt_{side}")]) for side in SIDES]
+        if self.estimator is None or None in spans:
             return None
-        largest = max(float(np.max(np.abs(c), initial=0.0, where=np.isfinite(c))) for c in commands if c is not None)
-        return TILT_MAX if largest <= TILT_MAX * 1.001 else None
+        return TILT_MAX if max(abs(end) for span in spans for end in span or ()) <= TILT_MAX * 1.001 else None
+
+
+def is_drawn(*lines: Array) -> bool:
+    """Return whether each line has a finite value."""
+    return all(np.isfinite(line).any() for line in lines)
 
 
 def find_crafts(run: Run) -> list[Craft]:
@@ -109,8 +115,7 @@ def _downstream(run: Run, start: str, names: Iterable[str], blocked: Iterable[st
     return None
 
 
-@dataclass(frozen=True)
-class Response:
+class Response(NamedTuple):
     """Response of a signal to one change of its reference, in SI units."""
 
     variable: str
@@ -130,26 +135,19 @@ def reference_steps(time: Array, reference: Array) -> list[tuple[int, int, int]]
 
     Row 0 counts as a change. Changes within MERGE form one ramp; a change ends at the next one.
     """
-    changes = [0, *(int(k) for k in np.flatnonzero(np.abs(np.diff(reference)) > 1e-12) + 1)]
-    groups: list[list[int]] = [[0, 0]]
-    for previous, row in pairwise(changes):
-        near = row - previous <= 1 or time[row] - time[previous] <= MERGE
-        if near and previous > 0:
-            groups[-1][1] = row
-        else:
-            groups.append([row, row])
-    ends = [group[0] for group in groups[1:]] + [reference.size]
-    return [(begin, arrived, end) for (begin, arrived), end in zip(groups, ends, strict=True)]
+    rows = np.flatnonzero(np.abs(np.diff(reference)) > 1e-12) + 1
+    apart = (np.diff(rows) > 1) & (np.diff(time[rows]) > MERGE)
+    ramps = [ramp.tolist() for ramp in np.split(rows, np.flatnonzero(apart) + 1) if ramp.size]
+    begins = [0, *(ramp[0] for ramp in ramps)]
+    return list(zip(begins, [0, *(ramp[-1] for ramp in ramps)], [*begins[1:], reference.size], strict=True))
 
 
 def responses(craft: Craft, variable: str) -> list[Response]:
     """Return the responses to each change of a reference."""
-    (good, signal, target), estimate = finite(craft.signal(variable), craft.reference(variable)), None
+    good, signal, target = finite(craft.signal(variable), craft.reference(variable))
     if not good.any():
         return []
-    time, line = craft.run.time[good], craft.estimate(f"{variable}_hat")
-    if line is not None:
-        estimate = line[good]
+    time, estimate = craft.run.time[good], craft.estimate(f"{variable}_hat")[good]
     steps = reference_steps(time, target)
     # A start on target is a response only if the reference never changes.
     if len(steps) > 1 and abs(signal[0] - target[0]) <= BAND:
@@ -159,37 +157,34 @@ def responses(craft: Craft, variable: str) -> list[Response]:
         final, after = float(target[end - 1]), slice(arrived, end)
         moving = end - arrived < 2  # an unfinished ramp, or a change in the last row
         settling, believed = (
-            math.nan if line is None or moving else criteria.settling_time(time[after], line[after], final, BAND)
+            criteria.settling_time(time[after], line[after], final, BAND) if is_drawn(line) and not moving else math.nan
             for line in (signal, estimate)
         )
-        whole = signal[begin:end], target[begin:end]
+        whole, wanted = signal[begin:end], target[begin:end]
         found.append(
             Response(
                 variable,
                 float(time[begin]),
-                float(target[begin - 1]) if begin else float(signal[0]),
+                float(target[begin - 1] if begin else signal[0]),
                 final,
                 float(time[arrived] - time[begin]),
                 settling,
                 believed,
-                criteria.overshoot(whole[0], final),
-                criteria.rms_error(*whole),
-                criteria.final_error(*whole),
+                criteria.overshoot(whole, final),
+                criteria.rms_error(whole, wanted),
+                criteria.final_error(whole, wanted),
             )
         )
     return found
 
 
-def finite(*lines: Array | None) -> list[Array]:
-    """Return the rows in which every line is finite, none if one is missing, and the lines in these rows."""
-    present = [line for line in lines if line is not None]
-    if len(present) < len(lines):
-        return [np.zeros(len(present[0]) if present else 0, dtype=bool), *(np.zeros(0) for _ in lines)]
-    good = np.all(np.isfinite(present), axis=0)
-    return [good, *(line[good] for line in present)]
+def finite(*lines: Array) -> list[Array]:
+    """Return the rows in which every line is finite, and the lines in these rows."""
+    good = np.all(np.isfinite(lines), axis=0)
+    return [good, *(line[good] for line in lines)]
 
 
-def error_rms(signal: Array | None, target: Array | None) -> float:
+def error_rms(signal: Array, target: Array) -> float:
     """Return the RMS error over finite rows, else NaN."""
     good, *lines = finite(signal, target)
     return criteria.rms_error(*lines) if good.any() else math.nan
@@ -201,7 +196,7 @@ def saturation(craft: Craft, side: str) -> float:
     Each command is held until the next.
     """
     command, limit, time = craft.command(f"tilt_{side}"), craft.tilt_limit, craft.run.time
-    if command is None or limit is None or time.size < 2:
+    if limit is None or time.size < 2 or not is_drawn(command):
         return math.nan
     steps = np.diff(time)
     at_limit = np.abs(command[:-1]) >= limit * (1 - 1e-6)

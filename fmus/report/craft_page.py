@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.text import MISSING, amount, length, percent, plain
+from cosim.core.arrays import Array
+from cosim.core.text import MISSING, amount, displayed, length, percent, plain
 from cosim.report.charts import Drawing, Plot, round_values, sample_rows
 from cosim.report.html_tables import Grid, Row
-from cosim.report.panels import Panel
+from cosim.report.panels import Band, Panel, Trace, axis_unit
 from cosim.simulation import criteria
 from cosim.simulation.report.component_page import ComponentPage
 from cosim.simulation.report.recorded import Run, mappings, number
 from fmus.report.craft import (
     BAND,
+    COLOURS,
     MAX_SETTLED_DISTANCE,
     SIDES,
     Craft,
@@ -25,17 +27,26 @@ from fmus.report.craft import (
     find_crafts,
     finite,
     inside_band,
+    is_drawn,
     reference_steps,
     responses,
     saturation,
 )
-from fmus.report.lines import SYMBOLS, UNITS, error_panels, shown_columns, state_panels, tilt_panels
 from fmus.report.topview import Body, make_view
+from plant.hovercraft import Hovercraft
 
 POSES = 1000  # of the moving picture
 TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
 MAX_RESPONSES = 16
 SETTLING = "settling_time"  # kind of criterion
+UNITS = {q.name: q.unit for q in Hovercraft.outputs}
+TITLES = {  # of the controlled and estimated states
+    "x": "Distance along the craft's axis",
+    "psi": "Heading, positive to the left",
+    "vx": "Forward speed",
+    "psi_dot": "Yaw rate, positive to the left",
+}
+SYMBOLS = {"x": "x", "psi": "ψ", "vx": "v", "psi_dot": "ψ̇"}
 
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
@@ -95,7 +106,7 @@ def belief_sentence(craft: Craft) -> str | None:
     step.
     """
     good, x, x_hat, target = finite(craft.signal("x"), craft.estimate("x_hat"), craft.reference("x"))
-    time = craft.run.time[good] if good.size else x
+    time = craft.run.time[good]
     if time.size < 3:
         return None
     _, arrived, _ = reference_steps(time, target)[-1]
@@ -112,13 +123,12 @@ def belief_sentence(craft: Craft) -> str | None:
         "The estimator believes it has settled; the craft has not.",
         f"At the end of the run x̂ lay {length(estimated)} from its target and the craft {length(true)}.",
     ]
-    if craft.estimate("x") is None:
+    if not is_drawn(craft.estimate("x")):
         sentences.append(
             "Heading, yaw rate and acceleration carry no information about the position: x is unobservable, and its"
             " error is not corrected."
         )
-    sigma = craft.estimate("x_sigma")
-    if sigma is not None and (double := 2 * float(sigma[good][-1])) > 0:
+    if (double := 2 * float(craft.estimate("x_sigma")[good][-1])) > 0:
         verdict = "outside" if apart > double else "within"
         sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(double)} by then.")
     return " ".join(sentences)
@@ -127,7 +137,7 @@ def belief_sentence(craft: Craft) -> str | None:
 def integral_sentence(craft: Craft) -> str | None:
     """Return the effect of integral control on the position."""
     good, x, target = finite(craft.signal("x"), craft.reference("x"))
-    if craft.estimate("x_integral") is None or not good.any():
+    if not (is_drawn(craft.estimate("x_integral")) and good.any()):
         return None
     last = craft.run.time[good] >= craft.run.time[-1] - 1.0
     off = length(abs(float(np.mean((x - target)[last]))))
@@ -153,11 +163,9 @@ def band_sentence(craft: Craft) -> str | None:
 
 def motion_sentence(craft: Craft, called: str) -> str:
     """Return the distance travelled, the displacement and the turn."""
-    lines = [craft.run.results[f"{craft.name}.{name}"] for name in ("x_world", "y_world", "psi")]
-    good = np.all(np.isfinite(lines), axis=0)
+    good, x, y, psi = finite(*map(craft.signal, ("x_world", "y_world", "psi")))
     if good.sum() < 2:
         return "Too few finite rows to tell a motion."
-    x, y, psi = (line[good] for line in lines)
     way, gap = float(np.hypot(np.diff(x), np.diff(y)).sum()), math.hypot(x[-1] - x[0], y[-1] - y[0])
     turn = float(psi[-1] - psi[0])
     side = "left" if turn > 0 else "right"
@@ -246,3 +254,69 @@ def grids(craft: Craft) -> list[Grid]:
         Grid("Tilt commands", ("effort ∫|α| dt", "largest", "at its limit"), tuple(efforts)),
     )
     return [grid for grid in found if grid.rows]
+
+
+# -- panels -----------------------------------------------------------------------------------
+
+
+def state_panels(craft: Craft) -> list[Panel]:
+    """Return panels of states with references and estimates ±2σ."""
+    panels = []
+    for name, title in TITLES.items():
+        true, estimate, unit = craft.signal(name), craft.estimate(f"{name}_hat"), UNITS[name]
+        lines = [("reference", craft.reference(name), "reference", True), ("estimate", estimate, "estimate", False)]
+        if is_drawn(true):
+            traces = _traces([*lines, ("craft", true, "true", False)], unit)
+            band = _band(craft, name, estimate, "estimate ±2σ")
+            panels.append(Panel(title, axis_unit(unit), traces, band, symbol=SYMBOLS[name]))
+    return panels
+
+
+def error_panels(craft: Craft) -> list[Panel]:
+    """Return panels of estimation errors, with the estimator's ±2σ about zero."""
+    panels = []
+    for name, symbol in SYMBOLS.items():
+        true, estimate, unit = craft.signal(name), craft.estimate(f"{name}_hat"), UNITS[name]
+        if is_drawn(true, estimate):
+            band = _band(craft, name, np.zeros(true.size), "±2σ claimed")
+            traces = _traces([("estimate − craft", estimate - true, "error", False)], unit)
+            panels.append(Panel(f"Error of {symbol}", axis_unit(unit), traces, band))
+    return panels
+
+
+def tilt_panels(craft: Craft) -> list[Panel]:
+    """Return panels of commanded and actual tilts."""
+    panels, limit = [], craft.tilt_limit
+    limits = () if limit is None else (displayed(-limit, "rad"), displayed(limit, "rad"))
+    label = "" if limit is None else f"limit ±{amount(limit, 'rad', None)}"
+    for side in SIDES:
+        command, actual = craft.command(f"tilt_{side}"), craft.signal(f"tilt_{side}_actual")
+        lines = [("command", command, COLOURS[side], True), ("actual", actual, "actual", False)]
+        if traces := _traces(lines, "rad"):
+            panels.append(Panel(f"Tilt, {side} propeller", axis_unit("rad"), traces, None, limits, label))
+    return panels
+
+
+def _traces(lines: Sequence[tuple[str, Array, str, bool]], unit: str) -> list[Trace]:
+    """Return the traces of recorded lines: label, values, style, and whether values are held."""
+    return [Trace(label, displayed(line, unit), style, held) for label, line, style, held in lines if is_drawn(line)]
+
+
+def _band(craft: Craft, name: str, centre: Array, label: str) -> Band | None:
+    """Return the band of ±2σ, None without a recorded σ."""
+    ends = [displayed(centre + side * craft.estimate(f"{name}_sigma"), UNITS[name]) for side in (-2, 2)]
+    return Band(label, *ends) if is_drawn(*ends) else None
+
+
+def shown_columns(crafts: Sequence[Craft]) -> set[str]:
+    """Return the result columns in the crafts' sections."""
+    columns: set[str] = set()
+    for craft in crafts:
+        for name in TITLES:
+            columns.add(f"{craft.name}.{name}")
+            columns.update(f"{craft.estimator}.{name}_{end}" for end in ("hat", "sigma", "ref"))
+            columns.add(craft.reference_column(name) or "")
+        for side in SIDES:
+            columns.update((f"{craft.name}.tilt_{side}", f"{craft.name}.tilt_{side}_actual"))
+            columns.add(f"{craft.estimator}.tilt_{side}")
+    return columns

@@ -9,7 +9,7 @@ from cosim.report.figure import new_figure
 from cosim.simulation.report.figures import LINES, literal, panels_figure, save, tidy
 from cosim.simulation.report.recorded import Run
 from fmus.report.craft import Craft, find_crafts
-from fmus.report.lines import error_panels, state_panels, tilt_panels
+from fmus.report.craft_page import error_panels, state_panels, tilt_panels
 from fmus.report.topview import Track, estimated_track, reference_track, true_track
 
 

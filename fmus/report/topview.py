@@ -19,7 +19,7 @@ from cosim.core.units import DEGREES
 from cosim.report.charts import Charts, round_values
 from cosim.report.panels import extent
 from cosim.simulation.report.recorded import number
-from fmus.report.craft import SIDES, Craft
+from fmus.report.craft import SIDES, Craft, is_drawn
 from plant.hovercraft import Hovercraft
 
 CRAFT = Hovercraft()
@@ -64,28 +64,26 @@ def make_track(x: Array, y: Array, psi: Array) -> Track:
 
 def true_track(craft: Craft) -> Track:
     """Return the true track of a craft."""
-    results = craft.run.results
-    return make_track(*(results[f"{craft.name}.{name}"] for name in ("x_world", "y_world", "psi")))
+    return make_track(*map(craft.signal, ("x_world", "y_world", "psi")))
 
 
 def estimated_track(craft: Craft) -> Track | None:
     """Return the estimated track, made of estimated distance and estimated heading; None without one."""
     x_hat, psi_hat = craft.estimate("x_hat"), craft.estimate("psi_hat")
-    return None if x_hat is None or psi_hat is None else _lay_out(craft, x_hat, psi_hat)
+    return _lay_out(craft, x_hat, psi_hat) if is_drawn(x_hat, psi_hat) else None
 
 
 def reference_track(craft: Craft) -> Track | None:
     """Return the track of the references if the craft begins on it."""
-    x, x_ref, psi_ref = craft.signal("x"), craft.reference("x"), craft.reference("psi")
-    if x is None or x_ref is None or psi_ref is None or not x.size or not abs(x_ref[0] - x[0]) <= ON_TARGET:
-        return None
-    return _lay_out(craft, x_ref, psi_ref)
+    x_ref, psi_ref = craft.reference("x"), craft.reference("psi")
+    begins_there = np.abs(x_ref - craft.signal("x"))[:1] <= ON_TARGET
+    return _lay_out(craft, x_ref, psi_ref) if begins_there.any() and is_drawn(psi_ref) else None
 
 
 def _lay_out(craft: Craft, way: Array, heading: Array) -> Track:
     """Return the track of a distance along a heading, from the craft's start."""
     begin, x = true_track(craft), craft.signal("x")
-    steps = np.diff(way, prepend=way[0] if x is None else x[0])
+    steps = np.diff(way, prepend=x[0] if is_drawn(x) else way[0])
     ahead, aside = np.cumsum(steps * np.cos(heading)), np.cumsum(steps * np.sin(heading))
     return make_track(begin.x[0] + ahead, begin.y[0] + aside, heading)
 
@@ -145,8 +143,8 @@ class Body:
     true: Track
     estimate: Track | None
     reference: Track | None
-    tilts: Sequence[Array | None]
-    forces: Sequence[Array | None]
+    tilts: Sequence[Array]
+    forces: Sequence[Array]
     last: int  # last drawable row
 
     @classmethod
@@ -161,18 +159,14 @@ class Body:
         for track in (estimated_track(craft), reference_track(craft)):
             span = extent([track.x, track.y]) if track is not None else None
             near.append(track if span and low - reach < span[0] and span[1] < high + reach else None)
-        tilts = [craft.signal(f"tilt_{side}_actual") for side in SIDES]
-        thrusts = [craft.signal(f"thrust_{side}") for side in SIDES]
-        forces = [
-            None if tilt is None else np.sin(tilt) * (1.0 if thrust is None else thrust)
-            for tilt, thrust in zip(tilts, thrusts, strict=True)
-        ]
+        tilts, thrusts = ([craft.signal(name.format(s)) for s in SIDES] for name in ("tilt_{}_actual", "thrust_{}"))
+        forces = [np.sin(a) * (t if is_drawn(t) else 1.0) for a, t in zip(tilts, thrusts, strict=True)]
         return cls(craft, true, near[0], near[1], tilts, forces, int(rows[-1]))
 
     @property
     def newtons_per_decimetre(self) -> float:
         """Return the scale of the arrows, a round number."""
-        reach = extent([force for force in self.forces if force is not None])
+        reach = extent(self.forces)
         largest = max(map(abs, reach)) if reach else 0.0
         return 1.0 if largest < 1e-9 else _round_up(100 * largest / ARROW)
 
@@ -180,8 +174,7 @@ class Body:
         """Return paths, poses without a script, size [mm], and a mark at equal time intervals, for the template."""
         start, scale = self.craft.run.start(self.craft.name), 100 / self.newtons_per_decimetre
         right, left = (
-            0.0 if tilt is None or not math.isfinite(tilt[self.last]) else float(tilt[self.last]) * DEGREES
-            for tilt in self.tilts
+            float(tilt[self.last]) * DEGREES if math.isfinite(tilt[self.last]) else 0.0 for tilt in self.tilts
         )
         sizes = [
             (number(start.get(name), usual), usual) for name, usual in (("arm", ARM), ("propeller_radius", RADIUS))
@@ -205,7 +198,7 @@ class Body:
             "radius": radius,
             "right": right,
             "left": left,
-            "arrows": ["" if force is None else arrow(float(force[self.last]), scale) for force in self.forces],
+            "arrows": [arrow(float(force[self.last]), scale) for force in self.forces],
             "limit": (self.craft.tilt_limit or 0.0) * DEGREES,
             "marks": marks,
         }
@@ -218,7 +211,7 @@ class Body:
                 for key, line, digits in (("u", track.right, 0), ("v", track.down, 0), ("a", track.turn, 1)):
                     entry[f"{prefix}{key}"] = round_values(line[rows], digits)
         for side, tilt, force in zip(SIDES, self.tilts, self.forces, strict=True):
-            if force is not None and tilt is not None:
+            if is_drawn(tilt):
                 entry[f"force_{side}"] = round_values(force[rows], 4)
                 entry[f"tilt_{side}"] = round_values(tilt[rows] * DEGREES, 2)
                 entry[f"tilt_{side}_key"] = charts.column(tilt * DEGREES)
@@ -239,9 +232,9 @@ def make_view(bodies: Sequence[Body], rows: Rows) -> dict[str, Any]:
     first, last = extent([bodies[0].craft.run.time]) or (0.0, 1.0)
     every = _round_up(max(last - first, 1e-6) / 24)
     drawn, note = [body.drawn(rows, every) for body in bodies], ""
-    if bodies[0].forces[0] is not None:
+    if is_drawn(bodies[0].tilts[0]):
         note = f"arrows: horizontal thrust, 10 cm = {bodies[0].newtons_per_decimetre:g} N"
-        if bodies[0].craft.signal("thrust_right") is None:
+        if not is_drawn(bodies[0].craft.signal("thrust_right")):
             note = "arrows: sine of the tilt"
     return {
         "box": (left, top, width, height),  # of all tracks [mm]

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.core.arrays import Flags
 from cosim.core.errors import Fault
 from plant.bench import REST_DUTY, Bench
-from plant.identification.cells import Cells, at_rail
+from plant.identification.analyses import MIN_LINE_RANGE, MIN_LINE_ROWS, frequency_of, height_of, rows_with_thrust
 from plant.identification.estimates import LAGS, Measurement, Result, held_lag
 from plant.identification.protocol import (
     BENCH,
@@ -23,9 +23,7 @@ from plant.identification.protocol import (
     StepTest,
     Test,
 )
-from plant.identification.recordings import COLUMNS, Recording, commands
-from plant.identification.thrust import MIN_LINE_RANGE, MIN_LINE_ROWS, height_of, rows_with_thrust
-from plant.identification.tilt import frequency_of
+from plant.identification.recordings import COLUMNS, Cells, Recording, at_rail, commands
 
 MIN_DUTY_CHANGE, MIN_TILT_CHANGE = 0.1, np.radians(5)  # [%, rad] least variation of a command
 MIN_DUTY_STEP, MIN_AMPLITUDE = 0.02, np.radians(1)  # [%, rad] of the duty, and of a sine of the tilt

@@ -16,7 +16,7 @@ recorded commands; both results are given.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -36,10 +36,10 @@ from cosim.files.yaml_file import Number, Part, YamlFile
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.own_run import command_rows
 from cosim.logs.log import Log, read_log
-from cosim.model import Model, Stepper
+from cosim.model import Model, Stepper, parameters_of
 from plant.identification import PROTOCOL
 from plant.identification.estimates import Estimate, Figure, Result, make_estimates
-from plant.identification.protocol import Window
+from plant.identification.protocol import Files, Window
 
 MIN_RUNS = 3  # runs over the distance: the interval comes from the scatter between them
 MIN_REST_ROWS = 50  # below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
@@ -53,14 +53,14 @@ IMU = ("psi", "psi_dot", "ax")
 class RestFile(Part):
     """Logs of the craft at rest; `window` [s] of each, by default the whole log."""
 
-    files: Annotated[list[str], Field(min_length=1)]
+    files: Annotated[Files, Field(min_length=1)]
     window: Window | None = None
 
 
 class DistanceFile(Part):
     """Runs over a measured distance `covered`, common or separate, in the unit of `output`."""
 
-    files: Annotated[list[str], Field(min_length=MIN_RUNS)]
+    files: Annotated[Files, Field(min_length=MIN_RUNS)]
     parameter: str
     output: str
     covered: Number | list[Number]
@@ -123,12 +123,7 @@ def read_craft(path: Path) -> CraftUnderTest | None:
     logs: dict[str, list[Log]] = {"rest": [], "distance": []}
     for part, inputs in (("rest", ()), ("distance", model.inputs)):
         asked: RestFile | DistanceFile | None = getattr(content, part)
-        files = asked.files if asked else []
-        for k, name in enumerate(files):
-            if name in files[:k]:
-                text = f"{name} stands twice; each is a recording of its own, so leave one out"
-                faults.append(yaml.fault((part, "files", k), text))
-                continue
+        for name in asked.files if asked else ():
             try:
                 logs[part].append(read_log(path.parent / name, inputs, model.outputs))
             except InputError as error:
@@ -214,16 +209,15 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
         def by_model(value: float, run: Log = run) -> float:
             return float(_path(run, model.with_values({parameter: value}), output)[-1])
 
-        try:
-            values.append(_match(by_model, length, declared.bounds, near))
-        except ValueError as error:
-            text = f"no {parameter} makes the model cover the distance {length:g}: {error}"
-            faults.append(Fault(run.path, 0, 0, text))
-        if (observer := _observer_distance(run, model, parameter, output)) is not None:
+        observer = _observer_distance(run, model, parameter, output)
+        for distance_of, matches in ((by_model, values), (observer, observed)):
             try:
-                observed.append(_match(observer, length, declared.bounds, near))
-            except ValueError:
-                observed.append(np.nan)
+                matches += [] if distance_of is None else [_match(distance_of, length, declared.bounds, near)]
+            except ValueError as error:
+                matches.append(np.nan)
+                if distance_of is by_model:
+                    text = f"no {parameter} makes the model cover the distance {length:g}: {error}"
+                    faults.append(Fault(run.path, 0, 0, text))
     refuse(faults)
     thesis = float(np.mean(observed)) if observed else np.nan
     numbers = [(parameter, declared.unit, thesis, np.nan)]
@@ -269,37 +263,33 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
 def _path(run: Log, model: Model, output: str) -> Array:
     """Return a model output under the recorded commands."""
     stepper, row = Stepper(model), [q.name for q in model.outputs].index(output)
-    moment, commands, values = stepper.start(float(run.time[0])), command_rows(model, run), list[float]()
-    for k, h in enumerate([0.0, *np.diff(run.time).tolist()]):
-        if k:
-            moment = stepper.step(moment, commands[k - 1], h)
-        values.append(stepper.output(moment.t, moment.state, commands[k])[row])
-    return np.asarray(np.array(values) - values[0], dtype=np.float64)
+    commands, moments = command_rows(model, run), [stepper.start(float(run.time[0]))]
+    for command, h in zip(commands, np.diff(run.time).tolist(), strict=False):
+        moments.append(stepper.step(moments[-1], command, h))
+    shown = [stepper.output(m.t, m.state, command)[row] for m, command in zip(moments, commands, strict=True)]
+    return np.asarray(np.array(shown) - shown[0], dtype=np.float64)
 
 
 def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> Callable[[float], float] | None:
     """Return the distance of the craft's observer (App. F), None for other models or missing sensors."""
-    from controller.observers import kalman_filter
+    from controller.observers import LinearFilter
     from controller.settings import FilterSettings
     from controller.synthesis import numbers_of
     from plant.hovercraft import Hovercraft
 
     measured = all(name in run.outputs and np.isfinite(run.outputs[name]).all() for name in IMU)
-    if not (isinstance(model, Hovercraft) and measured and output == "x"):
+    declared = {p.name for p in parameters_of(FilterSettings)}
+    if not (isinstance(model, Hovercraft) and measured and output == "x" and parameter in declared):
         return None
-    numbers: dict[str, Any] = {**numbers_of(model), "sample_time": run.step}
-    base = FilterSettings(**numbers)
-    if not hasattr(base, parameter):
-        return None
-    tilts = np.column_stack([run.inputs["tilt_right"], run.inputs["tilt_left"]])
+    numbers: dict[str, Any] = {n: v for n, v in numbers_of(model).items() if n in declared}
+    commands = np.column_stack([run.inputs[q.name] for q in model.inputs])
     readings = np.column_stack([run.outputs[name] for name in IMU])
 
     def distance_of(value: float) -> float:
-        change: dict[str, Any] = {parameter: value}
-        kf = kalman_filter(replace(base, **change), np.array([0.0, 0.0, *readings[0, :2], 0.0]))
-        for k in range(1, len(readings)):
-            kf.predict(u=tilts[k - 1])
-            kf.update(readings[k])
-        return float(kf.x[0])
+        settings = FilterSettings(**numbers | {"sample_time": run.step, parameter: value})
+        observer = LinearFilter(settings, (0.0, 0.0, *readings[0, :2], 0.0))
+        for command, reading in zip(commands[:-1], readings[1:], strict=True):
+            observer.step(reading, command)
+        return observer.estimate[0]
 
     return distance_of

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import signal, stats
@@ -16,15 +17,13 @@ from cosim.core.arrays import Array, Flags
 from cosim.model.integrate import rk4, substeps
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
-from plant.identification.cells import Cells
-from plant.identification.recordings import Recording
+from plant.identification.recordings import Cells, Recording
 from plant.powertrain import servo_angle, servo_rate
 
 LAGS = np.geomspace(0.01, 0.6, 83)  # [s] lags to try, 5 % apart
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """An estimate; `scatter` and `calibration` are the standard errors in its 95 % interval."""
 
     name: str
@@ -50,8 +49,7 @@ class Estimate:
         return bool(self.low <= self.truth <= self.high)
 
 
-@dataclass(frozen=True)
-class Figure:
+class Figure(NamedTuple):
     """A figure of the report: lines and points over x; each has label, x, y, style. `log`: logarithmic x axis."""
 
     title: str
@@ -92,7 +90,6 @@ class Measurement:
     bench: Bench
     test: Any
     truth: Bench | None = None
-    tilts: dict[bytes, Array] = field(default_factory=dict)  # tilt by command; simulated repetitions share commands
 
     def force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
         """Return the force of a cell without its tare."""
@@ -106,9 +103,7 @@ class Measurement:
 
     def tilt(self, r: Recording) -> Array:
         """Return a run's tilt [rad] by the equations."""
-        if (key := r.servo_duty.tobytes()) not in self.tilts:
-            self.tilts[key] = tilt_response(self.bench, r.time, r.servo_duty, np.array([self.bench.lag]))[:, 0]
-        return self.tilts[key]
+        return tilt_response(self.bench, r.time, r.servo_duty, np.array([self.bench.lag]))[:, 0]
 
     def gram_force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
         """Return the force of a cell without its tare [gf]."""
@@ -130,22 +125,24 @@ class Measurement:
 
 def tilt_response(bench: Bench, time: Array, servo_duty: Array, lags: Array) -> Array:
     """Return the tilt [rad], shape (rows, lags), with dead band and rate limit, settled at the start."""
-    m, lags = arrays(), np.asarray(lags, float)
-    target = servo_angle(servo_duty, bench.servo_neutral, bench.servo_slope)
-    h = float(np.median(np.diff(time)))
-    n = substeps(h, bench.substep)
-    tilt = np.empty((time.size, lags.size))
-    tilt[0] = target[0]
+    return _tilt_response(bench, float(np.median(np.diff(time))), servo_duty.tobytes(), tuple(lags))
+
+
+@lru_cache(maxsize=128)  # simulated repetitions share commands
+def _tilt_response(bench: Bench, h: float, servo_duty: bytes, lags: tuple[float, ...]) -> Array:
+    m, tau = arrays(), np.array(lags)
+    target = servo_angle(np.frombuffer(servo_duty), bench.servo_neutral, bench.servo_slope).tolist()
+    n, tilt = substeps(h, bench.substep), [np.full(tau.size, target[0])]
 
     def rate(t: float, x: tuple[Array, ...], u: tuple[float, ...]) -> tuple[Array, ...]:
-        return (servo_rate(m, u[0], x[0], lags, bench.servo_dead_band, bench.servo_speed),)
+        return (servo_rate(m, u[0], x[0], tau, bench.servo_dead_band, bench.servo_speed),)
 
-    for k in range(1, time.size):
-        state = (tilt[k - 1],)
+    for command in target[:-1]:
+        state = (tilt[-1],)
         for _ in range(n):
-            state = rk4(rate, 0.0, state, (float(target[k - 1]),), h / n)
-        tilt[k] = state[0]
-    return tilt
+            state = rk4(rate, 0.0, state, (command,), h / n)
+        tilt.append(state[0])
+    return np.array(tilt)
 
 
 def held_lag(values: Array, step: float, lag: float) -> Array:

@@ -62,6 +62,7 @@ def _in_order(phases: list[Phase]) -> list[Phase]:
     return phases
 
 
+Files = Annotated[list[str], AfterValidator(_distinct)]
 Metres = Annotated[Positive, InUnit("m")]
 Volts = Annotated[NotNegative, InUnit("V", difference=True)]
 Percent = Annotated[Positive, InUnit("%")]
@@ -126,7 +127,7 @@ class Test(Part):
     repetitions: Annotated[
         int, Field(strict=True, ge=MIN_REPETITIONS, le=10_000, description="runs that are played")
     ] = MIN_REPETITIONS
-    files: Annotated[list[str], AfterValidator(_distinct)] = Field(
+    files: Files = Field(
         default=[], min_length=MIN_REPETITIONS, description="runs that were measured, a CSV each, in place of phases"
     )
     low_pass: NotNegativeSeconds = Field(

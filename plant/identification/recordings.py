@@ -1,14 +1,20 @@
-"""Runs of a protocol and their recordings: simulated by an FMU, or measured."""
+"""Recordings of a protocol, simulated by an FMU or measured, and the load cells that convert their voltages to forces.
+
+The thesis uses a piecewise cubic through every calibration point (interp1), including its error. Here one cubic is
+fitted to all points if monotonic, else the piecewise cubic is used.
+"""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from cosim.blocks.fmu import RestartableFmu
 from cosim.core.arrays import Array, Flags
@@ -125,20 +131,18 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
     """Return for each cell the calibration runs, one per load, with random errors of the loads."""
-    file, by_channel = protocol.file, dict[str, list[Recording]]()
-    time = np.asarray(file.step * np.arange(round(LOAD_TIME / file.step) + 1), dtype=np.float64)
+    by_channel, step = dict[str, list[Recording]](), protocol.file.step
+    time = np.asarray(step * np.arange(round(LOAD_TIME / step) + 1), dtype=np.float64)
     duty, servo_duty, height = (np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT))
-    unloaded = Recording("", time, duty, servo_duty, height)
     for place, channel in enumerate(CHANNELS):
-        cell, rng = file.cells[channel], np.random.default_rng([seed, 100 + place])
-        to_si = protocol.load_in_si(channel)
+        cell, rng = protocol.file.cells[channel], np.random.default_rng([seed, 100 + place])
+        to_si, runs = protocol.load_in_si(channel), by_channel.setdefault(channel, [])
         off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
-        by_channel[channel] = []
         for load, e in zip(cell.loads, off, strict=True):
             noise = _noise(protocol, rng, time.size, tare=False)
             loads = tuple((load + e) * to_si * (c == channel) for c in CHANNELS)
-            run = replace(unloaded, label=f"load {load:g} {cell.unit}", noise=noise, loads=loads)
-            by_channel[channel].append(run)
+            label = f"load {load:g} {cell.unit}"
+            runs.append(Recording(label, time, duty, servo_duty, height, loads=loads, noise=noise))
     return by_channel
 
 
@@ -155,37 +159,35 @@ def play_on_fmu(
     Args:
         progress: Function of the completed rows of all runs.
     """
-    own = [q.name for q in Bench.inputs]
+    own, cells = [q.name for q in Bench.inputs], [f"volts_{c}" for c in CHANNELS]
     block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(own))
     try:
-        inputs, outputs = [s.name for s in block.inputs], [s.name for s in block.outputs]
-        cells = [f"volts_{c}" for c in CHANNELS]
-        names = ", ".join(inputs + outputs)
-        missing = [n for n in (*own, *cells) if n not in (*inputs, *outputs)]
-        refuse(Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; it has {names}') for n in missing)
-        order, count = [own.index(n) for n in inputs], len(inputs)
-        read = [count + outputs.index(n) for n in cells]
-        row = (ctypes.c_double * (count + len(outputs)))()
+        count, names = len(block.inputs), [s.name for s in (*block.inputs, *block.outputs)]
+        text = f"it has {', '.join(names)}"
+        refuse(Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; {text}') for n in (*own, *cells) if n not in names)
+        order, read = [own.index(n) for n in names[:count]], [names.index(n) for n in cells]
+        row = (ctypes.c_double * len(names))()
         block.bind(row, 0)
         recordings, rows = [], 0
         for run in runs:
-            time, step, values = run.time, run.step, {"thrust_factor": run.thrust, "filter_time": run.low_pass}
-            block.restart({**parameters, **values}, float(time[0]), float(time[-1]))
+            time, values = run.time.tolist(), {"thrust_factor": run.thrust, "filter_time": run.low_pass}
+            block.restart({**parameters, **values}, time[0], time[-1])
             # row k holds the inputs, with reading noise, of the step that ends at t_k
-            before, loads = np.maximum(np.arange(time.size) - 1, 0), (np.full(time.size, load) for load in run.loads)
+            before, loads = np.maximum(np.arange(len(time)) - 1, 0), (np.full(len(time), load) for load in run.loads)
             commanded = (run.duty[before], run.servo_duty[before], run.height, *loads, *run.noise)
-            volts = np.empty((time.size, len(cells)))
+            volts, step = [], run.step
             for k, command in enumerate(np.column_stack(commanded)[:, order].tolist()):
                 row[:count] = command
                 block.put()
                 if k:
-                    block.advance(float(time[k]), step)
+                    block.advance(time[k], step)
                 block.get()
                 if not k:
                     block.start()
-                volts[k] = [row[j] for j in read]
-            recordings.append(replace(run, volts=dict(zip(CHANNELS, np.ascontiguousarray(volts.T), strict=True))))
-            rows += time.size
+                volts.append([row[j] for j in read])
+            by_cell = np.ascontiguousarray(np.transpose(volts))
+            recordings.append(replace(run, volts=dict(zip(CHANNELS, by_cell, strict=True))))
+            rows += len(time)
             if progress is not None:
                 progress(rows)
         return recordings
@@ -218,3 +220,125 @@ def read_recording(path: Path) -> Recording:
     lines = (log.header + 1 + before).tolist()
     by_cell = dict(zip(CHANNELS, volts, strict=True))
     return Recording(path.name, time, duty, servo_duty, height, by_cell, path=path, lines=lines)
+
+
+# -- load cells ---------------------------------------------------------------------------
+
+RAIL_STEPS = 1.5  # converter steps from the end of the range within which a reading is saturated
+RAIL_SLACK = 0.01  # share of the range that a voltmeter may exceed
+MIN_POINTS = 3  # points of a curve
+RAIL_ERRORS = 3.0  # distance of a point from the rail in standard errors, so that chance selects no points
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Calibration points in SI, ordered by voltage; `error` is the standard deviation of each load.
+
+    Attributes:
+        saturated_loads: Loads with saturated readings.
+    """
+
+    loads: Array
+    volts: Array
+    error: float
+    saturated_loads: tuple[float, ...] = ()
+    smooth: bool = True
+
+    @cached_property
+    def curve(self) -> Any:
+        """Return load as a function of voltage."""
+        if self.smooth:
+            middle = float(self.volts.mean())
+            cubic = np.polyfit(self.volts - middle, self.loads, min(3, self.volts.size - 2))
+            slope = np.polyval(np.polyder(cubic), np.linspace(self.volts[0], self.volts[-1], 101) - middle)
+            if np.all(slope > 0) or np.all(slope < 0):
+                return lambda v, order=0: np.polyval(np.polyder(cubic, order), np.asarray(v) - middle)
+        return PchipInterpolator(self.volts, self.loads)
+
+    @cached_property
+    def zero(self) -> float:
+        """Return the voltage of zero load on the curve."""
+        return float(self.volts_of(np.zeros(1), np.linspace(self.volts[0], self.volts[-1], 4001))[0])
+
+    def volts_of(self, forces: Array, grid: Array) -> Array:
+        """Return the voltages of forces, by interpolation between the voltages of a grid."""
+        loads = self.force(grid)
+        order = np.argsort(loads)
+        return np.interp(forces, loads[order], grid[order])
+
+    def force(self, volts: Array) -> Array:
+        """Return force [N] or moment [N m] for voltages."""
+        low, high = self.volts[0], self.volts[-1]
+        slopes = self.curve([low, high], 1)
+        inside = self.curve(np.clip(volts, low, high))
+        return np.asarray(inside + slopes[0] * np.minimum(volts - low, 0.0) + slopes[1] * np.maximum(volts - high, 0.0))
+
+    @property
+    def cross_validation_errors(self) -> Array:
+        """Return leave-one-out errors at the inner points."""
+        errors = []
+        for k in range(1, self.loads.size - 1):
+            others = replace(self, loads=np.delete(self.loads, k), volts=np.delete(self.volts, k))
+            errors.append(float(others.force(self.volts[k])) - self.loads[k])
+        return np.array(errors)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the calibration for identify.json."""
+        return {
+            "loads": self.loads.tolist(),
+            "volts": self.volts.tolist(),
+            "error": self.error,
+            "left_one_out": self.cross_validation_errors.tolist(),
+            "at_the_rail": list(self.saturated_loads),
+        }
+
+
+Cells = Mapping[str, Cell]
+
+
+def at_rail(bench: Bench, volts: Array, margin: Array | float = 0.0) -> Flags:
+    """Return True for readings at a limit of the converter: saturated, or within `margin` [V] if that is more."""
+    least = np.maximum(RAIL_STEPS * bench.converter_range / bench.converter_levels, margin)
+    result: Flags = (volts <= least) | (volts >= bench.converter_range - least)
+    return result
+
+
+def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> dict[str, Cell]:
+    """Calibrate the load cells by simulated loads or measured points, and return them by channel.
+
+    Args:
+        hung: Channel → recording of each load; not used for a cell with measured points.
+
+    Raises:
+        InputError: The unsaturated points of a cell are too few, or the voltage is not monotonic in the load.
+    """
+    cells, faults, limit = {}, list[Fault](), protocol.bench.converter_range
+    for channel in CHANNELS:
+        cell, unit, text = protocol.file.cells[channel], protocol.load_in_si(channel), ""
+        points = cell.points
+        if not points:
+            hanging = zip(cell.loads, hung[channel], strict=True)
+            points = [(load, float(r.volts[channel].mean())) for load, r in hanging]
+        loads, volts = np.array([(load * unit, v) for load, v in points]).T
+        error = cell.error * cell.full_scale * unit
+        per_load = abs(float(np.ptp(volts))) / (float(np.ptp(loads)) or 1.0)
+        margin = np.where(loads == 0, 0.0, RAIL_ERRORS * error * per_load)  # zero load is exact
+        rail = at_rail(protocol.bench, volts, margin)
+        order = np.argsort(volts[~rail])
+        f, v = loads[~rail][order], volts[~rail][order]
+        steps = np.diff(f)
+        turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
+        if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
+            text = f"a point has {volts[beyond][0]:g} V, beyond the converter's 0 to {limit:g} V; write volts, or "
+            text += "`converter_range` under `parameters`"
+        elif f.size < MIN_POINTS:
+            text = f"{f.size} of {loads.size} points are inside the converter's range and beyond their error of its "
+            text += f"ends, and {MIN_POINTS} are needed; measure more points inside it"
+        elif turns.any():
+            low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
+            text = f"between {low:.4g} V and {high:.4g} V the load turns back; measure those points again"
+        if text:
+            faults.append(protocol.yaml.fault(("cells", channel), text, key=True))
+        cells[channel] = Cell(f, v, error, tuple(loads[rail].tolist()))
+    refuse(faults)
+    return cells

@@ -14,8 +14,8 @@ from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.report.template import render
-from plant.identification.cells import Cell
 from plant.identification.estimates import Estimate, Figure, Result
+from plant.identification.recordings import Cell
 
 TEMPLATE = Path(__file__).with_name("templates") / "identify.html.j2"
 TITLES = {

@@ -25,15 +25,20 @@ from cosim.fmi.building.file import load_model, named_model
 from cosim.fmi.fmu_build import build
 from cosim.model import SCALAR, Model
 from plant.bench import Bench
-from plant.identification.cells import Cells, calibrate
+from plant.identification.analyses import (
+    after_sines,
+    after_step,
+    ground_effect_exponent,
+    moment,
+    projection,
+    thrust_line,
+)
 from plant.identification.checks import planned_faults, recording_faults, result_faults
 from plant.identification.craft import read_craft
 from plant.identification.estimates import Estimate, Measurement, Result
 from plant.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
-from plant.identification.recordings import Recording, load_runs, play_on_fmu, read_recording, runs_of
+from plant.identification.recordings import Cells, Recording, calibrate, load_runs, play_on_fmu, read_recording, runs_of
 from plant.identification.report import page
-from plant.identification.thrust import ground_effect_exponent, thrust_line
-from plant.identification.tilt import after_sines, after_step, moment, projection
 from plant.powertrain import ground_effect
 
 RECORD, REPORT = "identify.json", "report.html"
@@ -140,7 +145,7 @@ def identify(
             "schema_version": 1,
             "version": __version__,
             **record,
-            "estimates": {key: vars(e) for key, e in outcome.estimates.items()},
+            "estimates": {key: e._asdict() for key, e in outcome.estimates.items()},
             "tests": {r.test: {**r.details, "notes": r.notes, "warnings": r.warnings} for r in outcome.results},
         }
         remove_earlier(place, read=read)
