@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from cosim.residuals.drive import log_of_fmu
 from cosim.verbs.checks import check as check_files
 from tests.blind.fmu_build import PLANTS, WAYS, build
 from tests.cases import some
+from tests.compiled import rewritten
 from tests.deeds import deeds_fmu
 from tests.slider import slider_fmu, slider_log
 from tests.warm import cosim
@@ -143,9 +143,7 @@ def test_a_check_of_an_fmu_warns_of_its_misbehaviour(tmp_path: Path, fault: str,
 
 def test_a_name_that_stands_twice_is_a_warning_and_means_its_first_variable(tmp_path: Path) -> None:
     fmu, twice = slider_fmu(tmp_path / "slider.fmu"), tmp_path / "twice.fmu"
-    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(twice, "w") as target:
-        for name in source.namelist():
-            target.writestr(name, source.read(name).replace(b'name="velocity"', b'name="position"'))
+    rewritten(fmu, twice, lambda name, data: data.replace(b'name="velocity"', b'name="position"'))
     assert any("position" in text and ": warning: " in text for text in check_files(twice))
     once, again = (simulate(path, tmp_path / path.stem, {"force": 1.0}, stop=1.0) for path in (fmu, twice))
     assert np.array_equal(again.to_pandas()["twice.position"], once.to_pandas()["slider.position"])
