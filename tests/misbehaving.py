@@ -8,8 +8,6 @@ from pathlib import Path
 from pythonfmu.builder import FmuBuilder
 
 SOURCE = '''
-import math
-
 from pythonfmu import Fmi2Causality, Fmi2Slave, Real
 
 
@@ -31,10 +29,7 @@ class {name}(Fmi2Slave):
         return True
 '''
 FAULTS = {
-    "Discards": "return False",
     "Raises": "raise RuntimeError('the bearing seized')",
-    "GivesNan": "self.z = math.nan",
-    "GivesInf": "self.z = -math.inf",
     "Behaves": "pass",
 }
 

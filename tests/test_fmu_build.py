@@ -15,11 +15,11 @@ import pytest
 
 from cosim.fmi.fmu_build import build
 from fmus.recipes import controller_recipe, plant_recipe
+from tests.conftest import ROOT
 from tests.hosts_fmpy import Instance, description_of
 from tests.misbehaving import misbehaving_fmu
 from tests.sources import copied_sources
 
-ROOT = Path(__file__).resolve().parent.parent
 RECIPES = {"plant_fmu": plant_recipe, "controller_fmu": controller_recipe}
 BOTH = pytest.mark.parametrize("which", list(RECIPES))
 

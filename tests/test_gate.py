@@ -59,6 +59,13 @@ def spoilt(name: str, rows: slice, value: float) -> Callable[[Columns], Columns]
 
 DEFECTS: dict[str, tuple[Any, ...]] = {  # what is done to the log, what is found
     "time in ms": (lambda c: c | {"time": 1000.0 * c["time"]}, ("fault", "rate", "time")),
+    "rows twice as far apart": (thinned(lambda k: k % 2 == 0), ("warning", "rate", "time")),
+    "rows lost": (thinned(lambda k: ~np.isin(k, [100, *range(200, 203)])), ("warning", "dropouts", "time")),
+    "inputs alike": (
+        lambda c: c | {"duty_left": 0.5 * c["duty_right"] + 3.0},
+        ("warning", "alike", "duty_right"),
+    ),
+    "gyro frozen for 12 rows": (spoilt("psi_dot", slice(400, 412), 0.1), ("warning", "frozen", "psi_dot")),
     "too short": (thinned(lambda k: k < 200), ("warning", "short", "time")),
     "gyro dead": (lambda c: c | {"psi_dot": 0.0 * c["psi_dot"]}, ("warning", "constant", "psi_dot")),
     "gyro reversed": (lambda c: c | {"psi_dot": -c["psi_dot"]}, ("fault", "sign", "psi_dot")),

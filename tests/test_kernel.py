@@ -6,8 +6,6 @@ import math
 import os
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,21 +15,16 @@ from cosim.estimation.kernel import backend
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import generate
-from cosim.estimation.kernel.kernel import MEMORY, Data, Layout, single_steps
+from cosim.estimation.kernel.kernel import MEMORY, Data, Layout
 from cosim.estimation.subject.model_subject import neutral_values
 from cosim.files.cache import cache_path
 from cosim.fmi.building.file import own_model
 from cosim.fmi.native.compiler import compiler
 from cosim.model import Model, Stepper
-from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
-from tests.logs import IMU, times
+from tests.logs import times
 from tests.table import TABLE
 
-AWAKE = {
-    "coulomb_friction.force": 0.05, "actuator_delay.time": 0.053, "servo_backlash.width": 0.02, "gyro_bias.value": 0.01,
-    "unnamed.vx.vx·|vx|": -0.1, "local.1.to.vx": 1.0, "local.1.of.x_world": 3.0, "local.1.by.vx": 20.0,
-}  # fmt: skip
 NEEDS_C = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
 
 
@@ -52,29 +45,6 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Model:
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
     values = dict.fromkeys(layout.parameters, 0.0) | neutral_values(model) | {MEMORY: 0.15} | changes
     return np.array([values[name] for name in layout.parameters])
-
-
-@NEEDS_C
-def test_single_steps_in_one_call_equal_simulations_one_by_one(tmp_path: Path) -> None:
-    """Of the craft as an IMU sees it, terms of no catalogue and all; sensors are silent for a while."""
-    made = CompiledKernel(generate(Hovercraft(), IMU, unnamed=True))
-    layout, p = made.layout, parameters(Hovercraft(), made.layout, **AWAKE)
-    rng = np.random.default_rng(1)
-    u, y = rng.normal((6.4, 6.4, 0.0, 0.0), 0.05, (150, 4)), rng.normal(0.0, 0.01, (150, 3))
-    y[40:60, 0] = y[1::2, 2] = np.nan
-    data = Data(0.02, 0.3, u, y, 4, settle=40, interpolated=frozenset({"tilt_left"}))
-    q, P0 = np.zeros(len(layout.stochastic)), 1e-2 * np.eye(len(layout.stochastic))
-    q[list(layout.noisy)] = 1e-3
-    run = made.run(data, p, np.zeros(len(layout.states)), P0, q, np.array([2.6e-5, 4.6e-4, 4.5e-2]), states=True)
-    rows = np.array([0, 1, 5, 80, len(data.u) - 2])
-    states = run.states[rows]
-    states[3, 0] = np.inf  # diverges
-    points = rows, states, run.memory[rows]
-    without: Any = SimpleNamespace(layout=layout, simulate=made.simulate)
-    steps, one_by_one = (single_steps(k, data, p, points, 5) for k in (made, without))
-    for one, other in zip(steps, one_by_one, strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert np.isfinite(steps[0]).all(axis=1).tolist() == [True, True, True, False, True]
 
 
 @NEEDS_C

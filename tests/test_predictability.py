@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from cosim.estimation.posing import build_problem, predictable_horizon
 from cosim.estimation.subject.model_subject import ModelSubject
@@ -54,10 +53,3 @@ def test_start_errors_of_an_unstable_plant_grow_tenfold_within_the_horizon(tmp_p
     # the unstable mode e^(5t) of ẍ = 25x holds half of a displaced speed over 5, so ×10 comes after some 0.6 s
     horizon = horizon_of(tmp_path, Second(stiffness=25.0), 4.0)
     assert math.log(10.0) / 5.0 - 0.1 < horizon < math.log(20.0) / 5.0 + 0.1
-
-
-@pytest.mark.parametrize(("stiffness", "horizon"), [(0.0, 2.0), (-4.0, 2.0), (-4.0, math.inf), (25.0, 0.3)])
-def test_integrators_oscillators_and_short_horizons_keep_theirs(
-    tmp_path: Path, stiffness: float, horizon: float
-) -> None:
-    assert horizon_of(tmp_path, Second(stiffness=stiffness), horizon) == horizon

@@ -141,22 +141,6 @@ def test_keys_that_contradict_each_other_are_named(step: str, words: str, tmp_pa
         ran(truck(tmp_path), f"step: {step}\n", seconds=0.1)
 
 
-# -- courses of inputs ----------------------------------------------------------------------------------
-
-
-def test_linear_courses_give_the_second_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An FMU that answers only after a step (late) makes a last part of it with the inputs of its end."""
-    truck(tmp_path)
-    monkeypatch.setitem(TRUCK[WHEEL], "late", 1.0)
-    linear = "extrapolate: linear\ninterpolate: linear\n"
-    orders = {}
-    for more in ("", linear):
-        coarse, fine = (ran(tmp_path, f"step: {ROW / parts!r}\n", more)[0] for parts in (4, 8))
-        orders[more] = np.log2(error(coarse, 4) / error(fine, 8))
-    assert orders[""] == pytest.approx(1.0, abs=0.15)
-    assert orders[linear] == pytest.approx(2.0, abs=0.15)
-
-
 def test_an_fmu_that_does_not_restore_its_state_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cosim.blocks.fmu import FmuBlock
 

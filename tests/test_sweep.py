@@ -28,10 +28,10 @@ from cosim.sweeps.sampling import Factor, columns_of, distribution, sensitivity
 from cosim.sweeps.store import read_table, signal_of
 from cosim.sweeps.workflow import sweep
 from cosim.verbs.cli import command_line
+from tests.conftest import ROOT
 from tests.full_disk import full_disk
 from tests.tank import MODEL
 
-ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 TABLE = "sweep.parquet"
 TANKS = """
