@@ -9,9 +9,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from pythonfmu.builder import FmuBuilder
 
 from cosim.fmi.native.compiler import compiler
+from tests.cart import built
 from tests.compiled import pack
 
 SOURCE = Path(__file__).with_name("amplifier.c")
@@ -112,17 +112,9 @@ def with_class(path: Path, gain: float) -> Path:
 def _slave(path: Path, name: str, head: str, gain: str, files: dict[str, str]) -> Path:
     path.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as place:
-        folder, before, modules = Path(place), list(sys.path), set(sys.modules)
+        folder = Path(place)
         for file, text in files.items():
             (folder / file).write_text(text)
         script = folder / f"{name.lower()}.py"
         script.write_text(SLAVE.format(head=head, name=name, gain=gain))
-        sys.path.insert(0, str(folder))
-        try:
-            FmuBuilder.build_FMU(script, path, project_files=[folder / file for file in files])
-        finally:
-            sys.path[:] = before
-            for module in set(sys.modules) - modules:
-                if Path(getattr(sys.modules[module], "__file__", None) or "/").parent == folder:
-                    del sys.modules[module]
-    return path
+        return built(script, path, project_files=[folder / file for file in files])

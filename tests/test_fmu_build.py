@@ -15,9 +15,9 @@ import pytest
 
 from cosim.fmi.fmu_build import build
 from fmus.recipes import controller_recipe, plant_recipe
+from tests.cart import cart_fmu
 from tests.conftest import ROOT
 from tests.hosts_fmpy import Instance, description_of
-from tests.misbehaving import misbehaving_fmu
 from tests.sources import copied_sources
 
 RECIPES = {"plant_fmu": plant_recipe, "controller_fmu": controller_recipe}
@@ -260,7 +260,7 @@ print(json.dumps([names, [path.name for path in process_folder().glob("fmu-*")]]
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the library of Linux alone has this fault")
 def test_cosim_keeps_it_in_balance_for_an_fmu_that_does_not(tmp_path: Path) -> None:
-    fmu = misbehaving_fmu(tmp_path, "Behaves")
+    fmu = cart_fmu(tmp_path, 0)
     let_go, folders = in_a_process_of_its_own(FOREIGN, fmu)
     assert let_go == ["finalizePythonInterpreter"] * 2  # a library an extraction
     assert folders == []

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cosim
 from controller.loop import Loop
 from controller.settings import Settings
 from cosim.core.errors import SimulationError
@@ -17,10 +18,9 @@ from cosim.files.table import read_columns
 from cosim.master.master import simulate
 from cosim.model import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation.workflow import run
 from cosim.system.system import build_system
 from plant.hovercraft import Hovercraft
-from tests.misbehaving import misbehaving_fmu
+from tests.cart import cart_fmu
 
 H = 0.02
 
@@ -55,26 +55,13 @@ def test_gauss_seidel_equals_plain_functions_in_the_order_plant_noise_controller
     assert tilt[1] == pytest.approx(command[0] * (1 - np.exp(-H / 0.0884)), rel=1e-6)
 
 
-SCENARIO = """
-name: chain
-duration: 1
-step: 0.02
-components:
-  plant: {{fmu: ../build/plant.fmu}}
-  other: {{fmu: {fmu}}}
-connections:
-  - {{from: plant.tilt_right_actual, to: other.u}}
-"""
-
-
 def test_a_failing_fmu_stops_the_run_with_name_and_time(project: Path) -> None:
-    path, out = project / "scenarios" / "chain.yaml", project / "out"
-    path.write_text(SCENARIO.format(fmu=misbehaving_fmu(project, "Raises")))
+    fails = "if current_time > 0.07: raise RuntimeError('the bearing seized')"
+    other = {"other": {"fmu": str(cart_fmu(project, first=fails))}, "plant": {"fmu": str(project / "build/plant.fmu")}}
+    wire, out = {"from": "plant.tilt_right_actual", "to": "other.force"}, project / "out"
     with pytest.raises(SimulationError, match="the bearing seized") as caught:
-        run(path, out, report=False)
+        cosim.run({"name": "a", "duration": 1, "step": H, "components": other, "connections": [wire]}, out)
     assert (caught.value.exit_code, caught.value.component) == (4, "other")
     assert caught.value.time == pytest.approx(0.08)  # the start of the fifth step
-    rows = read_columns(out / "results.csv")
-    assert rows.rows == 5  # t = 0 … 0.08 s are kept
-    assert rows["other.y"][-1] == 4.0
+    assert read_columns(out / "results.csv").rows == 5  # t = 0 … 0.08 s are kept
     assert '"status": "failed: ' in (out / "manifest.json").read_text()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +16,8 @@ from cosim.refinement.search.fits import Search
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import build
-from tests.logs import write_log
+from tests.logs import integrated, write_log
 from tests.test_refine_fmu import write_study
-
-FINE = 20  # steps of an independent integration to a row
-
-
-def integrated(rates: Callable[[Array, Array], Array], start: list[float], inputs: Array, step: float) -> Array:
-    """Return the states at each row, by the midpoint rule."""
-    x, h, states = np.array(start), step / FINE, []
-    for u in inputs:
-        states.append(x)
-        for _ in range(FINE):
-            x = x + h * rates(x + 0.5 * h * rates(x, u), u)
-    return np.array(states)
-
 
 # -- a leak ---------------------------------------------------------------------------------------
 
