@@ -18,6 +18,7 @@ from cosim.residuals.windows import Replay, free_run, start_parameters, windows
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 
 Array = NDArray[np.float64]
+RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 STEP = 0.02  # [s], sample time of the rig
 IMU = ("psi", "psi_dot", "ax")
 POSITION = ("x_world", "y_world")

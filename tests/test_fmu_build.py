@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import zipfile
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,6 @@ from tests.sources import copied_sources
 
 RECIPES = {"plant_fmu": plant_recipe, "controller_fmu": controller_recipe}
 BOTH = pytest.mark.parametrize("which", list(RECIPES))
-
-
-@pytest.fixture
-def fmu(which: str, request: pytest.FixtureRequest) -> Path:
-    path: Path = request.getfixturevalue(which)
-    return path
 
 
 @BOTH
@@ -150,16 +143,9 @@ INPUTS = {"tilt_right": 0.1, "tilt_left": -0.05, "duty_right": 6.5}
 
 
 def run(fmu: Path) -> list[dict[str, float]]:
-    (rows,) = alternately(fmu)
-    return rows
-
-
-def alternately(*fmus: Path) -> list[list[dict[str, float]]]:
-    """The FMUs at once, step by step in turn."""
-    with ExitStack() as stack:
-        instances = [stack.enter_context(Instance(fmu)).initialize(MOVING) for fmu in fmus]
-        turns = [[i.step(STEP * k, STEP, INPUTS) for i in instances] for k in range(20)]
-    return [list(column) for column in zip(*turns, strict=True)]
+    with Instance(fmu) as instance:
+        instance.initialize(MOVING)
+        return [instance.step(STEP * k, STEP, INPUTS) for k in range(20)]
 
 
 def in_a_process_of_its_own(code: str, *arguments: object) -> Any:
@@ -169,19 +155,6 @@ def in_a_process_of_its_own(code: str, *arguments: object) -> Any:
     )
     assert done.returncode == 0, (done.returncode, done.stderr)
     return json.loads(done.stdout)
-
-
-def test_two_builds_of_other_sources_keep_their_own(tree: Path, plant_fmu: Path, tmp_path: Path) -> None:
-    source = tree / "plant" / "powertrain.py"
-    text = source.read_text(encoding="utf-8")
-    source.write_text(text.replace("return thrust * m.sin(alpha)", "return 2.0 * thrust * m.sin(alpha)"))
-    fmus = [plant_fmu, build(plant_recipe(), tmp_path / "strong.fmu")]
-    weak, strong = (run(fmu) for fmu in fmus)
-    # a_x + (c/m)·vx is F_x/m alone, which the other source doubles; thrust differs with roll only, a hundredth or less
-    pull = [rows[-1]["ax"] + 0.25 / 0.705 * rows[-1]["vx"] for rows in (weak, strong)]
-    assert pull[1] == pytest.approx(2 * pull[0], rel=0.02)
-    assert alternately(*fmus) == [weak, strong]
-    assert alternately(*reversed(fmus)) == [strong, weak]
 
 
 POISONED = """

@@ -16,9 +16,8 @@ from cosim.logs.log import Log, read_log
 from cosim.model import Equations, Model, Namespace, Quantity
 from cosim.model.traits import Traits
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
-from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
+from tests.logs import MOVING, RECORDED, STEP, Array, Flight, fly, log_of, measured, times, write_log
 
-RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 Columns = dict[str, Array]
 
 

@@ -24,6 +24,7 @@ from tests.logs import (
     IMU,
     MOVING,
     POSITION,
+    RECORDED,
     Flight,
     fly,
     log_of,
@@ -35,7 +36,6 @@ from tests.logs import (
 )
 from tests.seen import faults
 
-RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 ROUNDING = 1e-9  # of sums over some hundred steps; a row of delay would be 1e-3 and more
 
 
