@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from starlette.requests import Request
-from typer.testing import CliRunner
 
 import cosim
 from cosim.core.errors import InputError
@@ -19,7 +18,7 @@ from cosim.core.text import amount, display, displayed, showing
 from cosim.pages.runs import find_runs, open_runs
 from cosim.pages.view_page import Viewer
 from cosim.simulation.run_signals import Run
-from cosim.verbs.cli import command_line
+from tests.test_first_steps import told
 
 SCENARIO = """
 name: warming
@@ -42,9 +41,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_scenario_chooses_the_units_of_terminal_report_and_browser(folder: Path) -> None:
-    outcome = CliRunner().invoke(command_line(), ["run", "warming.yaml", "--out", "out"])
-    assert outcome.exit_code == 0
-    assert "500 mm" in outcome.output.replace("\u00a0", " ")
+    assert "500 mm" in told("run", "warming.yaml", "--out", "out").replace("\u00a0", " ")
     manifest = json.loads((folder / "out" / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["display"] == {"K": ["degC", 1.0, -273.15], "m": ["mm", 1000.0, 0.0]}
     assert manifest["units"] == {"log.T": "K", "log.x": "m"}

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import cosim
 from cosim.core.errors import InputError
@@ -17,7 +16,7 @@ from cosim.fmi.building.file import read_model
 from cosim.refinement.study import read_study
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.sweeps.reading import read_sweep
-from cosim.verbs.cli import command_line
+from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
 TANK = """
@@ -181,8 +180,7 @@ def test_units_are_taken_from_set_and_from_python(tmp_path: Path) -> None:
     assert (made.time[-1], made["r.T"][0]) == (2.0, pytest.approx(26.85))
     assert made["f.T"][-1] == pytest.approx(300.0, rel=1e-15)
     words = f"simulate {tmp_path}/typed.fmu --stop 200ms --in-process --no-report --out {tmp_path}/out --step"
-    done = CliRunner().invoke(command_line(), [*words.split(), "0.1 s"])
-    assert done.exit_code == 0, done.output
+    told(*words.split(), "0.1 s")
     assert cosim.read(tmp_path / "out").time[-1] == pytest.approx(0.2)  # type: ignore[union-attr]
 
 

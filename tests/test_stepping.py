@@ -23,7 +23,7 @@ from tests.deeds import deeds_fmu, deeds_scenario
 from tests.lag import lag_fmu
 from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.test_event_mode import scenario
-from tests.typed import numbers_fmu, typed_fmu, typed_text
+from tests.typed import typed_fmu, typed_text
 
 pytestmark = NEEDS_COMPILER
 
@@ -89,16 +89,6 @@ def test_a_foreign_fmu_beside_a_native_one_keeps_its_subnormal_numbers(native_pl
         found.append(results["lag.y"])
     assert is_subnormal(found[0]).sum() > 50
     assert found[0].tobytes() == found[1].tobytes()
-
-
-@pytest.mark.parametrize(("last", "rows", "end"), [(7, 11, 1.0), (250, 9, 0.8), (251, 9, 0.75)])
-def test_the_rows_of_fmi_3_are_the_same_bytes_up_to_the_end_it_asks_for(
-    tmp_path: Path, last: int, rows: int, end: float
-) -> None:
-    fmu = numbers_fmu(tmp_path).name
-    components = {"r": reference(u=[(0.3, 1, 1)], n=[(0.35, 200), (0.7, last)]), "a": {"fmu": fmu}}
-    _, results, _ = stopped(scenario(tmp_path, components, ["r.u → a.a[1,2]", "r.n → a.byte"]))
-    assert (len(results.time), results.time[-1], results["a.byte_out"][5]) == (rows, end, 200)
 
 
 @pytest.mark.parametrize(
