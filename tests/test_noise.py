@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import cosim
 from cosim.blocks.faults import stream
-from cosim.blocks.profile import Change, Profile, ProfileFunction
 from cosim.master.master import simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
@@ -42,20 +40,6 @@ def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
     ]
     correlation = np.corrcoef(pairs) - np.eye(4)
     assert np.max(np.abs(correlation)) < 5 / math.sqrt(2000)  # five standard errors
-
-
-@pytest.mark.parametrize(
-    ("changes", "values"),
-    [
-        # a step, and a change that interrupts the ramp before it
-        ([(0.0, 2.0, None), (1.0, 11.0, 1.0), (3.0, 1.0, 4.0)], {0.0: 2.0, 0.99: 2.0, 2.0: 3.0, 3.25: 3.0, 9.0: 1.0}),
-        # a step at a multiple of the step is not a sample late: 3·0.1 is 0.30000000000000004
-        ([(0.3, 2.0, None)], {3 * 0.1: 2.0, 0.1 + 0.1 + 0.1 - 5.6e-17: 2.0, 0.28: 1.0}),
-    ],
-)
-def test_a_reference_from_1_follows_its_changes(changes: list[Any], values: dict[float, float]) -> None:
-    f = ProfileFunction(Profile(start=1.0, changes=[Change(at=at, to=to, rate=rate) for at, to, rate in changes]))
-    assert [f(t) for t in values] == pytest.approx(list(values.values()), rel=1e-15)
 
 
 CRITERIA = """name: s
