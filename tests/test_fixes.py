@@ -55,11 +55,6 @@ def test_a_fix_is_held_until_the_next_and_known_after_its_latency(tmp_path: Path
     assert results["sonar.level_meas"] == pytest.approx(np.maximum(0, latest) * 0.5, abs=1e-12)
 
 
-def test_under_jacobi_a_fix_of_a_known_signal_has_no_delay(tmp_path: Path) -> None:
-    results = run(tmp_path, algorithm="jacobi")
-    assert (results["sonar.level_meas"][6], results["sonar.fix"][6]) == (pytest.approx(0.5), 2.0)
-
-
 def test_fixes_have_the_noise_they_are_given_and_none_where_noise_is_off(tmp_path: Path) -> None:
     results = run(tmp_path, NOISY, duration=1000)
     error = results["sonar.level_meas"][::5] - results["filling.level"][::5]

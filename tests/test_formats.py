@@ -77,16 +77,6 @@ def test_what_is_not_plain_is_read_all_the_same(tmp_path: Path, text: str) -> No
     assert read_results(path).time.tolist() == [0.0, 1.0]
 
 
-@pytest.mark.parametrize(
-    ("text", "lines"), [("time,x\n0,1\n1\n2,3,4\n3,5\n", [3]), ("time,x\n0,1\n,2\n2,3\n1,5\n", [3, 5])]
-)
-def test_every_fault_of_the_rows_of_a_run_is_told_at_once(tmp_path: Path, text: str, lines: list[int]) -> None:
-    (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(InputError) as refused:
-        read_results(tmp_path / "a.csv")
-    assert [f.line for f in refused.value.faults] == lines
-
-
 # -- Parquet ----------------------------------------------------------------------------------------
 
 

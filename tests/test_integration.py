@@ -16,14 +16,6 @@ from plant.hovercraft import Hovercraft
 from tests.independent import excitation, flown, simulate
 from tests.test_effects import MOVING, Fine, largest_difference
 
-
-def test_base_model_agrees_with_the_independent_one_to_1e_6() -> None:
-    # five seconds, both tilts and duties moving, the model sheet's own number
-    commands = excitation(250, duty=0.1)
-    got = largest_difference(flown(Stepper(Hovercraft()), commands), simulate(commands))
-    assert got < 1e-6
-
-
 NO_SUPPORT = {"table_roll_stiffness": 0.0, "table_roll_damping": 0.0}, {"k_t": 0.0, "d_t": 0.0}
 
 

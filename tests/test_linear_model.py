@@ -42,16 +42,6 @@ def test_linearization_equals_central_differences() -> None:
     assert np.max(np.abs(np.block([[model.A, model.B], [model.C, model.D]]) - numeric)) < 2e-7
 
 
-def test_dry_friction_at_rest_is_steep_viscous_friction() -> None:
-    # tanh(s/0.01)·vx/s → vx/0.01: A₂₂ = −(c + F/0.01)/m, finite though s stands in a denominator
-    values = {"coulomb_friction.force": 0.1, "yaw_coulomb_friction.moment": 0.005}
-    model = linearize(Hovercraft().with_values(values))
-    vx, vy, turn = (model.states.index(name) for name in ("vx", "vy", "psi_dot"))
-    assert model.A[vx, vx] == pytest.approx(-(0.25 + 0.1 / 0.01) / 0.705, rel=1e-12)
-    assert model.A[vy, vx] == 0.0
-    assert model.A[turn, turn] == pytest.approx(-0.005 / 0.02 / 0.01023, rel=1e-12)
-
-
 # Appendix E: the entries of the thesis' Jacobian.
 
 

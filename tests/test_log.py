@@ -181,21 +181,6 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: py
         read_log(path, INPUTS, OUTPUTS)
 
 
-@pytest.mark.parametrize(
-    ("time", "grid"),
-    [
-        ([5, 6, 8, 9, 10, 13], [0, 1, 3, 4, 5, 8]),
-        ([0, 0.9, 2.1, 4.9, 6, 7, 8], [0, 1, 2, 5, 6, 7, 8]),
-        ([0, 1, 2.6, 3, 4, 6, 7], [0, 1, 2, 3, 4, 6, 7]),
-    ],
-)
-def test_rows_stand_in_equal_steps_with_room_for_those_that_are_missing(
-    tmp_path: Path, time: list[float], grid: list[int]
-) -> None:
-    rows = "".join(f"{t},6.4,6.4,0.1,0.1,{0.01 * t},0.0\n" for t in time)
-    assert read(tmp_path / "a.csv", f"{HEADER}\n{rows}").grid.tolist() == grid
-
-
 # -- without a model ----------------------------------------------------------------------------------
 
 

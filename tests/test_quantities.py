@@ -11,7 +11,7 @@ import pytest
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.core.units import parse, read_quantity, square_unit
+from cosim.core.units import read_quantity
 from cosim.fmi.building.file import read_model
 from cosim.refinement.study import read_study
 from cosim.scenario.scenario_file import ScenarioFile
@@ -71,14 +71,6 @@ def test_a_quantity_is_its_number_in_the_unit_that_is_wanted(text: str, unit: st
 def test_what_is_no_such_quantity_is_told_with_what_is_allowed(text: str, unit: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         read_quantity(text, unit)
-
-
-def test_the_square_of_a_unit_has_its_exponents_twice() -> None:
-    for unit in ("rad", "m/s2", "N.m.s/rad", "deg/s"):
-        once: Any = parse(unit)
-        twice: Any = parse(square_unit(unit))
-        assert twice.exponents == {name: 2 * power for name, power in once.exponents.items()}
-        assert twice.factor == pytest.approx(once.factor**2, rel=1e-15)
 
 
 # -- scenarios, --set and Python -------------------------------------------------------------------

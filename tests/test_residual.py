@@ -44,13 +44,6 @@ def test_noise_is_told_from_a_fast_signal_and_from_outliers() -> None:
     assert noise_level(signal) < (3.0 * 0.02) ** 4 / 6.0  # what (ωh)⁴/6 of a unit sine leaves where it is largest
 
 
-def test_noise_of_a_slow_sensor_is_seen_between_its_own_samples() -> None:
-    t = np.arange(4000) * 0.02
-    y = 0.1 * t + 0.001 * np.random.default_rng(2).standard_normal(t.size)
-    y[np.arange(t.size) % 10 != 0] = np.nan
-    assert noise_level(y) == pytest.approx(0.001, rel=0.25)  # 400 samples: four standard errors of 6 %
-
-
 @pytest.mark.parametrize("missing", [0.0, 0.4])
 def test_white_residuals_are_called_coloured_as_often_as_the_level_says(missing: float) -> None:
     rng = np.random.default_rng(4)

@@ -7,7 +7,6 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 
@@ -53,22 +52,6 @@ def one(path: Path, inside: str = "", experiment: str = "", fmu: Path | None = N
     """Return an SSP of one lag, with further content of the system."""
     system = f'<ssd:System name="root">{inside}<ssd:Elements>{component("a")}</ssd:Elements></ssd:System>'
     return ssp(path, system, {"resources/lag.fmu": fmu or lag_fmu(path.parent / "lag.fmu")}, experiment)
-
-
-def test_a_parameter_is_converted_at_each_connector_on_its_way(tmp_path: Path) -> None:
-    fmu = lag_fmu(tmp_path / "lag.fmu", ("rad", ""))
-    units = """<ssd:Units><ssc:Unit name="deg"><ssc:BaseUnit rad="1" factor="0.017453292519943295"/></ssc:Unit>
-<ssc:Unit name="turn"><ssc:BaseUnit rad="1" factor="6.283185307179586"/></ssc:Unit></ssd:Units>"""
-    entry = '<ssm:MappingEntry source="half" target="drive"><ssc:LinearTransformation offset="90"/></ssm:MappingEntry>'
-    mapping = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
-    mapping = f"<ssd:ParameterMapping>{mapping}</ssd:ParameterMapping>"
-    system = f"""<ssd:System name="root"><ssd:Connectors>
-<ssd:Connector name="drive" kind="input"><ssc:Real unit="deg"/></ssd:Connector></ssd:Connectors>
-<ssd:ParameterBindings>{bound({"half": real(0.5, "turn")}, mapping)}</ssd:ParameterBindings>
-<ssd:Elements>{component("a")}</ssd:Elements><ssd:Connections>{connection("drive", "a.u")}</ssd:Connections>
-</ssd:System>{units}"""
-    ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
-    assert ours["a.u"][0] == pytest.approx(1.5 * np.pi)  # 0.5 turn = 180 deg, + 90 deg
 
 
 def said(times: str, step: float) -> str:

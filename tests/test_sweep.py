@@ -305,15 +305,6 @@ def uniform(*names: str) -> list[Factor]:
     return [Factor(name, drawn=distribution("uniform", (0, 1), None)) for name in names]
 
 
-@pytest.mark.parametrize("sampling", ["latin-hypercube", "sobol", "random", "saltelli"])
-def test_a_design_is_that_of_its_seed(sampling: Any) -> None:
-    factors = [*uniform("a"), Factor("b", drawn=distribution("normal", (0, 2), None))]
-    one, again, other = (columns_of(factors, 64, sampling, seed) for seed in (1, 1, 2))
-    assert one == again != other
-    if sampling == "latin-hypercube":
-        assert sorted(int(64 * v) for v in one["a"]) == list(range(64))  # one value in each part
-
-
 @pytest.mark.parametrize("sampling", ["saltelli", "latin-hypercube"])
 def test_a_sensitivity_names_what_an_outcome_depends_on(sampling: Any) -> None:
     columns = columns_of(uniform("strong", "weak", "idle"), 640, sampling, 4)
