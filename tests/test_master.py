@@ -13,25 +13,16 @@ import cosim
 from controller.loop import Loop
 from controller.settings import Settings
 from cosim.core.errors import SimulationError
-from cosim.files.results import Results
 from cosim.files.table import read_columns
-from cosim.master.master import simulate
 from cosim.model import Stepper
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.system.system import build_system
 from plant.hovercraft import Hovercraft
 from tests.cart import cart_fmu
 
 H = 0.02
 
 
-def results_of(project: Path, *overrides: str, name: str = "regulate") -> Results:
-    file = ScenarioFile(project / "scenarios" / f"{name}.yaml", overrides)
-    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
-
-
 def test_gauss_seidel_equals_plain_functions_in_the_order_plant_noise_controller(project: Path) -> None:
-    results = results_of(project)
+    results = cosim.run(project / "scenarios" / "regulate.yaml", in_process=True)
     # the FMU's display unit takes 12 deg to radians by division, one rounding away from math.radians
     stepper, settings = Stepper(Hovercraft()), Settings(tilt_max=12 / (180 / math.pi))
     moment = stepper.start(0.0, {"x": 1.0, "psi": 1.0})

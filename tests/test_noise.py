@@ -10,14 +10,10 @@ import pytest
 
 import cosim
 from cosim.blocks.faults import stream
-from cosim.master.master import simulate
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.system.system import build_system
 
 
 def test_noise_is_that_measured_by_eq_5_46(project: Path) -> None:
-    file = ScenarioFile(project / "scenarios" / "manoeuvre.yaml")
-    results = simulate(build_system(file), file.scenario.steps, 0.02)
+    results = cosim.run(project / "scenarios" / "manoeuvre.yaml", in_process=True)
     for name, variance in (("psi", 2.613e-5), ("psi_dot", 4.564e-4), ("ax", 0.04479)):
         noise = results[f"controller.{name}"] - results[f"plant.{name}"]
         # relative standard error of a variance from 1301 samples is √(2/1300) = 3.9 %; four of them
@@ -25,11 +21,9 @@ def test_noise_is_that_measured_by_eq_5_46(project: Path) -> None:
 
 
 def test_each_source_has_a_stream_of_its_own(project: Path) -> None:
-    path = project / "scenarios" / "regulate.yaml"
-
     def noise_on_psi(*overrides: str) -> np.ndarray:
-        file = ScenarioFile(path, overrides)
-        results = simulate(build_system(file), 100, 0.02)
+        settings = ["duration=2", "criteria={}", *overrides]
+        results = cosim.run(project / "scenarios" / "regulate.yaml", set=settings, in_process=True)
         return results["controller.psi"] - results["plant.psi"]
 
     # taking the noise off another connection moves the craft, but not the noise drawn here (1e-15: a − b of doubles)
