@@ -147,8 +147,14 @@ def test_a_format_that_cannot_be_written_is_told_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format_: str, words: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
+    content = {
+        "name": "s",
+        "duration": 1,
+        "step": 0.1,
+        "components": {"r": {"block": "reference", "signals": {"x": {}}}},
+    }
     with pytest.raises(InputError, match=words):
-        cosim.run({"name": "s", "duration": 1, "step": 0.1, "components": {}}, tmp_path / "out", format=format_)
+        cosim.run(content, tmp_path / "out", format=format_)
     assert not (tmp_path / "out").exists()
 
 
