@@ -9,9 +9,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from pythonfmu.builder import FmuBuilder
 
 from cosim.fmi.native.compiler import compiler
+from tests.cart import built
+from tests.compiled import pack
 
 SOURCE = Path(__file__).with_name("amplifier.c")
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
@@ -52,17 +53,6 @@ def compiled(folder: Path, name: str, *sources: Path | str, flags: tuple[str, ..
     return made
 
 
-def packed(path: Path, library: Path, files: dict[str, bytes] | None = None) -> Path:
-    """Return an FMU with a library and further files."""
-    path.parent.mkdir(exist_ok=True)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", DESCRIPTION)
-        archive.write(library, "binaries/linux64/amplifier.so")
-        for name, content in (files or {}).items():
-            archive.writestr(name, content)
-    return path
-
-
 def with_library(
     path: Path, gain: float, *, name: str = "libgain.so", soname: str = "libgain.so", function: str = "amplified"
 ) -> Path:
@@ -74,7 +64,7 @@ def with_library(
         flags = (f"-L{folder}", f"-l:{name}", "-Wl,-rpath,$ORIGIN", f'-DOWN_NAME="{function}"')
         main = compiled(folder, "amplifier.so", SOURCE, flags=flags)
         # the loader looks for the file by the name that the library has in the process
-        return packed(path, main, {f"binaries/linux64/{soname}": helper.read_bytes()})
+        return pack(path, DESCRIPTION, main, {f"binaries/linux64/{soname}": helper.read_bytes()})
 
 
 def without_library(path: Path) -> Path:
@@ -82,7 +72,7 @@ def without_library(path: Path) -> Path:
     with tempfile.TemporaryDirectory() as place, zipfile.ZipFile(with_library(Path(place) / "whole.fmu", 1.0)) as whole:
         main = Path(place) / "amplifier.so"
         main.write_bytes(whole.read("binaries/linux64/amplifier.so"))
-        return packed(path, main)
+        return pack(path, DESCRIPTION, main)
 
 
 def with_symbol(path: Path, gain: float) -> Path:
@@ -91,7 +81,7 @@ def with_symbol(path: Path, gain: float) -> Path:
         folder, source = Path(place), Path(place) / "amplifier.cpp"
         head = f"template <typename T> T &held() {{ static T value = {gain}; return value; }}\n#define INLINE_GAIN\n"
         source.write_text(head + SOURCE.read_text())
-        return packed(path, compiled(folder, "amplifier.so", "-x", "c++", source))
+        return pack(path, DESCRIPTION, compiled(folder, "amplifier.so", "-x", "c++", source))
 
 
 def with_function(path: Path, name: str, gain: float, more: str = "") -> Path:
@@ -100,7 +90,7 @@ def with_function(path: Path, name: str, gain: float, more: str = "") -> Path:
         folder = Path(place)
         (folder / "own.c").write_text(f"double {name}(double u) {{ return {gain} * u; }}\n{more}\n")
         flags = ("-fno-builtin", f'-DOWN_NAME="{name}"')
-        return packed(path, compiled(folder, "amplifier.so", SOURCE, folder / "own.c", flags=flags))
+        return pack(path, DESCRIPTION, compiled(folder, "amplifier.so", SOURCE, folder / "own.c", flags=flags))
 
 
 def with_module(path: Path, gain: float, *, name: str = "Amp", module: str = "helper") -> Path:
@@ -122,17 +112,9 @@ def with_class(path: Path, gain: float) -> Path:
 def _slave(path: Path, name: str, head: str, gain: str, files: dict[str, str]) -> Path:
     path.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as place:
-        folder, before, modules = Path(place), list(sys.path), set(sys.modules)
+        folder = Path(place)
         for file, text in files.items():
             (folder / file).write_text(text)
         script = folder / f"{name.lower()}.py"
         script.write_text(SLAVE.format(head=head, name=name, gain=gain))
-        sys.path.insert(0, str(folder))
-        try:
-            FmuBuilder.build_FMU(script, path, project_files=[folder / file for file in files])
-        finally:
-            sys.path[:] = before
-            for module in set(sys.modules) - modules:
-                if Path(getattr(sys.modules[module], "__file__", None) or "/").parent == folder:
-                    del sys.modules[module]
-    return path
+        return built(script, path, project_files=[folder / file for file in files])

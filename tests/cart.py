@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from pythonfmu.builder import FmuBuilder
 
@@ -30,24 +31,28 @@ class Cart(Fmi2Slave):
     enter_initialization_mode = exit_initialization_mode
 
     def do_step(self, current_time, step_size):
+        {first}
         self.position += step_size * self.velocity
         self.velocity += step_size * (self.force - self.velocity) / 2.0
         return True
 '''
 
 
-def built(script: Path, fmu: Path, **options: bool) -> Path:
-    """Build an FMU of a script, and forget its module: one process keeps one of a name."""
-    path = list(sys.path)
+def built(script: Path, fmu: Path, **options: Any) -> Path:
+    """Build an FMU of a script, and forget its modules: one process keeps one of a name."""
+    path, modules = list(sys.path), set(sys.modules)
+    sys.path.insert(0, str(script.parent))
     try:
         return Path(FmuBuilder.build_FMU(script, fmu, **options))
     finally:
         sys.path[:] = path
-        sys.modules.pop(script.stem, None)
+        for module in set(sys.modules) - modules:
+            if Path(getattr(sys.modules[module], "__file__", None) or "/").parent == script.parent:
+                del sys.modules[module]
 
 
-def cart_fmu(folder: Path, starts: int = 2, variable_step: bool = True) -> Path:
-    """Build the cart; its initial outputs follow the start values when initialization ends."""
+def cart_fmu(folder: Path, starts: int = 2, variable_step: bool = True, first: str = "pass") -> Path:
+    """Build the cart; its initial outputs follow the start values when initialization ends; a step does `first`."""
     script = folder / f"cart_{starts}.py"
-    script.write_text(CART.replace("{starts}", str(starts)))
+    script.write_text(CART.replace("{starts}", str(starts)).replace("{first}", first))
     return built(script, folder / "Cart.fmu", canHandleVariableCommunicationStepSize=variable_step)

@@ -181,6 +181,13 @@ def native_plant(native_fmus: Path) -> Path:
 
 
 @pytest.fixture
+def fmu(which: str, request: pytest.FixtureRequest) -> Path:
+    """The FMU of which a test has the name."""
+    path: Path = request.getfixturevalue(which)
+    return path
+
+
+@pytest.fixture
 def project(tmp_path: Path, plant_fmu: Path, controller_fmu: Path) -> Path:
     """A folder laid out as the project: scenarios/ and build/ with both FMUs."""
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios")

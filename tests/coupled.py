@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-import zipfile
 from pathlib import Path
 
-from tests.compiled import library
+from tests.compiled import library, pack, rewritten
 from tests.corpus.inputs import FMU_SOURCES
 
 LINEAR, LOOP_A, LOOP_B, SQUARE, CHASSIS, WHEEL = range(6)
@@ -19,14 +18,7 @@ TRUCK = {  # a quarter of a truck over a bump of 0.1 m and 0.1 s; chassis, wheel
 
 def without_dependencies(path: Path) -> Path:
     """Remove the declared dependencies of an FMU."""
-    with zipfile.ZipFile(path) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    text = members["modelDescription.xml"].decode()
-    members["modelDescription.xml"] = re.sub(r' dependencies="[^"]*"', "", text).encode()
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, content in members.items():
-            archive.writestr(name, content)
-    return path
+    return rewritten(path, path, lambda name, data: re.sub(rb' dependencies="[^"]*"', b"", data))
 
 
 def coupled_fmu(
@@ -71,7 +63,4 @@ def coupled_fmu(
         f"<ModelVariables>\n{variables}</ModelVariables>\n<ModelStructure><Outputs>{unknowns}</Outputs></ModelStructure>\n"
         "</fmiModelDescription>\n"
     )
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.write(library(FMU_SOURCES / "coupled.c", f"-DLAW={law}"), "binaries/linux64/coupled.so")
-    return path
+    return pack(path, text, library(FMU_SOURCES / "coupled.c", f"-DLAW={law}"))

@@ -30,9 +30,9 @@ import numpy as np
 from cosim.authoring.export import export_ssp
 from cosim.core.errors import CosimError
 from cosim.simulation.workflow import run
+from tests.conftest import ROOT
 from tests.hosts_fmpy import description_of
 
-ROOT = Path(__file__).resolve().parent.parent
 LIBRARIES = Path(sys.prefix) / "lib"  # where pip puts libtbb, which ecos is linked to
 STEP, STEPS, LIMIT = 0.02, 200, 120
 NEAR = 1e-9

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
-from tests import compiled
+from tests.compiled import library, pack
 from tests.corpus.inputs import FMU_SOURCES
 
 HEAD = '<fmiModelDescription fmiVersion="3.0" modelName="instants" instantiationToken="g">'
@@ -50,11 +49,6 @@ OUTPUTS = {2: "1", 5: "", 12: "", 21: "", 22: "", 23: "20", 26: "", 27: "", 28: 
 CONSTANT = 'intervalVariability="constant" intervalDecimal="0.1"'
 
 
-def library() -> Path:
-    """Return the library compiled for this machine; skip the test without a compiler."""
-    return compiled.library(FMU_SOURCES / "instants.c")
-
-
 def instants_fmu(
     path: Path,
     sample: str | None = None,
@@ -78,11 +72,8 @@ def instants_fmu(
     outputs = OUTPUTS | ({} if sample is None else {7: "6 40", 42: ""})
     structure = "".join(f'<Output valueReference="{v}" dependencies="{d}"/>' for v, d in outputs.items())
     clocked = "" if sample is None else CLOCKED.format(sample=sample)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(
-            "modelDescription.xml",
-            f'<?xml version="1.0" encoding="UTF-8"?>\n{HEAD}{way}<ModelVariables>{REALS}{clocked}</ModelVariables>'
-            f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>",
-        )
-        archive.write(library(), "binaries/x86_64-linux/instants.so")
-    return path
+    text = (
+        f'<?xml version="1.0" encoding="UTF-8"?>\n{HEAD}{way}<ModelVariables>{REALS}{clocked}</ModelVariables>'
+        f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+    )
+    return pack(path, text, library(FMU_SOURCES / "instants.c"))

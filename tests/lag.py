@@ -6,7 +6,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from tests.compiled import library
+from tests.compiled import library, pack
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="lag" guid="lag" generationTool="tests" numberOfEventIndicators="0">
@@ -45,10 +45,7 @@ def lag_fmu(path: Path, units: tuple[str, str] = ("", "")) -> Path:
     text = DESCRIPTION
     for mark, unit in zip(("UNIT_IN", "UNIT_OUT"), units, strict=True):
         text = text.replace(f' unit="{mark}"', f' unit="{unit}"' if unit else "")
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.write(library(Path(__file__).with_name("lag.c"), "-ffp-contract=off"), "binaries/linux64/lag.so")
-    return path
+    return pack(path, text, library(Path(__file__).with_name("lag.c"), "-ffp-contract=off"))
 
 
 def ssp(path: Path, system: str, files: Mapping[str, str | Path], experiment: str = "") -> Path:

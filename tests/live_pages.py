@@ -16,8 +16,8 @@ from urllib.error import HTTPError
 from tests.deeds import deeds_fmu
 from tests.typed import typed_fmu
 
-GAIN = '<Real start="1"/></ScalarVariable>\n    <ScalarVariable name="h"'
-BOUNDED = '<Real start="1" min="0" max="10" unit="m"/></ScalarVariable>\n    <ScalarVariable name="h"'
+GAIN = 'variability="tunable"><Real start="1"/>'
+BOUNDED = 'variability="tunable"><Real start="1" min="0" max="10" unit="m"/>'
 SCENARIO = """name: mill
 duration: {duration}
 step: 0.01

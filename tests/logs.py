@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from cosim.residuals.windows import Replay, free_run, windows
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
 
 Array = NDArray[np.float64]
+RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 STEP = 0.02  # [s], sample time of the rig
 IMU = ("psi", "psi_dot", "ax")
 POSITION = ("x_world", "y_world")
@@ -95,6 +96,21 @@ def measured(
     rng = np.random.default_rng(seed)
     seen = {n: flight.outputs[n] + noise * NOISE.get(n, 0.0) * rng.standard_normal(flight.time.size) for n in channels}
     return {"time": flight.time, **flight.commands, **seen}
+
+
+def integrated(
+    rates: Callable[[Array, Any], Any], start: Sequence[float], inputs: Iterable[Any], step: float, parts: int = 20
+) -> Array:
+    """Return the states at each row of inputs, which are held, by Runge-Kutta in parts of a row."""
+    x, h, states = np.array(start, dtype=float), step / parts, []
+    for u in inputs:
+        states.append(x)
+        for _ in range(parts):
+            a = np.asarray(rates(x, u))
+            b = np.asarray(rates(x + 0.5 * h * a, u))
+            c = np.asarray(rates(x + 0.5 * h * b, u))
+            x = x + h / 6.0 * (a + 2.0 * (b + c) + np.asarray(rates(x + h * c, u)))
+    return np.array(states)
 
 
 def write_log(path: Path, columns: Mapping[str, Array]) -> Path:

@@ -1,48 +1,26 @@
-"""An FMU of C that slides: a mass with a force, in FMI 2.0 and 3.0; compiled once a session. Logs of known truth."""
+"""An FMU of C that slides: a mass with a force, in FMI 2.0 and 3.0. Logs of known truth."""
 
 from __future__ import annotations
 
-import platform
-import subprocess
-import tempfile
-import zipfile
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from cosim.fmi.native.compiler import compiler
+from tests.compiled import description, library, pack
 from tests.corpus.inputs import FMU_SOURCES
 from tests.logs import write_log
 
-FOLDERS = {2: "linux64", 3: "x86_64-linux"}
 TRUTH = {"mass": 1.6, "gain": 2.0, "damping": 0.8, "offset": 0.0}
 Array = NDArray[np.float64]
 
 
-@cache
-def library() -> Path:
-    """Return the library compiled for this machine; skip the test without a compiler."""
-    command = compiler()
-    if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
-        pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="slider-")) / "slider.so"
-    source = FMU_SOURCES / "slider.c"
-    subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source), "-lm"], check=True)
-    return made
-
-
 def slider_fmu(path: Path, version: int = 2, *, exchange: bool = False, follow: bool = False) -> Path:
     """Build the FMU; with `follow` its library takes the start values of modelDescription.xml."""
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.write(FMU_SOURCES / f"slider{version}{'me' if exchange else 'cs'}.xml", "modelDescription.xml")
-        archive.write(library(), f"binaries/{FOLDERS[version]}/slider.so")
-        archive.writestr("documentation/license.txt", "free")
-        archive.writestr("resources/follow" if follow else "resources/none", "")
-    return path
+    name = f"slider{version}{'me' if exchange else 'cs'}"
+    members = {"documentation/license.txt": "free", "resources/follow" if follow else "resources/none": ""}
+    return pack(path, description(name), library(FMU_SOURCES / "slider.c"), members)
 
 
 def slide(

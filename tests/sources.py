@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi import fmu_build
-
-ROOT = Path(__file__).resolve().parent.parent
+from tests.conftest import ROOT
 
 
 def copied_sources(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -6,9 +6,8 @@ import math
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
-from tests.logs import times, write_log
+from tests.logs import integrated, times, write_log
 
 DOCS = Path(__file__).parent.parent / "docs"
 TABLE = (DOCS / "own_model.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
@@ -20,14 +19,10 @@ def table_log(path: Path, seed: int) -> None:
     rng, time = np.random.default_rng(seed), times(20.0)
     waves = zip((0.3, 0.2, 0.15), (1.1, 3.7, 6.3), rng.uniform(0, 6, 3), strict=True)
     torque = np.sum([a * np.sin(w * time + p) for a, w, p in waves], axis=0)
-    states = [np.zeros(2)]
-    for u in torque[:-1]:
 
-        def rates(_: float, x: np.ndarray, u: float = u) -> list[float]:
-            moment = u - DAMPING * x[1] - STIFFNESS * x[0] - RUBS * math.tanh(x[1] / 0.05)
-            return [x[1], moment / INERTIA]
+    def rates(x: np.ndarray, u: float) -> list[float]:
+        return [x[1], (u - DAMPING * x[1] - STIFFNESS * x[0] - RUBS * math.tanh(x[1] / 0.05)) / INERTIA]
 
-        states.append(solve_ivp(rates, (0.0, 0.02), states[-1], rtol=1e-8, atol=1e-10).y[:, -1])
-    angle, rate = np.array(states).T
+    angle, rate = integrated(rates, [0.0, 0.0], torque, 0.02).T
     noise = rng.standard_normal((2, time.size))
     write_log(path, {"time": time, "torque": torque, "angle": angle + 1e-3 * noise[0], "rate": rate + 1e-2 * noise[1]})

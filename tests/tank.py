@@ -6,28 +6,27 @@ import math
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from tests.conftest import ROOT
-from tests.logs import write_log
+from tests.logs import integrated, write_log
 
 AREA, OUTLET, LEAK, STEP, NOISE = 0.5, 0.02, 0.012, 0.5, 1e-3
 MODEL = (ROOT / "examples" / "tanks" / "model.py").read_text(encoding="utf-8")
 
 
-def tank_log(path: Path, seed: int, seconds: float = 400.0, step: float = STEP) -> Path:
-    """Return a log of a tank with leak LEAK·h, filled in steps, with a noisy gauge."""
+def tank_log(
+    path: Path, seed: int, seconds: float = 400.0, step: float = STEP, *, offset: float = 0.0, held: int = 40
+) -> Path:
+    """Return a log of a tank with leak LEAK·h, filled in steps of some rows, with a noisy gauge that may be off."""
     rng = np.random.default_rng(seed)
     time = step * np.arange(round(seconds / step) + 1)
-    inflow = np.repeat(rng.uniform(0.01, 0.05, time.size // 40 + 1), 40)[: time.size]
-    level = [1.0]
-    for q in inflow[:-1]:
+    inflow = np.repeat(rng.uniform(0.01, 0.05, time.size // held + 1), held)[: time.size]
 
-        def rate(_: float, h: np.ndarray, q: float = q) -> list[float]:
-            return [(q - OUTLET * math.sqrt(max(h[0], 1e-6)) - LEAK * h[0]) / AREA]
+    def rates(h: np.ndarray, q: float) -> list[float]:
+        return [(q - OUTLET * math.sqrt(max(h[0], 1e-6)) - LEAK * h[0]) / AREA]
 
-        level.append(float(solve_ivp(rate, (0.0, step), [level[-1]], rtol=1e-9, atol=1e-12).y[0, -1]))
-    read = np.array(level) + NOISE * rng.standard_normal(time.size)
+    level = integrated(rates, [1.0], inflow, step)[:, 0]
+    read = level + offset + NOISE * rng.standard_normal(time.size)
     return write_log(path, {"time": time, "inflow": inflow, "level": read})
 
 

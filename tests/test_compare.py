@@ -19,7 +19,6 @@ from cosim.files.results import Results
 from cosim.simulation.run_signals import RecordedRun
 from cosim.verbs.cli import command_line
 from tests.test_first_steps import told
-from tests.typed import typed_fmu
 
 TIME = np.linspace(0, 1, 101)
 EPS = float(np.finfo(float).eps)
@@ -83,17 +82,6 @@ def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is(s
     assert not compare_runs(radians, ran("b", unit="deg", x=degrees * (1.0 + 20 * EPS)), 0.0).same
     # without a change of unit the last bit counts
     assert not held(degrees, degrees * (1.0 + EPS), 0.0).same
-
-
-def test_times_in_other_units_are_seconds_wherever_a_csv_is_read(tmp_path: Path) -> None:
-    for name, text in (("s", "time,r_in\n0,0\n0.1,1\n0.2,2\n"), ("ms", "time [ms],r_in\n0,0\n100,1\n200,2\n")):
-        (tmp_path / f"{name}.csv").write_text(text)
-    (tmp_path / "no.csv").write_text("time [ft],r_in\n0,0\n1,1\n")
-    told("compare", tmp_path / "s.csv", tmp_path / "ms.csv", "--tol", "1e-9", "--out", tmp_path / "c")
-    fmu = typed_fmu(tmp_path)
-    s, ms = (cosim.simulate(fmu, input=tmp_path / f"{name}.csv", step=0.1, in_process=True) for name in ("s", "ms"))
-    assert s["typed.r_out"].tolist() == ms["typed.r_out"].tolist() == [0, 1, 2]
-    assert 'no.csv:1:1: "ft" is no unit of time' in told("compare", tmp_path / "s.csv", tmp_path / "no.csv", code=2)
 
 
 def test_compare_exits_5_beyond_the_tolerance_alone_and_leaves_a_page(tmp_path: Path) -> None:

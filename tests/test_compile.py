@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,15 +15,16 @@ import cosim
 from cosim.core.errors import FmuError, InputError
 from cosim.fmi.native.compiler import compiler
 from cosim.verbs.cli import command_line
-from tests.bounce1 import bounce_fmu, library
+from tests.bounce1 import SOURCE, bounce_fmu
+from tests.compiled import library, pack
 from tests.corpus.inputs import FMU_SOURCES
-from tests.typed import TYPED2
+from tests.typed import typed_text
 
 
 @pytest.fixture
 def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], int]:
     """How often sources of an FMU were compiled since; its cache is the test's own."""
-    library()  # skips where there is no compiler for this platform
+    library(SOURCE)  # skips where there is no compiler for this platform
     calls, script = tmp_path / "calls", tmp_path / "cc"
     script.write_text(f'#!/bin/sh\necho "$*" >> {shlex.quote(str(calls))}\nexec {shlex.join(compiler() or [])} "$@"\n')
     script.chmod(0o755)
@@ -41,14 +41,11 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], in
 def fmu2(path: Path, text: str = "", listed: str = "") -> Path:
     """Of FMI 2.0, its sources in the lists of both ways."""
     names = "".join(f'<File name="{name}"/>' for name in ("typed2.c", *listed.split()))
-    described = TYPED2.replace('"typed"/>', f'"typed"><SourceFiles>{names}</SourceFiles></ModelExchange>')
+    described = typed_text().replace('"typed"/>', f'"typed"><SourceFiles>{names}</SourceFiles></ModelExchange>')
     described = described.replace(
         'StepSize="true"/>', f'StepSize="true"><SourceFiles>{names}</SourceFiles></CoSimulation>'
     )
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", described)
-        archive.writestr("sources/typed2.c", text or (FMU_SOURCES / "typed2.c").read_text())
-    return path
+    return pack(path, described, None, {"sources/typed2.c": text or (FMU_SOURCES / "typed2.c").read_text()})
 
 
 def refusal(path: Path, compile: bool = False) -> str:

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import cosim
 from cosim.probing.places import probe_places
 from cosim.terms.language import RatioFactor
 from tests.blind.fmu_build import build
-from tests.logs import times, write_log
+from tests.logs import integrated, times, write_log
 from tests.test_refine_fmu import write_study
 
 STEP, NOISE = 0.005, {"motor.phi": 2e-3, "motor.w": 0.05, "load.phi": 2e-3}
@@ -29,15 +28,12 @@ def run_drive(path: Path, seed: int) -> None:
     levels = rng.uniform(-1.5, 1.5, 16)
     torque = levels[(time // 0.4).astype(int)]
 
-    def rates(_: float, x: Any, u: float) -> list[float]:
+    def rates(x: Any, u: float) -> list[float]:
         a, w, b, v = x
         through = SPRING * math.copysign(max(0.0, abs(a - b) - GAP), a - b) + DAMPER * (w - v)
         return [w, (u - BEARING * w - through) / MOTOR, v, (through - 0.03 * v) / LOAD]
 
-    rows = [np.zeros(4)]
-    for u in torque[:-1]:
-        rows.append(solve_ivp(rates, (0.0, STEP), rows[-1], "RK45", args=(u,), rtol=1e-6, atol=1e-8).y[:, -1])
-    states = np.array(rows).T
+    states = integrated(rates, [0.0] * 4, torque, STEP).T
     readings = {n: y + NOISE[n] * rng.standard_normal(time.size) for n, y in zip(NOISE, states, strict=False)}
     write_log(path, {"time": time, "torque": torque, **readings})
 

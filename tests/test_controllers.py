@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
 from controller.closed_loop import manoeuvre
@@ -108,18 +107,6 @@ def test_the_solver_finds_what_another_one_does() -> None:
         law.solve(cost.at(z))
         assert law.solved
         np.testing.assert_allclose(law.last, scale * best[:4], atol=1e-6)
-
-
-def test_prediction_without_limits_is_a_regulator_of_the_discrete_riccati_equation() -> None:
-    free = replace(MPC, prediction_step=0.1, horizon=0.1)  # one step, then the cost to go: exactly the LQR
-    A, B = full_model(free)
-    F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], 0.1)
-    law = PredictiveLaw(free)
-    P = solve_discrete_are(F, G, law.Q, law.R)
-    K = np.linalg.solve(law.R + G.T @ P @ G, G.T @ P @ F)
-    z = 1e-2 * np.random.default_rng(0).normal(size=len(NAMES))
-    law.solve(law.cost.at(z))
-    np.testing.assert_allclose(law.last, -K @ z, atol=1e-9)
 
 
 def test_the_predictive_law_holds_y_with_fixes() -> None:

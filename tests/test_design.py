@@ -16,8 +16,8 @@ from controller.synthesis import Q_INTEGRAL, lqr_gain, numbers_of, placed_gain
 from cosim.core.errors import InputError
 from cosim.fmi.building.build import build_native
 from plant.hovercraft import Hovercraft
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 POLES, INTEGRAL = "controller-pole.fmu", "controller-lqi.fmu"
 PREDICTIVE, TIME_VARIANT = "controller-mpc.fmu", "controller-ltv-mpc.fmu"
 

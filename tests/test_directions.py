@@ -12,7 +12,6 @@ import pytest
 
 from cosim.blocks.derivatives import DifferentiableFmu
 from cosim.core.arrays import Array
-from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.fmi.description import read_description
 from cosim.fmi.wrapping.wrap import wrap
@@ -90,33 +89,6 @@ def test_a_friction_at_a_hinge_tells_how_forces_act_there(structure: Structure) 
     assert (hinge.parameter, hinge.pair.velocity, hinge.port, hinge.rates) == ("hinge", "w", "", ("v", "w"))
     assert structure.directions == (hinge,)
     assert (hinge.in_step, hinge.is_constant) == (True, False)
-
-
-def test_the_filter_moves_by_the_equations_with_the_forces(structure: Structure) -> None:
-    log = log_of_sines()
-    subject = FmuSubject.of_fmu(structure, [log])
-    kernel = subject.kernel(["x", "phi"])
-    x0 = np.zeros(len(kernel.layout.states))
-    x0[:4] = 0.1, 0.0, 0.8, 0.0
-    u = log.inputs["force"][:, None]
-    data = Data(STEP, 0.0, u, np.full((len(u), 2), np.nan), 4, interpolated=frozenset())
-
-    def states(**forces: float) -> Array:
-        values = {**subject.values, **forces, "hinge": 0.02}
-        p = np.array([values.get(n, 1.0) for n in kernel.layout.parameters])
-        return kernel.simulate(data, p, x0, np.zeros(kernel.layout.memory)).states[:, :4]
-
-    x, h, expected = x0[:4], STEP / 4, [x0[:4]]
-    for k in range(len(u) - 1):
-        for _ in range(4):
-            k1 = rates(x, u[k, 0], hinge=0.02)
-            k2 = rates(x + 0.5 * h * k1, u[k, 0], hinge=0.02)
-            k3 = rates(x + 0.5 * h * k2, u[k, 0], hinge=0.02)
-            k4 = rates(x + h * k3, u[k, 0], hinge=0.02)
-            x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-        expected.append(x)
-    assert np.abs(states(**FORCES) - expected).max() < 1e-9
-    assert np.abs(states(**dict.fromkeys(FORCES, 0.0)) - expected).max() > 0.1
 
 
 def test_the_delivered_fmu_has_the_forces_saves_its_state_and_equals_the_original_when_they_sleep(

@@ -16,9 +16,9 @@ import pytest
 import typer.main
 
 from cosim.verbs.cli import command_line
+from tests.conftest import ROOT
 from tests.test_examples_data import _loaded
 
-ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 HOSTS = (ROOT / "docs" / "hosts.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", README + HOSTS, re.DOTALL)

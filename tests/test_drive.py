@@ -16,9 +16,9 @@ from cosim.fmi.fmu_build import build
 from cosim.model import Stepper
 from cosim.refinement.workflow import refine
 from examples.drive import make_logs as logs
+from tests.conftest import ROOT
 from tests.hosts_fmpy import Instance
 
-ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "examples" / "drive"
 RECORDINGS = ROOT.parent / "shared" / "data" / "emps"
 MISSING = pytest.mark.skipif(

@@ -20,8 +20,8 @@ import pytest
 
 from cosim.fmi.building.file import load_model
 from cosim.model import SCALAR
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
 MODELS = {
     "silverbox": "Silverbox",

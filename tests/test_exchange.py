@@ -18,7 +18,6 @@ from cosim.files.results import Results
 from cosim.fmi.native.compiler import NoCompiler
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive
-from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
 from tests.blind.fmu_build import build
 from tests.bounce1 import bounce_fmu
@@ -110,16 +109,6 @@ def test_an_event_that_is_due_at_the_start_is_handled_there(tmp_path: Path) -> N
     events = decayed(tmp_path, "due at once")["a.events"]
     # two updates at 0 s, one at 0.15 s, and one where y crosses 0.8
     assert events.tolist() == [2, 2, 3, *[4] * 8]
-
-
-def test_a_log_is_replayed_through_an_fmu_for_model_exchange_alone(tmp_path: Path) -> None:
-    time = 0.05 * np.arange(81)
-    rows = (f"{t:.2f},{0.5},{0.5 + 1.5 * np.exp(-t):.17g}" for t in time)
-    (tmp_path / "log.csv").write_text("\n".join(["time,u,y", *rows, ""]))
-    fmu = decay_fmu(tmp_path / "decay.fmu")
-    replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
-    missed = np.loadtxt(tmp_path / "out" / "residual.csv", delimiter=",", skiprows=1, usecols=1)
-    assert missed == pytest.approx(np.zeros(81), abs=1e-4)  # the solver's tolerance is 1e-5 a step
 
 
 def test_a_system_that_needs_too_many_steps_is_refused_with_the_cure(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from controller.loop import Loop
 from controller.settings import Settings
@@ -25,10 +24,10 @@ from cosim.experiment.question import ask
 from cosim.logs.log import read_log
 from cosim.refinement.search.attribution import Attributor
 from cosim.simulation.workflow import run
-from cosim.verbs.cli import command_line
 from plant.hovercraft import Hovercraft
 from tests.blind.truth_craft import STEP, VARIANCE, Craft, Flight
 from tests.studies import Weighed, weighed
+from tests.test_first_steps import told
 
 DRIVE = Path(__file__).parent.parent / "examples" / "drive" / "drive.py"
 INPUTS = ("duty_right", "duty_left", "tilt_right", "tilt_left")
@@ -156,10 +155,7 @@ def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path:
 def test_a_question_that_cannot_be_asked_is_told_with_its_cure(
     tmp_path: Path, arguments: list[str], words: str
 ) -> None:
-    done = CliRunner().invoke(command_line(), ["excite", *arguments, "--out", str(tmp_path)])
-    assert isinstance(done.exception, InputError)
-    assert done.exception.exit_code == 2
-    assert words in str(done.exception)
+    assert words in told("excite", *arguments, "--out", tmp_path, code=2)
     assert not list(tmp_path.iterdir())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -15,9 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.tank import MODEL, tank_log
+from tests.conftest import ROOT
+from tests.tank import LEAK, MODEL, tank_study
 
-ROOT = Path(__file__).resolve().parent.parent
 PYPROJECT = """
 [build-system]
 requires = ["setuptools>=68"]
@@ -191,9 +192,8 @@ def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names
     rooms.mkdir()
     for name in ("plant", "controller", "fmus"):
         (rooms / f"{name}.py").write_text(f"raise RuntimeError('{name}.py of the user was imported')\n")
-    (rooms / "tank.py").write_text(MODEL, encoding="utf-8")
-    (rooms / "study.yaml").write_text("model: base\nlogs: {estimation: [log.csv]}\n")
-    tank_log(rooms / "log.csv", 1, seconds=60.0)
+    tank_study(rooms)
+    (rooms / "craft.yaml").write_text("model: base\nlogs: {estimation: [e1.csv]}\n")
 
     def cosim(words: str, code: int = 0) -> str:
         program = environment / "bin" / "python"
@@ -204,20 +204,31 @@ def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names
     for words in (
         "build --model tank.py:Tank",
         "init build/plant.fmu --out run.yaml",
-        "check run.yaml tank.py log.csv",
+        "check run.yaml tank.py study.yaml",
+        "check --model tank.py:Tank e1.csv",
         "run run.yaml --out one",
         "simulate build/plant.fmu --stop 5 --out three",
         "compare one three --out compared",
         "report one",
         "graph run.yaml",
         "export-ssp run.yaml --out run.ssp",
-        "replay log.csv --plant build/plant.fmu --out replayed",
+        "replay e1.csv --plant build/plant.fmu --out replayed",
         "linearize tank.py:Tank --at level=1,inflow=0.02 --out linear",
         "schema study",
+        "refine study.yaml --out refined",
+        "excite tank.py:Tank --out flown",
+        "run flown/excitation.yaml --out ran",
     ):
         cosim(words)
+    (effect,) = json.loads((rooms / "refined" / "refine.json").read_text())["effects"]
+    low, high = effect["parameters"]["rate"]["ci95"]
+    assert low - (high - low) < LEAK < high + (high - low)
+    for page in ("refined", "replayed", "ran"):
+        text = (rooms / page / "report.html").read_text(encoding="utf-8")
+        words = re.sub(r"<script.*?</script>|<style.*?</style>", "", text, flags=re.DOTALL)
+        assert not re.search(r"craft|duty|tilt|heading|psi", words, re.IGNORECASE), page
     assert "identify" not in cosim("--help")
     # what needs the example says what to name instead
-    assert 'no model "base" is installed; name a' in cosim("replay log.csv", 2)
+    assert 'no model "base" is installed; name a' in cosim("replay e1.csv", 2)
     assert "name one: a model.yaml" in cosim("build", 2)
-    assert "study.yaml:1:8: " in cosim("check study.yaml", 2)
+    assert "craft.yaml:1:8: " in cosim("check craft.yaml", 2)

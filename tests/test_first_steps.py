@@ -81,14 +81,6 @@ def test_an_output_goes_to_the_input_of_its_name_or_by_a_guess(
     assert (text(made.source), made.guess) == (source, guess)
 
 
-@pytest.mark.parametrize(
-    ("outputs", "target"), [("a.x b.x", "c.x"), ("pump.flow_left pump.flow_right pump.level", "tank.flow")]
-)
-def test_outputs_that_fit_alike_are_a_choice_that_is_left_to_the_user(outputs: str, target: str) -> None:
-    made = match_ports([port(name) for name in outputs.split()], [port(target)])
-    assert (made.connections, made.choices) == ((), {target: tuple(outputs.split()[:2])})
-
-
 # -- init -----------------------------------------------------------------------------------------
 
 

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import cosim
 from cosim.authoring.export import export_ssp
 from cosim.core.errors import InputError
-from cosim.files.results import Results
-from cosim.master.master import simulate
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.system.system import build_system
+from cosim.simulation.run_signals import Run
 
 LEVEL = """name: level
 duration: {duration}
@@ -37,12 +35,11 @@ ALONE = "{level: {unit: m}}"
 NOISY = "{level: {unit: m, noise: {variance: 4e-4, bias: 0.1}}}"
 
 
-def run(folder: Path, signals: str = ALONE, *overrides: str, **more: Any) -> Results:
+def run(folder: Path, signals: str = ALONE, *overrides: str, **more: Any) -> Run:
     keys = {"latency": 0.0, "dropout": 0.0, "algorithm": "gauss-seidel", "duration": 10, "signals": signals} | more
     path = folder / "level.yaml"
     path.write_text(LEVEL.format(**keys), encoding="utf-8")
-    file = ScenarioFile(path, overrides)
-    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
+    return cosim.run(path, set=[*overrides], in_process=True)
 
 
 @pytest.mark.parametrize(("latency", "late"), [(0.0, 0), (0.3, 3), (0.25, 3), (0.7, 7)])
@@ -53,11 +50,6 @@ def test_a_fix_is_held_until_the_next_and_known_after_its_latency(tmp_path: Path
     assert results["sonar.fix"].tolist() == np.maximum(0, latest + 1).tolist()
     # the level rises by 1 m/s: what was measured is the time of the fix
     assert results["sonar.level_meas"] == pytest.approx(np.maximum(0, latest) * 0.5, abs=1e-12)
-
-
-def test_under_jacobi_a_fix_of_a_known_signal_has_no_delay(tmp_path: Path) -> None:
-    results = run(tmp_path, algorithm="jacobi")
-    assert (results["sonar.level_meas"][6], results["sonar.fix"][6]) == (pytest.approx(0.5), 2.0)
 
 
 def test_fixes_have_the_noise_they_are_given_and_none_where_noise_is_off(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import zipfile
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +14,13 @@ import pytest
 
 from cosim.fmi.fmu_build import build
 from fmus.recipes import controller_recipe, plant_recipe
+from tests.cart import cart_fmu
+from tests.conftest import ROOT
 from tests.hosts_fmpy import Instance, description_of
-from tests.misbehaving import misbehaving_fmu
 from tests.sources import copied_sources
 
-ROOT = Path(__file__).resolve().parent.parent
 RECIPES = {"plant_fmu": plant_recipe, "controller_fmu": controller_recipe}
 BOTH = pytest.mark.parametrize("which", list(RECIPES))
-
-
-@pytest.fixture
-def fmu(which: str, request: pytest.FixtureRequest) -> Path:
-    path: Path = request.getfixturevalue(which)
-    return path
 
 
 @BOTH
@@ -150,16 +143,9 @@ INPUTS = {"tilt_right": 0.1, "tilt_left": -0.05, "duty_right": 6.5}
 
 
 def run(fmu: Path) -> list[dict[str, float]]:
-    (rows,) = alternately(fmu)
-    return rows
-
-
-def alternately(*fmus: Path) -> list[list[dict[str, float]]]:
-    """The FMUs at once, step by step in turn."""
-    with ExitStack() as stack:
-        instances = [stack.enter_context(Instance(fmu)).initialize(MOVING) for fmu in fmus]
-        turns = [[i.step(STEP * k, STEP, INPUTS) for i in instances] for k in range(20)]
-    return [list(column) for column in zip(*turns, strict=True)]
+    with Instance(fmu) as instance:
+        instance.initialize(MOVING)
+        return [instance.step(STEP * k, STEP, INPUTS) for k in range(20)]
 
 
 def in_a_process_of_its_own(code: str, *arguments: object) -> Any:
@@ -169,19 +155,6 @@ def in_a_process_of_its_own(code: str, *arguments: object) -> Any:
     )
     assert done.returncode == 0, (done.returncode, done.stderr)
     return json.loads(done.stdout)
-
-
-def test_two_builds_of_other_sources_keep_their_own(tree: Path, plant_fmu: Path, tmp_path: Path) -> None:
-    source = tree / "plant" / "powertrain.py"
-    text = source.read_text(encoding="utf-8")
-    source.write_text(text.replace("return thrust * m.sin(alpha)", "return 2.0 * thrust * m.sin(alpha)"))
-    fmus = [plant_fmu, build(plant_recipe(), tmp_path / "strong.fmu")]
-    weak, strong = (run(fmu) for fmu in fmus)
-    # a_x + (c/m)·vx is F_x/m alone, which the other source doubles; thrust differs with roll only, a hundredth or less
-    pull = [rows[-1]["ax"] + 0.25 / 0.705 * rows[-1]["vx"] for rows in (weak, strong)]
-    assert pull[1] == pytest.approx(2 * pull[0], rel=0.02)
-    assert alternately(*fmus) == [weak, strong]
-    assert alternately(*reversed(fmus)) == [strong, weak]
 
 
 POISONED = """
@@ -260,7 +233,7 @@ print(json.dumps([names, [path.name for path in process_folder().glob("fmu-*")]]
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the library of Linux alone has this fault")
 def test_cosim_keeps_it_in_balance_for_an_fmu_that_does_not(tmp_path: Path) -> None:
-    fmu = misbehaving_fmu(tmp_path, "Behaves")
+    fmu = cart_fmu(tmp_path, 0)
     let_go, folders = in_a_process_of_its_own(FOREIGN, fmu)
     assert let_go == ["finalizePythonInterpreter"] * 2  # a library an extraction
     assert folders == []

@@ -27,12 +27,6 @@ INPUTS = {
 BOTH = pytest.mark.parametrize("which", ["plant_fmu", "controller_fmu"])
 
 
-@pytest.fixture
-def fmu(which: str, request: pytest.FixtureRequest) -> Path:
-    path: Path = request.getfixturevalue(which)
-    return path
-
-
 @BOTH
 def test_two_checkers_find_no_fault(fmu: Path) -> None:
     assert validate_fmu(str(fmu)) == []

@@ -60,10 +60,8 @@ def test_the_fmu_moves_as_the_equations_do(plant_fmu: Path, values: dict[str, An
 
 
 @BOTH
-def test_outputs_follow_every_set_in_initialization_mode_and_reset_leads_back(
-    which: str, request: pytest.FixtureRequest
-) -> None:
-    with Instance(request.getfixturevalue(which)) as plant:
+def test_outputs_follow_every_set_in_initialization_mode_and_reset_leads_back(which: str, fmu: Path) -> None:
+    with Instance(fmu) as plant:
         plant.begin()
         for x, vx, mass in ((1.0, 0.2, 0.705), (-2.0, 0.4, 1.41)):
             plant.set({"x_start": x, "vx_start": vx, "mass": mass})
@@ -140,7 +138,7 @@ GUARDS: list[tuple[bool, dict[str, Any], float | None, str]] = [
 @BOTH
 @pytest.mark.parametrize(("begun", "values", "length", "said"), GUARDS, ids=str)
 def test_what_makes_no_sense_is_refused(
-    which: str, begun: bool, values: dict[str, float], length: float | None, said: str, request: pytest.FixtureRequest
+    which: str, begun: bool, values: dict[str, float], length: float | None, said: str, fmu: Path
 ) -> None:
     def call(plant: Instance) -> None:
         if begun:
@@ -151,4 +149,4 @@ def test_what_makes_no_sense_is_refused(
             plant.step(STEP * begun, length)
         plant.outputs()
 
-    assert said in refused(request.getfixturevalue(which), {}, call).replace(".0;", ";")
+    assert said in refused(fmu, {}, call).replace(".0;", ";")

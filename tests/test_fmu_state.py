@@ -35,12 +35,6 @@ CASES = pytest.mark.parametrize(
 Rows = list[dict[str, float]]
 
 
-@pytest.fixture
-def fmu(which: str, request: pytest.FixtureRequest) -> Path:
-    path: Path = request.getfixturevalue(which)
-    return path
-
-
 def drive(instance: Instance, first: int, last: int) -> Rows:
     """Steps `first` to `last` under inputs that are a function of the step alone."""
     names = instance.names("input")

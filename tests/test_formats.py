@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.results import Results, read_results
 from cosim.files.table import read_columns, read_header
-from cosim.simulation.run_signals import Run
 from tests.full_disk import full_disk
-from tests.test_first_steps import told as asked
 
 TIME = np.arange(5) * 0.5
 
@@ -78,16 +75,6 @@ def test_what_is_not_plain_is_read_all_the_same(tmp_path: Path, text: str) -> No
     path.write_text(text, newline="")
     assert read_columns(path)["time"].tolist() == [0.0, 1.0]
     assert read_results(path).time.tolist() == [0.0, 1.0]
-
-
-@pytest.mark.parametrize(
-    ("text", "lines"), [("time,x\n0,1\n1\n2,3,4\n3,5\n", [3]), ("time,x\n0,1\n,2\n2,3\n1,5\n", [3, 5])]
-)
-def test_every_fault_of_the_rows_of_a_run_is_told_at_once(tmp_path: Path, text: str, lines: list[int]) -> None:
-    (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(InputError) as refused:
-        read_results(tmp_path / "a.csv")
-    assert [f.line for f in refused.value.faults] == lines
 
 
 # -- Parquet ----------------------------------------------------------------------------------------
@@ -160,31 +147,15 @@ def test_a_format_that_cannot_be_written_is_told_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format_: str, words: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
+    content = {
+        "name": "s",
+        "duration": 1,
+        "step": 0.1,
+        "components": {"r": {"block": "reference", "signals": {"x": {}}}},
+    }
     with pytest.raises(InputError, match=words):
-        cosim.run(_scenario(tmp_path), tmp_path / "out", format=format_)
+        cosim.run(content, tmp_path / "out", format=format_)
     assert not (tmp_path / "out").exists()
-
-
-def _scenario(folder: Path) -> Path:
-    (folder / "s.yaml").write_text(
-        "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref:\n    block: reference\n"
-        "    signals: {x: {start: 1, unit: m, changes: [{at: 0.5, to: 2}]}}\n",
-        encoding="utf-8",
-    )
-    return folder / "s.yaml"
-
-
-@pytest.mark.parametrize("format_", ["parquet", "mat", "hdf5"])
-def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> None:
-    ran = cosim.run(_scenario(tmp_path), tmp_path / "out", format=format_, report=False)
-    read = cosim.read(tmp_path / "out")
-    assert isinstance(read, Run)
-    assert read.results.values.tobytes() == ran.results.values.tobytes()
-    assert read.results.units == ran.results.units
-    (rows,) = (tmp_path / "out").glob("results.*")
-    alone = shutil.copy(rows, tmp_path / f"alone{rows.suffix}")  # a file without its manifest
-    assert cosim.read(alone).to_pandas().to_numpy().tobytes() == read.to_pandas().to_numpy().tobytes()
-    asked("check", alone)
 
 
 # -- formats of other tools --------------------------------------------------------------------------------

@@ -16,9 +16,8 @@ from cosim.logs.log import Log, read_log
 from cosim.model import Equations, Model, Namespace, Quantity
 from cosim.model.traits import Traits
 from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
-from tests.logs import MOVING, STEP, Array, Flight, fly, log_of, measured, times, write_log
+from tests.logs import MOVING, RECORDED, STEP, Array, Flight, fly, log_of, measured, times, write_log
 
-RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 Columns = dict[str, Array]
 
 
@@ -59,6 +58,9 @@ def spoilt(name: str, rows: slice, value: float) -> Callable[[Columns], Columns]
 
 DEFECTS: dict[str, tuple[Any, ...]] = {  # what is done to the log, what is found
     "time in ms": (lambda c: c | {"time": 1000.0 * c["time"]}, ("fault", "rate", "time")),
+    "rows twice as far apart": (thinned(lambda k: k % 2 == 0), ("warning", "rate", "time")),
+    "rows lost": (thinned(lambda k: ~np.isin(k, [100, *range(200, 203)])), ("warning", "dropouts", "time")),
+    "frozen for 12 rows": (spoilt("ax", slice(400, 412), 0.1), ("warning", "frozen", "ax")),
     "too short": (thinned(lambda k: k < 200), ("warning", "short", "time")),
     "gyro dead": (lambda c: c | {"psi_dot": 0.0 * c["psi_dot"]}, ("warning", "constant", "psi_dot")),
     "gyro reversed": (lambda c: c | {"psi_dot": -c["psi_dot"]}, ("fault", "sign", "psi_dot")),
@@ -76,6 +78,11 @@ DEFECTS: dict[str, tuple[Any, ...]] = {  # what is done to the log, what is foun
 def test_each_defect_is_found_and_nothing_else(tmp_path: Path, flight: Flight, defect: str) -> None:
     change, *expected = DEFECTS[defect]
     assert serious(log_of(tmp_path / "a.csv", change(columns(flight)))) == expected
+
+
+def test_inputs_that_move_alike_are_noted(tmp_path: Path, flight: Flight) -> None:
+    log = log_of(tmp_path / "a.csv", columns(flight) | {"duty_left": 13.0 - flight.commands["duty_right"]})
+    assert [f.numbers for f in gate(log, STEP) if f.kind == "alike"] == [{"correlation": pytest.approx(-1.0)}]
 
 
 def turned(folder: Path, ratio: float, factor: float = 1.0) -> tuple[Log, Traits]:

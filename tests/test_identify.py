@@ -26,9 +26,9 @@ from plant.identification.recordings import COLUMNS, Cell, Recording, runs_of
 from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
 from tests.bench_runs import play_plain, read_protocol
+from tests.conftest import ROOT
 from tests.seed import coverage
 
-ROOT = Path(__file__).resolve().parent.parent
 PROTOCOL = ROOT / "examples" / "bench" / "protocol.yaml"
 HEADER = ["time", *(q.name for q in COLUMNS)]
 TIME, DUTY, SERVO, HEIGHT, Z, X, M = range(7)

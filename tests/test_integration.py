@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,32 +13,8 @@ from cosim.model import parameters_of
 from cosim.model.integrate import Stepper
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
-from tests.independent import COLUMNS, Array, excitation, flown, simulate
-
-MOVING = {
-    "x": 0.3, "y": -0.2, "x_world": 1.0, "y_world": -2.0, "psi": 0.7, "vx": 0.4, "vy": -0.3, "psi_dot": 1.2,
-    "phi": 0.05, "phi_dot": -0.3, "thrust_right": 2.0, "thrust_left": 2.5, "tilt_right": 0.15, "tilt_left": -0.1,
-}  # fmt: skip
-
-
-class Fine(Hovercraft):
-    """The craft with ten times the substeps: what is left of a difference is then the equations'."""
-
-    substep = 0.0005
-
-
-def differences(a: Mapping[str, Array], b: Mapping[str, Array]) -> dict[str, float]:
-    """Largest difference of each output over the run."""
-    assert set(a) == set(b) == set(COLUMNS)
-    return {name: float(np.max(np.abs(a[name] - b[name]))) for name in COLUMNS}
-
-
-def test_base_model_agrees_with_the_independent_one_to_1e_6() -> None:
-    # five seconds, both tilts and duties moving, the model sheet's own number
-    commands = excitation(250, duty=0.1)
-    got = differences(flown(Stepper(Hovercraft()), commands), simulate(commands))
-    assert max(got.values()) < 1e-6, got
-
+from tests.independent import excitation, flown, simulate
+from tests.test_effects import MOVING, Fine, largest_difference
 
 NO_SUPPORT = {"table_roll_stiffness": 0.0, "table_roll_damping": 0.0}, {"k_t": 0.0, "d_t": 0.0}
 
@@ -70,8 +45,8 @@ def test_every_parameter_means_the_same_in_both(craft: dict[str, float], numbers
     hover = {name: (Hovercraft(**craft).start_state()[name]) for name in ("thrust_right", "thrust_left")}
     for start in ({}, MOVING):
         exact = simulate(commands, {}, numbers, hover | start)
-        got = differences(flown(Stepper(Fine(**craft)), commands, start), exact)
-        assert max(got.values()) < 1e-8, got
+        got = largest_difference(flown(Stepper(Fine(**craft)), commands, start), exact)
+        assert got < 1e-8
 
 
 def test_a_propeller_at_the_lowest_height_is_integrated_across_the_kink() -> None:
@@ -80,8 +55,8 @@ def test_a_propeller_at_the_lowest_height_is_integrated_across_the_kink() -> Non
     start = {"phi": 0.3}
     commands = excitation(50, duty=0.1)
     exact = simulate(commands, start=start)
-    assert max(differences(flown(Stepper(Hovercraft()), commands, start), exact).values()) < 2e-4
-    assert max(differences(flown(Stepper(Fine()), commands, start), exact).values()) < 2e-6
+    assert largest_difference(flown(Stepper(Hovercraft()), commands, start), exact) < 2e-4
+    assert largest_difference(flown(Stepper(Fine()), commands, start), exact) < 2e-6
 
 
 def test_error_falls_with_the_fourth_power_of_the_substep() -> None:
@@ -90,7 +65,7 @@ def test_error_falls_with_the_fourth_power_of_the_substep() -> None:
     errors = []
     for length in (0.02, 0.01, 0.005):
         craft = type("Craft", (Hovercraft,), {"substep": length})()
-        errors.append(max(differences(flown(Stepper(craft), commands, MOVING), exact).values()))
+        errors.append(largest_difference(flown(Stepper(craft), commands, MOVING), exact))
     for coarse, fine in itertools.pairwise(errors):
         assert 12 < coarse / fine < 24  # 2⁴ = 16, and the next order of a step that is not yet tiny
 

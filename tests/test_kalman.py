@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from controller.design_model import design_model, fix_matrix, measurement_matrix
-from controller.loop import Loop, StateFeedback
+from controller.loop import Loop
 from controller.settings import ESTIMATORS, Settings
-from tests.controllers import OFF, fly
 
 Matrix = NDArray[np.float64]
 DT, M, C, TAU, T_N = 0.02, 0.705, 0.25, 0.0884, 2.4973  # Fig 4.8, §5.2, §5.5, eqs 4.29, 5.36
@@ -77,28 +76,6 @@ def test_position_uncertainty_grows_without_bound() -> None:
         assert sigma[updates] == pytest.approx(printed, abs=5e-5), updates
     # a random walk in the end: σ² grows by the same amount each step
     assert (sigma[3000] ** 2 - sigma[2500] ** 2) / (sigma[2500] ** 2 - sigma[2000] ** 2) == pytest.approx(1.0, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("estimator", "position", "speed"),
-    [
-        # What differs from the plant decides, and what is left of it in x̂ stays, for x is unobservable. Largest
-        # errors measured: 0.042 m and 0.091 m/s (a without its lag: a push of 1.5 m/s² taken τ too early, 0.12 m/s),
-        ("appendix_f", 0.05, 0.12),
-        # 0.035 m and 0.008 m/s (c/m·ẋ = 0.2 m/s² taken for thrust, at a gain of 4e-4 a sample: 0.01 m/s),
-        ("lagged", 0.04, 0.01),
-        # 0.006 m and 0.005 m/s (sin α for α: 0.7 % at 12° of a speed of 0.7 m/s).
-        ("consistent", 0.007, 0.006),
-    ],
-)
-def test_filter_without_noise_tracks_the_plant(estimator: str, position: float, speed: float) -> None:
-    flight = fly((Settings(estimator=estimator), StateFeedback), start=OFF)
-    true = np.column_stack([flight.y[name] for name in ("x", "vx", "psi", "psi_dot")])
-    errors = np.abs(flight.estimate[:, :4] - true)
-    # the yaw lag that the design model leaves out; measured 0.056 rad/s
-    assert (errors.max(axis=0) < (position, speed, 1e-3, 0.06)).all()
-    # when the craft is still all but x̂ are right: of a wrong speed e^(−10·c/m) = 3 % is left; ψ and ψ̇ are measured
-    assert (errors[-1, 1:] < (1e-3, 1e-9, 1e-9)).all()
 
 
 # -- fixes of the position ----------------------------------------------------------------------

@@ -25,10 +25,6 @@ from tests.conftest import ROOT
 from tests.logs import times
 from tests.table import TABLE
 
-AWAKE = {
-    "coulomb_friction.force": 0.05, "actuator_delay.time": 0.053, "servo_backlash.width": 0.02, "gyro_bias.value": 0.01,
-    "unnamed.vx.vx·|vx|": -0.1, "local.1.to.vx": 1.0, "local.1.of.x_world": 3.0, "local.1.by.vx": 20.0,
-}  # fmt: skip
 NEEDS_C = pytest.mark.skipif(compiler() is None, reason="no C compiler on this machine")
 
 

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cosim.core.errors import CosimError
 from cosim.files.artefact import BINARY, LOG, RESULTS, SCENARIO
 from cosim.files.kinds import kind_of
-from cosim.verbs.cli import command_line
+from tests.test_first_steps import told
 
 DESCRIBED = """<fmiModelDescription fmiVersion="2.0" modelName="x" guid="1"><CoSimulation modelIdentifier="x"/>
 <ModelVariables/><ModelStructure/></fmiModelDescription>"""
@@ -106,10 +104,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _refused(command: str, name: str) -> str:
     here = ["--in-process"] if command.split()[0] in {"run", "replay"} else []  # no worker has to be started
     out = ["--out", "made.yaml"] if command == "init" else []
-    done = CliRunner().invoke(command_line(), [*command.split(), name, *here, *out])
-    assert isinstance(done.exception, CosimError), (done.exception, done.output)
-    assert done.exception.exit_code == 2, done.exception
-    lines = str(done.exception).splitlines()
+    lines = told(*command.split(), name, *here, *out, code=2).splitlines()
     return "\n".join(line for line in lines if "no parameter to estimate" not in line)  # of x.fmu, by `cosim fit`
 
 

@@ -10,18 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from controller.design_model import design_model, measurement_matrix
+from controller.design_model import design_model
 from controller.settings import Settings
 from cosim.model import SCALAR
 from cosim.model.symbolic.linearize import linearize
 from plant.hovercraft import Hovercraft
+from tests.test_effects import MOVING
 
 Matrix = NDArray[np.float64]
 THESIS = Settings()
-AWAY = {
-    "x": 0.3, "y": -0.2, "x_world": 1.0, "y_world": -2.0, "psi": 0.7, "vx": 0.4, "vy": -0.3, "psi_dot": 0.2,
-    "phi": 0.05, "phi_dot": -0.3, "thrust_right": 2.0, "thrust_left": 2.5, "tilt_right": 0.15, "tilt_left": -0.1,
-}  # fmt: skip
 COMMAND = (6.5, 6.3, 0.2, -0.1)
 
 
@@ -30,7 +27,7 @@ def test_linearization_equals_central_differences() -> None:
     craft = Hovercraft().with_values(
         {"stribeck_friction.force": 0.02, "battery_sag.drop": 0.1, "com_offset.right": 4e-3}
     )
-    x, u = craft.start(AWAY), COMMAND
+    x, u = craft.start(MOVING), COMMAND
     model = linearize(craft, x, u, t=2.0)
     derivative, output = craft.equations(SCALAR)
 
@@ -43,16 +40,6 @@ def test_linearization_equals_central_differences() -> None:
     numeric = np.array([(both(z + step) - both(z - step)) / 2e-6 for step in steps]).T
     # rounding: 1e-16 of rates of up to 300 over h is 3e-8; curvature: h²/6 of 2·M/(Izz·0.02³) = 1e5 is 2e-8
     assert np.max(np.abs(np.block([[model.A, model.B], [model.C, model.D]]) - numeric)) < 2e-7
-
-
-def test_dry_friction_at_rest_is_steep_viscous_friction() -> None:
-    # tanh(s/0.01)·vx/s → vx/0.01: A₂₂ = −(c + F/0.01)/m, finite though s stands in a denominator
-    values = {"coulomb_friction.force": 0.1, "yaw_coulomb_friction.moment": 0.005}
-    model = linearize(Hovercraft().with_values(values))
-    vx, vy, turn = (model.states.index(name) for name in ("vx", "vy", "psi_dot"))
-    assert model.A[vx, vx] == pytest.approx(-(0.25 + 0.1 / 0.01) / 0.705, rel=1e-12)
-    assert model.A[vy, vx] == 0.0
-    assert model.A[turn, turn] == pytest.approx(-0.005 / 0.02 / 0.01023, rel=1e-12)
 
 
 # Appendix E: the entries of the thesis' Jacobian.
@@ -108,15 +95,3 @@ def test_eq_e4_is_the_older_thrust_and_lag() -> None:
     for mixture in (replace(older, lag=0.0884), replace(older, thrust_nominal=2.4973), THESIS):
         _, B = design_model(mixture)
         assert (round(B[3, 0], 2), round(B[4, 0], 2)) != (34.27, 24.17)
-
-
-# Structure: what can be steered and what can be seen (§5.5).
-
-
-@pytest.mark.parametrize(("estimator", "rank"), [("appendix_f", 3), ("lagged", 3), ("consistent", 4)])
-def test_rank_of_observability(estimator: str, rank: int) -> None:
-    found = control.obsv(design_model(THESIS)[0], measurement_matrix(THESIS, estimator))
-    assert np.linalg.matrix_rank(found) == rank
-    # x stands in no measurement and in no derivative of one: the position is unobservable under all three
-    assert not found[:, 0].any()
-    assert found[:, 1].any() == (estimator == "consistent")

@@ -6,18 +6,15 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.verbs.cli import command_line
 from cosim.verbs.results import list_command
+from tests.test_first_steps import told
 
 
 def _listed(*words: str) -> list[dict[str, object]]:
-    outcome = CliRunner().invoke(command_line(), ["list", "--json", *words])
-    assert outcome.exit_code == 0
-    found: list[dict[str, object]] = json.loads(outcome.output)["results"]
+    found: list[dict[str, object]] = json.loads(told("list", "--json", *words))["results"]
     return found
 
 

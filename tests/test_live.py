@@ -18,9 +18,8 @@ import pytest
 import cosim
 from cosim.pages.work_pages import LiveRun, LiveSweep, WorkPage
 from cosim.sweeps.workflow import sweep
+from tests.conftest import ROOT
 from tests.live_pages import ask, live_command, slow_scenario
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 @contextmanager

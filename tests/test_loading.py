@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +11,8 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.fmi.native.compiler import compiler
 from cosim.verbs.checks import check as check_files
-from tests.decay import DESCRIPTION, library
+from tests.compiled import description, pack
+from tests.decay import decay_library as library
 
 
 def compiled(folder: Path, source: str, *more: str) -> bytes:
@@ -70,10 +70,7 @@ BROKEN: dict[str, tuple[Callable[[Path], bytes], tuple[str, ...]]] = {
 
 
 def fmu_with(path: Path, library: str, content: bytes) -> Path:
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", DESCRIPTION)
-        archive.writestr(f"binaries/{library}", content)
-    return path
+    return pack(path, description("decay"), None, {f"binaries/{library}": content})
 
 
 @pytest.mark.parametrize("kind", BROKEN)

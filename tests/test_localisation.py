@@ -25,7 +25,6 @@ from cosim.simulation.run_signals import Run
 from fmus.recipes import extended_recipe, filter_recipe, jacobians
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
-from tests.hosts_fmpy import Instance
 
 STEP, TEN_DEGREES = 0.02, math.radians(10)
 
@@ -197,33 +196,3 @@ def test_the_jordan_form_is_that_of_eqs_5_50_to_5_53_with_the_older_lag() -> Non
     assert np.linalg.inv(V)[0] == pytest.approx([0, 0, 0, 0, 1], abs=1e-12)  # 5.52: x̂₁ is the acceleration
     seen = measurement_matrix(Settings(), "appendix_f") @ V
     assert np.flatnonzero(seen.any(axis=0)).tolist() == [0, 3, 4]  # 5.53: x̂₂ and x̂₃ cannot be observed
-
-
-# -- the FMUs -----------------------------------------------------------------------------------
-
-
-def row(k: int) -> dict[str, float]:
-    t = STEP * k
-    moved = {"psi": 0.1 * math.sin(t), "psi_dot": 0.1 * math.cos(t), "ax": 0.3, "tilt_right": 0.05, "tilt_left": 0.04}
-    return {**moved, "x_meas": 0.15 * t * t, "y_meas": 0.01, "fix": float(k // 5)}
-
-
-def test_the_extended_fmu_is_the_plain_filter_also_once_restored(folder: Path) -> None:
-    model, settings = Hovercraft(mass=0.8), ExtendedSettings(fix_latency=0.06, process_variance_vx=1e-6)
-    plain = ExtendedFilter(model, settings, load_names(jacobians()), {"x": 0.2})
-    given = {"mass": 0.8, "fix_latency": 0.06, "process_variance_vx": 1e-6, "x_hat_start": 0.2}
-    with Instance(folder / "build" / "ekf.fmu") as fmu:
-        fmu.initialize(given)
-        for k in range(1, 30):
-            if k == 12:
-                state = fmu.serialized()
-                fmu.step(STEP * (k - 1), STEP, row(40))
-                fmu.restore(state)
-            at = row(k)
-            told = fmu.step(STEP * (k - 1), STEP, at)
-            duty = (model.duty_nominal, model.duty_nominal)
-            sensors = (at["psi"], at["psi_dot"], at["ax"])
-            plain.step(sensors, (*duty, at["tilt_right"], at["tilt_left"]), at["fix"], (at["x_meas"], at["y_meas"]))
-            assert list(told.values()) == pytest.approx(
-                [*plain.estimate, *plain.sigma, plain.nis], rel=1e-12, abs=1e-15
-            )

@@ -12,14 +12,12 @@ import pytest
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.core.units import factor
 from cosim.files import csv_source
 from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
 from plant.hovercraft import INPUTS, OUTPUTS
-from tests.logs import times, write_log
+from tests.logs import RECORDED, times, write_log
 
-RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 HEADER = "time,duty_right,duty_left,tilt_right,tilt_left,psi,psi_dot"
 ROWS = "0.00,6.4,6.4,0.1,0.1,0.0,0.0\n0.02,6.4,6.4,0.1,0.1,0.1,0.0\n0.04,6.4,6.4,0.2,0.1,0.1,0.0\n"
 
@@ -42,23 +40,6 @@ def test_a_recorded_log_is_read_as_it_stands() -> None:
         np.testing.assert_array_equal(values, table[name])
     assert (log.rows, log.step) == (501, 0.02)
     assert (log.units["psi"], log.units["ax"]) == ("rad", "m/s2")
-
-
-@pytest.mark.parametrize(
-    ("written", "wanted", "value"),
-    [
-        ("deg", "rad", math.pi / 180),
-        ("°/s", "rad/s", math.pi / 180),
-        ("m·s⁻²", "m/s2", 1.0),
-        ("g", "m/s2", 9.80665),  # of an accelerometer; standard gravity
-        ("km/h", "m/s", 1 / 3.6),
-        ("gf", "N", 0.00980665),
-        ("N.mm", "N.m", 1e-3),
-        ("rad", "", 1.0),  # a model without units takes what it is given
-    ],
-)
-def test_units_are_converted(written: str, wanted: str, value: float) -> None:
-    assert factor(written, wanted) == pytest.approx(value, rel=1e-15)
 
 
 def test_a_heading_that_was_wrapped_is_continuous_again(tmp_path: Path) -> None:
@@ -221,21 +202,6 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(csv_source, "open_bytes", lambda path: pytest.fail("it was opened"))
     with pytest.raises(InputError):
         read_log(path, INPUTS, OUTPUTS)
-
-
-@pytest.mark.parametrize(
-    ("time", "grid"),
-    [
-        ([5, 6, 8, 9, 10, 13], [0, 1, 3, 4, 5, 8]),
-        ([0, 0.9, 2.1, 4.9, 6, 7, 8], [0, 1, 2, 5, 6, 7, 8]),
-        ([0, 1, 2.6, 3, 4, 6, 7], [0, 1, 2, 3, 4, 6, 7]),
-    ],
-)
-def test_rows_stand_in_equal_steps_with_room_for_those_that_are_missing(
-    tmp_path: Path, time: list[float], grid: list[int]
-) -> None:
-    rows = "".join(f"{t},6.4,6.4,0.1,0.1,{0.01 * t},0.0\n" for t in time)
-    assert read(tmp_path / "a.csv", f"{HEADER}\n{rows}").grid.tolist() == grid
 
 
 # -- without a model ----------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 from cosim.core.errors import InputError, SimulationError
 from cosim.core.messages import CheckNote, CheckWarning, Note
 from cosim.master import beforehand
-from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.system.system import build_system
@@ -64,19 +62,6 @@ def rows_written(folder: Path) -> int:
 
 
 # -- solutions ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("gain", [-40.0, 5.0])
-@pytest.mark.parametrize("slopes", [True, False])
-def test_a_linear_loop_is_solved_whatever_its_gain(gain: float, slopes: bool, tmp_path: Path) -> None:
-    results, manifest = linear(tmp_path, gain, slopes=slopes)
-    assert results["a.y0"] == pytest.approx(1.0 / (1.0 - gain), rel=1e-8)
-    assert results["b.u0"] == pytest.approx(results["a.y0"], rel=1e-8)
-    (loop,) = manifest["loops"]
-    assert (loop["components"], loop["unknowns"]) == (["a", "b"], ["a.u0"])  # one connection leads back
-    assert loop["iterations"]["start"] <= 3
-    assert loop["iterations"]["most"] <= 1  # at rest, each point starts at its solution
-    assert set(loop["derivatives"].values()) == {"directional" if slopes else "differences"}
 
 
 @pytest.mark.parametrize("exchange", [False, True])
@@ -212,13 +197,6 @@ def test_a_loop_without_solution_is_named_with_residual_and_time_and_keeps_its_r
     assert rows_written(tmp_path) == round(failure.value.time / 0.1)
 
 
-@pytest.mark.parametrize(("offset", "declares"), [(1.0, True), (1e-9, True), (1e-9, False)])
-def test_a_loop_of_gain_one_has_no_solution_and_no_cure(offset: float, declares: bool, tmp_path: Path) -> None:
-    with pytest.raises(SimulationError, match="gain is 1") as failure:
-        linear(tmp_path, 1.0, offset=offset, declares=declares)
-    assert f"{offset:+.3g}" in str(failure.value)
-
-
 def test_a_silent_fmu_without_states_is_coupled_with_a_delay_and_its_residual_is_measured(tmp_path: Path) -> None:
     """y_a = 0.5·y_b + 1 of the step before: from y = 0 on, the residual is 1 in the first step and halves in each."""
     results, manifest = linear(tmp_path, 0.5, late=2.0, saves=False)
@@ -255,15 +233,3 @@ def test_a_delayed_loop_that_grows_without_bound_ends_with_loop_residual_and_tim
 def test_keys_of_loops_that_contradict_are_named(more: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words):
         linear(tmp_path, 0.5, more)
-
-
-def test_a_newton_step_that_leaves_the_domain_is_shortened() -> None:
-    """z = sqrt(1 − z)/2: a full step from 0.999 leaves the domain."""
-    outcome = RootFinding(1e-10, 20, np.ones(1)).newton(
-        lambda z: None if z[0] > 1.0 else 0.5 * np.sqrt(1.0 - z),
-        np.array([0.999]),
-        lambda z, value, fresh: np.array([-0.25 / np.sqrt(1.0 - z)]),
-    )
-    assert outcome is not None
-    assert outcome.converged
-    assert outcome.z[0] == pytest.approx(0.5 * math.sqrt(1.0 - outcome.z[0]), rel=1e-9)

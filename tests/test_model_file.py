@@ -17,7 +17,6 @@ from cosim.verbs.checks import check as check_files
 from cosim.verbs.cli import command_line
 from tests.table import TABLE
 
-ROOT = Path(__file__).parent.parent
 FORCED = 'forced = ("rate",)'
 CATALOGUE = "catalogue = (DryFriction,)"
 TOTAL = "total = command[0] - d * rate - k * angle"

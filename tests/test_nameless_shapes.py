@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,14 +13,13 @@ import pytest
 import cosim
 from cosim.core.arrays import Array
 from cosim.estimation.posing import build_problem
-from cosim.estimation.problem import Problem
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.logs.log import Log, read_log
+from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
 from cosim.refinement.search.fits import Search
-from cosim.refinement.search.unnamed import Leftover, Shape, find_unnamed_terms
+from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from tests.blind import coupled
-from tests.logs import times, write_log
+from tests.logs import write_log
 
 STEP, ROWS, NOISE = 0.02, 900, 5e-4
 UNITS = {"time": "s", "place": "m", "speed": "m/s", "command force": "N"}
@@ -35,18 +34,24 @@ class Block(Model):
     base_states = (Quantity("place", "m", "place"), Quantity("speed", "m/s", "speed"))
     inputs, outputs = (Quantity("force", "N", "force"),), base_states[:1]
     sensor_variance, forced, calibrated = {"place": NOISE**2}, ("speed",), ("friction",)
+    scale = 1.0  # of a place in another unit than metres
     friction: float = parameter(0.8, unit="N.s/m", bounds=(0, 10), doc="viscous friction")
 
     def equations(self, m: Namespace) -> Equations:
         """v̇ = u − b·v − 2·x."""
-        return Equations(lambda t, x, u: (x[1], u[0] - self.friction * x[1] - 2.0 * x[0]), lambda t, x, u: (x[0],))
+        return Equations(
+            lambda t, x, u: (x[1], self.scale * u[0] - self.friction * x[1] - 2.0 * x[0]), lambda t, x, u: (x[0],)
+        )
 
 
-def problem_of(logs: list[Log]) -> Problem:
-    return build_problem(ModelSubject.of(Block()), logs, unnamed=True)
+@dataclass(frozen=True, kw_only=True)
+class Fine(Block):
+    """The same in millimetres."""
+
+    scale, sensor_variance = 1e3, {"place": (1e3 * NOISE) ** 2}
 
 
-def left(folder: Path, push: Push, shown: Callable[[Array], Array] = np.array) -> Leftover:
+def left(folder: Path, push: Push, shown: Callable[[Array], Array] = np.array, block: Model = Block()) -> Leftover:
     """What is left beside the block recalibrated, on two logs of a block with another push on it, or another sensor."""
     logs = []
     for seed in (1, 2):
@@ -59,11 +64,11 @@ def left(folder: Path, push: Push, shown: Callable[[Array], Array] = np.array) -
             for k in range(4):
                 v += STEP / 4 * (u - 0.8 * v - 2.0 * x + push(t + k * STEP / 4, x, v))
                 x += STEP / 4 * v
-        place = shown(np.array(places)) + NOISE * rng.standard_normal(ROWS)
+        place = shown(np.array(places) + NOISE * rng.standard_normal(ROWS))
         path = write_log(folder / f"{seed}.csv", {"time": time, "force": force, "place": place})
         logs.append(read_log(path, Block.inputs, Block.outputs))
-    problem = problem_of(logs)
-    at = Search(ModelSubject.of(Block()), problem, 1, lambda stage, share: None).hypothesis((), None).fit
+    problem = build_problem(ModelSubject.of(block), logs, unnamed=True)
+    at = Search(ModelSubject.of(block), problem, 1, lambda stage, share: None).hypothesis((), None).fit
     return find_unnamed_terms(replace(problem, sensing=at.noise), at, PRICE, UNITS)
 
 
@@ -89,51 +94,16 @@ def test_a_law_that_holds_everywhere_is_not_told_as_local_and_where_nothing_is_h
     assert left(tmp_path, lambda t, x, v: 0.0).terms == ()
 
 
-MASS = """
-from dataclasses import dataclass
-from cosim.model import Equations, Model, Quantity, parameter
-
-@dataclass(frozen=True, kw_only=True)
-class Mass(Model):
-    base_states = (Quantity("place", "1", "place"), Quantity("speed", "1", "speed"))
-    inputs, outputs = (Quantity("force", "N", "force"),), base_states[:1]
-    sensor_variance = {"place": (1e-4 * SCALE) ** 2}
-    forced, calibrated = ("speed",), ("mass",)
-    mass: float = parameter(2.0, unit="kg", bounds=(0.1, 10), doc="mass")
-    def equations(self, m):
-        def derivative(t, state, command):
-            return state[1], (SCALE * command[0] - 0.5 * state[1]) / self.mass
-        return Equations(derivative, lambda t, state, command: state[:1])
-"""
-
-
 @pytest.mark.thorough
-def test_what_a_nameless_term_takes_away_does_not_depend_on_the_unit(tmp_path: Path) -> None:
-    """A mass with quadratic drag, its place in metres and in millimetres."""
-    found = []
-    for scale in (1.0, 1000.0):
-        (tmp_path / "mass.py").write_text(MASS.replace("SCALE", str(scale)))
-        for seed in (1, 2):
-            rng, time = np.random.default_rng(seed), times(15.0)
-            waves = zip((1.2, 0.8, 0.5), (0.9, 2.3, 5.1), rng.uniform(0.0, 2.0 * np.pi, 3), strict=True)
-            force = np.sum([a * np.sin(w * time + p) for a, w, p in waves], axis=0)
-            x, v, place = 0.0, 0.0, []
-            for u in force.tolist():
-                place.append(x)
-                for _ in range(100):
-                    v += STEP / 100 * (u - 0.5 * v - 0.06 * abs(v) * v) / 2.0
-                    x += STEP / 100 * v
-            read = scale * (np.array(place) + 1e-4 * rng.standard_normal(time.size))
-            write_log(tmp_path / f"{seed}.csv", {"time": time, "force": force, "place": read})
-        (tmp_path / "study.yaml").write_text("model: mass.py:Mass\nlogs: {estimation: [1.csv, 2.csv]}\n")
-        record = cosim.refine(tmp_path / "study.yaml", tmp_path / str(scale), report=False).record
-        assert record["verdict"] == "unexplained"
-        found.append(record["residual"])
-    here, there = found
-    assert (here["equation"], here["signals"]) == (there["equation"], there["signals"])
-    assert here["share"] > 0.8
+def test_what_an_unnamed_term_takes_away_does_not_depend_on_the_unit(tmp_path: Path) -> None:
+    """Quadratic drag, the place in metres and in millimetres."""
+    push: Push = lambda t, x, v: -0.3 * abs(v) * v  # noqa: E731
+    here, there = (left(tmp_path, push).terms[0], left(tmp_path, push, lambda x: 1e3 * x, Fine()).terms[0])
+    assert (here.equation, here.signal) == (there.equation, there.signal)
+    assert here.share is not None
+    assert here.share > 0.8
     # the range of the process noise is interpolated on a grid of ln q, on which the two lie differently
-    assert there["share"] == pytest.approx(here["share"], abs=2e-3)
+    assert there.share == pytest.approx(here.share, abs=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -162,35 +132,6 @@ def test_what_begins_or_repeats_is_found_where_it_acts(
     assert (first.equation, first.shape.kind, first.signal) == expected
     assert place is None or first.shape.place == pytest.approx(place, abs=first.shape.width)
     assert period is None or first.shape.width == pytest.approx(period, rel=0.05)
-
-
-SHAPES = [
-    Shape("speed", ("place",), "bump", 0.2, 0.1, ("speed",)),
-    Shape("speed", ("place", "speed"), "step", 0.2, 0.3, ("speed",)),
-    Shape("speed", ("place",), "spline", -1.0, 0.3),
-    Shape("speed", ("place",), "wave", 0.0, 0.4, ("speed",)),
-]
-
-
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: f"{s.kind} {s.factor}")
-def test_the_kernel_has_the_shape_that_is_told(shape: Shape, tmp_path: Path) -> None:
-    time = STEP * np.arange(200)
-    columns = {"time": time, "force": np.sin(time), "place": 0.1 * np.sin(time)}
-    log = read_log(write_log(tmp_path / "a.csv", columns), Block.inputs, Block.outputs)
-    problem = problem_of([log])
-    signals = {"place": np.linspace(-1.0, 1.0, 9), "speed": np.linspace(0.7, -0.4, 9)}
-    (column, *_) = shape.columns(signals).T
-    known: Mapping[str, float] = {**problem.values, **shape.settings(2), shape.coefficients(2)[0]: 1.0}
-    data, h = problem.logs[0].rows(0, 2), 1e-6
-    data = replace(data, step=h, u=0.0 * data.u)
-    for place, speed, expected in zip(signals["place"], signals["speed"], column, strict=True):
-        state = np.zeros(len(problem.layout.states))
-        state[:2] = place, speed
-        base, there = (
-            problem.kernel.simulate(data, problem.numbers(values), state, np.zeros(0)).states[1]
-            for values in (problem.values, known)
-        )
-        assert (there - base)[1] / h == pytest.approx(expected, abs=1e-4)
 
 
 BESIDE = "ambiguous: a square law at the torque beside it, 58 %"

@@ -6,13 +6,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from cosim.core.errors import InputError
 from cosim.fmi.building.build import build
 from cosim.fmi.description import read_description
 from cosim.simulation.workflow import run
-from cosim.verbs.cli import command_line
+from tests.test_first_steps import told
 
 
 @pytest.fixture
@@ -34,9 +33,7 @@ def mass_of(folder: Path) -> float:
 @pytest.mark.thorough
 def test_build_takes_the_nearest_model_of_a_refine_however_it_is_named(refined: Path, tmp_path: Path) -> None:
     for named in ("", "refine.json", "model.yaml", "nearest.yaml"):
-        call = ["build", "--model", str(refined / named), "--nearest", "--out", str(tmp_path / f"of_{named}")]
-        done = CliRunner().invoke(command_line(), call)
-        assert done.exit_code == 0, done.output
+        told("build", "--model", refined / named, "--nearest", "--out", tmp_path / f"of_{named}")
         assert mass_of(tmp_path / f"of_{named}") == 0.9
     build(tmp_path / "plain", str(refined))
     assert mass_of(tmp_path / "plain") == 0.8

@@ -6,8 +6,6 @@ import json
 import os
 import re
 import shutil
-import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,6 +15,7 @@ from cosim.core.errors import InputError
 from cosim.sweeps.workflow import sweep as run_sweep
 from cosim.verbs.checks import check as check_files
 from cosim.verbs.checks import graph_of
+from tests.compiled import rewritten
 from tests.conftest import ROOT
 from tests.logs import times, write_log
 
@@ -75,13 +74,6 @@ def test_faults_are_told_though_the_model_is_not_executed(folder: Path) -> None:
     with pytest.raises(InputError, match=r"evil.py:1:\d+: does not load: SyntaxError"):
         check_files(folder / "evil.py", load=False)
     assert not (folder / "executed").exists()
-
-
-def rewritten(source: Path, target: Path, change: Callable[[str, bytes], bytes]) -> None:
-    """Write an archive of which each member is changed."""
-    with zipfile.ZipFile(source) as given, zipfile.ZipFile(target, "w") as changed:
-        for name in given.namelist():
-            changed.writestr(name, change(name, given.read(name)))
 
 
 def noting(fmu: Path, target: Path, marker: Path) -> None:

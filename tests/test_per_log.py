@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from cosim.core.errors import InputError
-from cosim.estimation.per_log import own, spread
-from cosim.estimation.posing import build_problem
-from cosim.estimation.problem import Settings
-from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.fmi.building.file import load_model
-from cosim.logs.log import Log, read_log
+from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
 from tests.logs import fly, measured, times, write_log
 from tests.studies import replayed
-from tests.tank import AREA, LEAK, MODEL, NOISE, OUTLET, STEP
+from tests.tank import MODEL, tank_log
 
 # Day 1's gauge is off by 50 mm; every other log was made on a day of its own.
 OFFSETS = {"e1": 0.05, "e2": 0.05, "e3": -0.04, "e4": 0.10, "v1": 0.05, "v2": -0.09}
@@ -32,28 +24,12 @@ PER_LOG = "per_log: [gauge_offset]\ngroups: {day1: [e1.csv, e2.csv, v1.csv]}\n"
 NAME = "gauge_offset.value"
 
 
-def filled(path: Path, seed: int, offset: float, area: float = AREA, seconds: float = 100.0) -> Path:
-    """A log of a tank that leaks, filled in steps; its gauge is off."""
-    rng = np.random.default_rng(seed)
-    time = STEP * np.arange(round(seconds / STEP) + 1)
-    inflow = np.repeat(rng.uniform(0.01, 0.05, time.size // 20 + 1), 20)[: time.size]
-    level = [1.0]
-    for q in inflow[:-1]:
-
-        def rate(_: float, h: np.ndarray, q: float = q) -> list[float]:
-            return [(q - OUTLET * math.sqrt(max(h[0], 1e-6)) - LEAK * h[0]) / area]
-
-        level.append(float(solve_ivp(rate, (0.0, STEP), [level[-1]], rtol=1e-9, atol=1e-12).y[0, -1]))
-    read = np.array(level) + offset + NOISE * rng.standard_normal(time.size)
-    return write_log(path, {"time": time, "inflow": inflow, "level": read})
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("days")
     (found / "tank.py").write_text(MODEL, encoding="utf-8")
     for seed, (name, offset) in enumerate(OFFSETS.items()):
-        filled(found / f"{name}.csv", seed, offset)
+        tank_log(found / f"{name}.csv", seed, 100.0, offset=offset, held=20)
     (found / "study.yaml").write_text(LISTED + PER_LOG, encoding="utf-8")
     return found
 
@@ -99,23 +75,6 @@ def test_a_sealed_log_takes_the_value_of_its_group_or_learns_it_from_what_is_pas
     assert len(before) >= 2
     assert [as_it_was.starts[k] for k in before] == [changed.starts[k] for k in before]
     assert as_it_was.outputs["level"][1:cut] == pytest.approx(changed.outputs["level"][1:cut], nan_ok=True)
-
-
-def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
-    """A base parameter of the equations: known, it is the number it was; unknown, the filter finds it."""
-    model = load_model("tank.py:Tank", folder).model.with_values({"leak.rate": LEAK})
-    path = filled(folder / "narrow.csv", 5, 0.0, area=0.4)
-    log = read_log(path, model.inputs, model.outputs)
-    plain = build_problem(ModelSubject.of(model), [log])
-    settings = Settings(per_log=("area",), groups={path: "narrow"})
-    problem = build_problem(ModelSubject.of(model), [log], settings=settings)
-    noise = plain.plain
-    as_number = plain.score({**plain.values, "area": 0.43}, noise).nll
-    known = {**problem.values, own("area", "narrow"): 0.43}
-    assert problem.score(known, noise).nll == pytest.approx(as_number, rel=1e-9)
-    unknown = {**problem.values, spread("area", "narrow"): 0.2}
-    last = problem.run(unknown, noise, 0, states=True).states[-1]
-    assert last[problem.layout.constants["area"]] == pytest.approx(0.4, rel=0.02)
 
 
 FAULTY = """model: tank.py:Tank

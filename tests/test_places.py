@@ -1,9 +1,7 @@
-"""Effects and parameters of the blind suite's FMUs: a leak of a tank, a force along a position, a local optimum."""
+"""Effects and parameters of the blind suite's FMUs: a leak of a tank, a local optimum."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,21 +14,8 @@ from cosim.refinement.search.fits import Search
 from cosim.refinement.study import read_study
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import build
-from tests.logs import write_log
+from tests.logs import integrated, write_log
 from tests.test_refine_fmu import write_study
-
-FINE = 20  # steps of an independent integration to a row
-
-
-def integrated(rates: Callable[[Array, Array], Array], start: list[float], inputs: Array, step: float) -> Array:
-    """Return the states at each row, by the midpoint rule."""
-    x, h, states = np.array(start), step / FINE, []
-    for u in inputs:
-        states.append(x)
-        for _ in range(FINE):
-            x = x + h * rates(x + 0.5 * h * rates(x, u), u)
-    return np.array(states)
-
 
 # -- a leak ---------------------------------------------------------------------------------------
 
@@ -80,37 +65,6 @@ def test_a_leak_of_a_tank_is_named_in_co_simulation(leaking: Path, tmp_path: Pat
     assert value["ci95"][0] < LEAK < value["ci95"][1]
     after, floor = result["error"]["after"]["validation"], result["noise_floor"]
     assert after["gauge_right"] < 1.2 * floor["gauge_right"]
-
-
-# -- a force that repeats along a position ---------------------------------------------------------
-
-
-def test_a_force_along_a_position_acts_where_the_filter_sees_the_machine(tmp_path: Path) -> None:
-    """In free runs of a motor that an unknown torque moves by some periods."""
-    rows, period, size, noise = 500, 0.9, 0.01, {"current": 0.01, "angle": 0.02, "speed": 0.3}
-    rng = np.random.default_rng(4)
-    voltage = np.repeat(rng.uniform(-1.5, 1.5, rows // 50), 50)
-    push = np.where((np.arange(rows) > 150) & (np.arange(rows) < 190), 0.008, 0.0)
-
-    def rates(x: Array, u: Array) -> Array:
-        cogging = size * math.sin(2.0 * math.pi * x[1] / period)
-        torque = 0.05 * x[0] - 1e-4 * x[2] - cogging + u[1]
-        return np.array([(u[0] - 1.2 * x[0] - 0.05 * x[2]) / 6e-3, x[2], torque / 2e-4])
-
-    states = integrated(rates, [0.0] * 3, np.column_stack([voltage, push]), 0.01)
-    readings = states + rng.standard_normal((rows, 3)) * [*noise.values()]
-    columns = {"time": 0.01 * np.arange(rows), "voltage": voltage, "load_torque": np.zeros(rows)}
-    log = write_log(tmp_path / "e1.csv", columns | dict(zip(noise, readings.T, strict=True)))
-    fmu = build(tmp_path / "motor.fmu", "dc_motor", ways=("co_simulation",))
-    study = read_study(write_study(tmp_path, fmu, [log]))
-    problem = build_problem(study.subject, study.logs, noise=noise)
-    truth = {"cogging_at_speed.sine": size, "cogging_at_speed.cosine": 0.0, "cogging_at_speed.period": period}
-    plain, right = (problem.score({**problem.values, **values}, problem.plain) for values in ({}, truth))
-    assert right.nll < plain.nll - 200.0
-    p, memory = problem.numbers({**problem.values, **truth}), np.zeros(problem.layout.memory)
-    run = problem.kernel.simulate(problem.logs[0], p, problem.x0[0], memory)
-    away = run.outputs[-1, 1] - problem.logs[0].y[-1, 1]
-    assert abs(away) > 0.5 * period  # a replay knows nothing of the push
 
 
 # -- a local optimum -------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import combinations, pairwise, permutations, product
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from scipy.special import logsumexp, stdtrit
 from scipy.stats import multivariate_normal, norm
 
 from cosim.core.arrays import Array
-from cosim.core.linear_algebra import square_roots
 from cosim.estimation.problem import Scored
 from cosim.refinement.decision.bundle import gain_per_chance
 from cosim.refinement.decision.posterior import (
@@ -31,8 +30,6 @@ from cosim.refinement.decision.posterior import (
     Misfit,
     Parameter,
     decide,
-    dispersion,
-    folded,
     held_out_gains,
     log_evidence,
     log_prior,
@@ -122,19 +119,6 @@ def test_limits_cut_the_prior_off(truth: float, limits: dict[str, float]) -> Non
     assert log_evidence(model.fit("a", **limits), 1.0) == pytest.approx(math.log(np.mean(areas)) + top, abs=1e-6)
 
 
-def test_dispersion_is_one_of_white_scores_and_grows_with_their_correlation_in_blocks() -> None:
-    def of(share: float, seed: int) -> float:
-        model, rng = Linear({"a": 0.0, "b": 0.0}, seed), np.random.default_rng(100 + seed)
-        for column in model.columns.values():  # a disturbance that resembles a column, by another factor in each block
-            model.y += share * np.repeat(rng.normal(size=BLOCKS), ROWS // BLOCKS) * column
-        return dispersion(model.fit("a", "b"))
-
-    means = [float(np.mean([of(share, seed) for seed in range(30)])) for share in (0.0, 0.3, 0.6)]
-    assert means[0] == pytest.approx(1.0, abs=0.2)
-    assert all(more > 1.5 * less for less, more in pairwise(means))
-    assert dispersion(Linear({"a": 0.0}).fit()) == 1.0
-
-
 # -- verdicts ---------------------------------------------------------------------------------------
 
 
@@ -180,11 +164,6 @@ def test_of_parts_that_explain_the_same_neither_is_claimed_unless_they_are_equiv
     assert apart.rivals == sets_of({"ac": pytest.approx(0.5, abs=0.15), "bc": pytest.approx(0.5, abs=0.15)})
     same = decide(replace(bundle, equivalent=[(frozenset("ac"), frozenset("bc"))]))
     assert (same.verdict, len(same.claimed)) == ("effect_found", 2)
-
-
-def test_classes_fold_into_their_most_probable_subsets_in_any_order() -> None:
-    for order in permutations({"a": 0.2, "ab": 0.15, "ac": 0.3, "d": 0.35}.items()):
-        assert folded(sets_of(dict(order)), ()) == pytest.approx(sets_of({"a": 0.35, "d": 0.35, "ac": 0.3}))
 
 
 def test_a_rich_part_that_is_not_certain_is_its_special_case() -> None:
@@ -295,9 +274,3 @@ def test_a_single_event_passes_for_no_effect() -> None:
     term = acting_in(SPANS, rng)
     event = np.where(BLOCK == 7, 40.0 * term, 0.0)
     assert not any(passes(term, event + rng.normal(size=term.size)) for _ in range(100))
-
-
-def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:
-    singular = np.array([[4.0, 2.0], [2.0, 1.0]])
-    roots = square_roots(np.stack([singular, np.full((2, 2), np.nan)]))
-    np.testing.assert_allclose(roots @ roots.transpose(0, 2, 1), np.stack([singular, np.zeros((2, 2))]), atol=1e-12)

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import cosim
 from cosim.core.errors import InputError
-from cosim.core.units import parse, read_quantity, square_unit
+from cosim.core.units import read_quantity
 from cosim.fmi.building.file import read_model
 from cosim.refinement.study import read_study
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.sweeps.reading import read_sweep
-from cosim.verbs.cli import command_line
+from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
 TANK = """
@@ -72,14 +71,6 @@ def test_a_quantity_is_its_number_in_the_unit_that_is_wanted(text: str, unit: st
 def test_what_is_no_such_quantity_is_told_with_what_is_allowed(text: str, unit: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         read_quantity(text, unit)
-
-
-def test_the_square_of_a_unit_has_its_exponents_twice() -> None:
-    for unit in ("rad", "m/s2", "N.m.s/rad", "deg/s"):
-        once: Any = parse(unit)
-        twice: Any = parse(square_unit(unit))
-        assert twice.exponents == {name: 2 * power for name, power in once.exponents.items()}
-        assert twice.factor == pytest.approx(once.factor**2, rel=1e-15)
 
 
 # -- scenarios, --set and Python -------------------------------------------------------------------
@@ -181,8 +172,7 @@ def test_units_are_taken_from_set_and_from_python(tmp_path: Path) -> None:
     assert (made.time[-1], made["r.T"][0]) == (2.0, pytest.approx(26.85))
     assert made["f.T"][-1] == pytest.approx(300.0, rel=1e-15)
     words = f"simulate {tmp_path}/typed.fmu --stop 200ms --in-process --no-report --out {tmp_path}/out --step"
-    done = CliRunner().invoke(command_line(), [*words.split(), "0.1 s"])
-    assert done.exit_code == 0, done.output
+    told(*words.split(), "0.1 s")
     assert cosim.read(tmp_path / "out").time[-1] == pytest.approx(0.2)  # type: ignore[union-attr]
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -149,19 +148,6 @@ def spoilt(log: Path, keep: Callable[[np.ndarray], np.ndarray], *without: str) -
     kept = [k for k, name in enumerate(header) if not name.startswith(without)]
     lines = [header, *(row for row, stays in zip(rows, keep(np.arange(len(rows))), strict=True) if stays)]
     log.write_text("\n".join(",".join(line[k] for k in kept) for line in lines) + "\n")
-
-
-def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) -> None:
-    path = study_of(tmp_path, {})
-    craft = Hovercraft()
-    whole = read_log(path.with_name("e1.csv"), craft.inputs, craft.outputs)
-    late = np.where(np.arange(whole.rows) < 75, np.nan, whole.outputs["x_world"] + 3.0)
-    problem = build_problem(ModelSubject.of(craft), [replace(whole, outputs={**whole.outputs, "x_world": late})])
-    place = problem.kernel.layout.states.index("x_world")
-    assert problem.x0[0][place] == 0.0
-    assert problem.P0[0, 0] == 1.0
-    run = problem.run(problem.values, problem.plain, 0, states=True)
-    assert np.abs(run.states[75:, place] - late[75:]).max() < 0.02  # from its first measurement on
 
 
 @pytest.mark.thorough

@@ -17,7 +17,7 @@ from cosim.refinement.proof.measure import is_significant_rise
 from cosim.refinement.workflow import refine
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.blind import arm
-from tests.logs import write_log
+from tests.logs import integrated, write_log
 from tests.studies import holds, named, proven, study_of
 
 pytestmark = pytest.mark.optimized
@@ -58,17 +58,13 @@ class Motor(Model):
 def motor_study(
     folder: Path, voltage: float, start: float = 0.0, fans: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Path:
-    """Logs of motors with these fans on steps of their voltage, turning at `start` [rad/s]; by small steps."""
+    """Logs of motors with these fans on steps of their voltage, turning at `start` [rad/s]."""
     (folder / "motor.py").write_text(MOTOR)
     for seed, fan in enumerate(fans):
         rng = np.random.default_rng(seed)
         u = voltage * np.repeat(rng.uniform(-1, 1, 30), 20)
-        speed, tacho = start, []
-        for command in u.tolist():
-            tacho.append(0.02 * speed)
-            for _ in range(100):
-                speed += 2e-4 * (0.05 * (command - 0.05 * speed) - fan * speed * speed) / 1e-3
-        seen = np.array(tacho) + 1e-2 * rng.standard_normal(600)
+        speed = integrated(lambda w, u: (0.05 * (u - 0.05 * w) - fan * w * w) / 1e-3, [start], u, 0.02)[:, 0]  # noqa: B023
+        seen = 0.02 * speed + 1e-2 * rng.standard_normal(600)
         write_log(folder / f"{'abc'[seed]}.csv", {"time": 0.02 * np.arange(600), "voltage": u, "tacho": seen})
     path = folder / "study.yaml"
     path.write_text("model: motor.py:Motor\nlogs: {estimation: [a.csv, b.csv], validation: [c.csv]}\n")

@@ -1,63 +1,30 @@
-"""Refinement of FMUs: filter over a library, free runs, delivered FMU, crashes, names of variables, whole studies."""
+"""Refinement of FMUs: free runs, delivered FMU, crashes, names of variables, whole studies."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import cosim
 from cosim.core.errors import InputError
 from cosim.estimation.kernel.backend import RemoteLibraryKernel
-from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.fmu_subject import FmuSubject
-from cosim.estimation.subject.model_subject import ModelSubject
+from cosim.estimation.posing import build_problem
 from cosim.experiment.question import ask
-from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
-from cosim.model.model import Number
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.workflow import failure_warnings
 from tests.blind.fmu_build import build
-from tests.logs import write_log
+from tests.logs import integrated, write_log
 from tests.warm import cosim as command
 
 STEP, NOISE = 0.02, {"current": 0.01, "angle": 0.002, "speed": 0.05}
 RESISTANCE, INDUCTANCE, CONSTANT, INERTIA, DAMPING = 1.2, 6e-3, 0.05, 2e-4, 1e-4
-
-
-@dataclass(frozen=True, kw_only=True)
-class Motor(Model):
-    """The equations of the blind suite's motor, written again."""
-
-    base_states = (
-        Quantity("current", "A", ""),
-        Quantity("angle", "rad", ""),
-        Quantity("speed", "rad/s", ""),
-    )
-    inputs = (Quantity("voltage", "V", ""), Quantity("load_torque", "N.m", ""))
-    outputs = base_states
-    forced = ("current", "speed")
-    substep = 1e-3
-
-    resistance: float = parameter(RESISTANCE, unit="ohm", doc="")
-
-    def equations(self, m: Namespace) -> Equations:
-        """Return the equations of a motor with constant excitation."""
-
-        def derivative(t: Number, state: Values, command: Values) -> Values:
-            current, _, speed = state
-            voltage, load = command
-            rate = (voltage - self.resistance * current - CONSTANT * speed) / INDUCTANCE
-            return rate, speed, (CONSTANT * current - DAMPING * speed - load) / INERTIA
-
-        return Equations(derivative, lambda t, state, command: state)
 
 
 def run_motor(path: Path, seed: int, friction: float = 0.0, seconds: float = 8.0, size: float = 1.0) -> Path:
@@ -68,8 +35,8 @@ def run_motor(path: Path, seed: int, friction: float = 0.0, seconds: float = 8.0
     voltage = size * (levels[(time // 1.0).astype(int)] + np.sin(7.0 * time))
     load = size * 0.002 * np.sign(np.sin(1.3 * time + seed))
 
-    def rates(_: float, x: Any, u: float, torque: float) -> list[float]:
-        i, _, w = x
+    def rates(x: Any, row: Any) -> list[float]:
+        (i, _, w), (u, torque) = x, row
         dry = friction * math.tanh(w / 0.2)
         return [
             (u - RESISTANCE * i - CONSTANT * w) / INDUCTANCE,
@@ -77,11 +44,8 @@ def run_motor(path: Path, seed: int, friction: float = 0.0, seconds: float = 8.0
             (CONSTANT * i - DAMPING * w - torque - dry) / INERTIA,
         ]
 
-    rows = [np.zeros(3)]
-    for u, torque in zip(voltage[:-1], load[:-1], strict=True):
-        rows.append(solve_ivp(rates, (0.0, STEP), rows[-1], "LSODA", args=(u, torque), rtol=1e-9, atol=1e-9).y[:, -1])
-    states = dict(zip(NOISE, np.array(rows).T, strict=True))
-    readings = {n: y + NOISE[n] * rng.standard_normal(time.size) for n, y in states.items()}
+    states = integrated(rates, [0.0] * 3, np.column_stack([voltage, load]), STEP)
+    readings = {n: y + NOISE[n] * rng.standard_normal(time.size) for n, y in zip(NOISE, states.T, strict=True)}
     return write_log(path, {"time": time, "voltage": voltage, "load_torque": load, **readings})
 
 
@@ -106,19 +70,6 @@ def study_of_way(folder: Path, way: str) -> Study:
     """Return the study of a motor's FMU."""
     fmu = build(folder / f"{way}.fmu", "dc_motor", 2, ways=(way,))
     return read_study(write_study(folder, fmu, [folder / "e1.csv", folder / "e2.csv"], noise=NOISE))
-
-
-def test_the_filter_over_a_library_is_that_of_its_equations(folder: Path) -> None:
-    study = study_of_way(folder, "model_exchange")
-    own, library = (
-        build_problem(subject, study.logs, noise=NOISE) for subject in (ModelSubject.of(Motor()), study.subject)
-    )
-    logs = [replace(log, substeps=own.logs[0].substeps) for log in library.logs]
-    assert own.layout.uncertain == library.layout.uncertain
-    library = replace(library, logs=logs, P0=own.P0, x0=own.x0)
-    (e, s), (f, t) = (p.innovations(p.values, own.plain, 0) for p in (own, library))
-    assert np.nanmax(np.abs(e - f) / np.sqrt(s)) < 1e-5  # slopes of the library are differences
-    assert np.nanmax(np.abs(s / t - 1.0)) < 1e-5
 
 
 @pytest.mark.parametrize("way", ["model_exchange", "co_simulation"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 from cosim.core.errors import InputError, Terminated
 from cosim.estimation.subject import model_subject
 from cosim.experiment.excite import excite
-from cosim.files.files import delay_stops, scratch_folder
 from cosim.fmi.building.file import read_model
 from cosim.refinement import workflow
 from cosim.refinement.workflow import refine
@@ -141,20 +139,3 @@ def test_stopped_where_a_step_of_it_begins_it_leaves_its_results_or_the_earlier_
     assert {p.name for p in out.iterdir()} == FILES
     assert [p.read_bytes() == b"earlier" for p in out.iterdir()] == [at != "remove_earlier"] * len(FILES)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-@pytest.mark.usefixtures("interruptible")
-def test_a_signal_waits_for_what_must_be_whole_and_comes_then(tmp_path: Path) -> None:
-    done = []
-
-    def stopped(within: AbstractContextManager[object]) -> None:
-        with within:
-            (tmp_path / "half").touch()
-            signal.raise_signal(signal.SIGINT)
-            done.append(within)
-
-    for within in (whole := delay_stops(), scratch_folder(tmp_path, ".part-")):
-        with pytest.raises(KeyboardInterrupt):
-            stopped(within)
-    assert done == [whole]
-    assert [p.name for p in tmp_path.iterdir()] == ["half"]

@@ -18,12 +18,13 @@ from cosim.residuals.drive import model_signals
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import window_rows
 from cosim.simulation.workflow import run
-from plant.hovercraft import INPUTS, OUTPUTS, Hovercraft
+from plant.hovercraft import INPUTS, OUTPUTS
 from tests.cart import cart_fmu
 from tests.logs import (
     IMU,
     MOVING,
     POSITION,
+    RECORDED,
     Flight,
     fly,
     log_of,
@@ -35,7 +36,6 @@ from tests.logs import (
 )
 from tests.seen import faults
 
-RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 ROUNDING = 1e-9  # of sums over some hundred steps; a row of delay would be 1e-3 and more
 
 
@@ -105,17 +105,6 @@ def test_from_the_true_state_a_window_has_no_residual_and_predicts_each_row_once
     found = replay_windows(log, plant_fmu, {k: flight.start(k) for k in window_rows(log, 0.5)}, 0.5)
     assert largest(found.errors(log)) < ROUNDING
     assert np.flatnonzero(np.isfinite(found.outputs["psi"])).tolist() == list(range(101, 601))  # after 2 s
-
-
-def test_a_window_knows_the_time_at_which_it_starts(tmp_path: Path, plant_fmu: Path) -> None:
-    sag = {"battery_sag.drop": 0.2, "battery_sag.time": 5.0}  # acts by FMU time
-    flown = fly(times(8.0), Hovercraft().with_values(sag), MOVING)
-    log = log_of(tmp_path / "a.csv", measured(flown))
-    rows = window_rows(log, 2.0)
-    found = replay_windows(log, plant_fmu, {k: flown.start(k) | sag for k in rows}, 2.0)
-    assert largest(found.errors(log)) < ROUNDING
-    without = replay_windows(log, plant_fmu, {k: flown.start(k) for k in rows}, 2.0)
-    assert rmse(without.errors(log)["psi_dot"]) > 1e-3  # the sag is seen at all
 
 
 def test_a_pause_of_the_log_lies_between_windows_not_in_them(tmp_path: Path, plant_fmu: Path) -> None:

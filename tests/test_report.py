@@ -33,7 +33,6 @@ UNITS = {
     **dict.fromkeys(("x", "x_hat", "x_sigma", "x_ref"), "m"),
     **dict.fromkeys(("psi", "psi_hat", "psi_ref"), "rad"),
 }
-BELIEFS = ("controller.x_hat", "controller.psi_hat", "controller.x_sigma", "controller.x_ref")
 HOSTILE = "</script><script>alert(1)</script>"
 
 

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 import cosim
-from cosim.core.errors import CosimError, InputError
-from cosim.verbs.cli import command_line
+from cosim.core.errors import InputError
 from tests.conftest import ROOT
 from tests.deeds import deeds_scenario
+from tests.test_first_steps import told
 from tests.test_verbs import desk as desk
 from tests.users import command
 
@@ -33,10 +32,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}  # of a command
 
 def do(*words: object, code: int = 0) -> str:
     """Return the output of a command, whose words may stand in one text."""
-    done = CliRunner().invoke(command_line(), " ".join(map(str, words)).split())
-    ended = done.exception.exit_code if isinstance(done.exception, CosimError) else done.exit_code
-    assert ended == code, (words, done.output, done.exception)
-    return done.stdout
+    return told(*" ".join(map(str, words)).split(), code=code)
 
 
 def run(*words: object, code: int = 0) -> str:
@@ -190,7 +186,7 @@ def test_a_run_is_listed_while_it_goes_on_and_after_its_kill(here: Path) -> None
         while "scenario" not in (folder / "0001" / "started.json").read_text() and time.monotonic() < end:
             time.sleep(0.02)
         assert outcomes() == {"deeds/0001": "running"}
-        assert do("open --no-browser", code=2) == ""
+        do("open --no-browser", code=2)
         do("run deeds.yaml --force --out", folder / "0001", code=2)
         do("run --resume", folder / "0001", code=2)
         do(quick)  # the next number, while the first goes on
@@ -265,7 +261,7 @@ def test_the_folder_of_runs_means_the_newest_to_every_reader(runs: Path) -> None
     assert cosim.read("results/tank/0003").time[-1] == 2.0  # type: ignore[union-attr]
     run()
     Path("tank").mkdir()  # a folder without results hides none
-    assert do("open 4 --no-browser", code=2) == ""  # without a report
+    do("open 4 --no-browser", code=2)  # without a report
     do("report", "results/tank")
     assert do("open tank --no-browser") == do("open --no-browser") == "report: results/tank/0004/report.html\n"
 

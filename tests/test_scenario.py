@@ -11,8 +11,8 @@ from cosim.core.errors import InputError
 from cosim.files.yaml_file import YamlFile
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).parent.parent
 GOOD = (ROOT / "scenarios" / "regulate.yaml").read_text(encoding="utf-8")
 SMALL = "name: n\nduration: 1\nstep: 0.1\ncomponents: {r: {block: reference, signals: {x: {}}}}\n"
 

@@ -28,8 +28,8 @@ from plant.identification.recordings import calibrate, load_runs, runs_of
 from plant.identification.workflow import analyse
 from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
 from tests.bench_runs import play_plain, read_protocol
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "seed.md"
 BENCH = ROOT / "examples" / "bench" / "protocol.yaml"
 

@@ -98,27 +98,6 @@ def test_the_filter_equals_one_with_the_lag_as_a_state(log: tuple[Array, Array])
     assert np.nanmax(np.abs(ours.errors - theirs.errors) / np.sqrt(theirs.variances)) < 0.03
 
 
-def test_readings_of_the_past_see_an_output_bend_between_rows(log: tuple[Array, Array]) -> None:
-    """The output follows steps of the inflow within a row; without noise, only the way of the output matters."""
-    u = log[0]
-    p = {"rate_": 20.0, "time_": 0.5 * STEP, "disturbance.time": 0.5}
-    truth = kernel(TankWithGauge(), ["level", "outflow"])
-    start = np.zeros(len(truth.layout.states))
-    start[:2] = u[0, 0] / 20.0
-    twice = Data(0.5 * STEP, 0.0, np.repeat(u, 2, axis=0), np.zeros((2 * ROWS, 2)), 40)
-    course = truth.simulate(twice, np.array([p[n] for n in truth.layout.parameters]), start, np.zeros(0))
-    lagging, late = course.outputs[::2].copy(), course.outputs[::2].copy()
-    late[:, 0] = np.append(start[0], course.states[1:-1:2, 0])
-    half = np.array([0.5, 0.0])
-    errors = [
-        run(Tank(), [start[0]], np.zeros((1, 1)), p, u, y, 0.0, **more).errors
-        for y, more in ((lagging, {"lags": half}), (late, {"late": np.tile(half, (ROWS, 1))}))
-    ]
-    bend = np.abs(late[1:, 0] - 0.5 * (course.states[:-2:2, 0] + course.states[2::2, 0])).max()
-    assert bend > 0.0015
-    assert np.abs(errors).max() < 0.01 * bend
-
-
 def test_the_lag_of_a_ramp_is_exact() -> None:
     time = np.arange(0.0, 5.0, 0.1)
     expected = 2.0 * (time - TIME + TIME * np.exp(-time / TIME))

@@ -184,18 +184,6 @@ def test_a_sensor_or_a_gain_of_what_is_not_there_is_told(tmp_path: Path, old: st
 # -- gain of an input ---------------------------------------------------------------------------
 
 
-def test_a_gain_is_the_same_in_plant_and_kernel(rover: Model) -> None:
-    """Everywhere what a command of 1.3 times the size does, in the output that takes the command too."""
-    count, gain = 40, 1.3
-    u = commands(count)
-    expected = outputs_of(Stepper(rover), u * (gain, 1.0))
-    by_plant = outputs_of(Stepper(rover.with_values({"motor_gain.gain": gain})), u)
-    np.testing.assert_allclose(by_plant, expected, rtol=0, atol=1e-12)
-    data = Data(STEP, 0.0, u, np.full((count, 5), np.nan), 4)
-    by_kernel = simulated(rover, (0.0,) * 5, data, **{"motor_gain.gain": gain})
-    np.testing.assert_allclose(by_kernel, expected, rtol=0, atol=1e-10)
-
-
 # -- studies ------------------------------------------------------------------------------------
 
 

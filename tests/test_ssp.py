@@ -7,7 +7,6 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 
@@ -49,47 +48,10 @@ def pair(folder: Path, bindings: str = "", connections: str = LOOP, a: str = "",
     return ssp(folder / "pair.ssp", system, {"resources/lag.fmu": fmu, **named})
 
 
-def test_a_mapping_renames_converts_and_leaves_out_what_it_does_not_name(tmp_path: Path) -> None:
-    units = '<ssv:Units><ssc:Unit name="ms"><ssc:BaseUnit s="1" factor="0.001"/></ssc:Unit></ssv:Units>'
-    values = f"""<ssv:ParameterSet version="1.0" name="s"
- xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
- xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"><ssv:Parameters>
-<ssv:Parameter name="time constant">{real(500.0, "ms")}</ssv:Parameter>
-<ssv:Parameter name="a.bias">{real(9.0)}</ssv:Parameter>
-<ssv:Parameter name="g">{real(3.0)}</ssv:Parameter></ssv:Parameters>{units}</ssv:ParameterSet>"""
-    mapping = """<ssm:ParameterMapping version="1.0" xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping"
- xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon">
-<ssm:MappingEntry source="time constant" target="a.T"/><ssm:MappingEntry source="g" target="a.gain">
-<ssc:LinearTransformation factor="2" offset="-1"/></ssm:MappingEntry><ssm:MappingEntry source="g" target="b.gain"/>
-</ssm:ParameterMapping>"""
-    mapped = '<ssd:ParameterMapping source="resources/m.ssm"/>'
-    binding = f'<ssd:ParameterBinding source="resources/v.ssv">{mapped}</ssd:ParameterBinding>'
-    ran(pair(tmp_path, binding, v_ssv=values, m_ssm=mapping), tmp_path)
-    written = json.loads((tmp_path / "ran" / "system" / "scenario.json").read_text())
-    assert written["components"]["a"]["start"] == {"T": 0.5, "gain": 5.0}
-    assert written["components"]["b"]["start"] == {"gain": 3.0}
-
-
 def one(path: Path, inside: str = "", experiment: str = "", fmu: Path | None = None) -> Path:
     """Return an SSP of one lag, with further content of the system."""
     system = f'<ssd:System name="root">{inside}<ssd:Elements>{component("a")}</ssd:Elements></ssd:System>'
     return ssp(path, system, {"resources/lag.fmu": fmu or lag_fmu(path.parent / "lag.fmu")}, experiment)
-
-
-def test_a_parameter_is_converted_at_each_connector_on_its_way(tmp_path: Path) -> None:
-    fmu = lag_fmu(tmp_path / "lag.fmu", ("rad", ""))
-    units = """<ssd:Units><ssc:Unit name="deg"><ssc:BaseUnit rad="1" factor="0.017453292519943295"/></ssc:Unit>
-<ssc:Unit name="turn"><ssc:BaseUnit rad="1" factor="6.283185307179586"/></ssc:Unit></ssd:Units>"""
-    entry = '<ssm:MappingEntry source="half" target="drive"><ssc:LinearTransformation offset="90"/></ssm:MappingEntry>'
-    mapping = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
-    mapping = f"<ssd:ParameterMapping>{mapping}</ssd:ParameterMapping>"
-    system = f"""<ssd:System name="root"><ssd:Connectors>
-<ssd:Connector name="drive" kind="input"><ssc:Real unit="deg"/></ssd:Connector></ssd:Connectors>
-<ssd:ParameterBindings>{bound({"half": real(0.5, "turn")}, mapping)}</ssd:ParameterBindings>
-<ssd:Elements>{component("a")}</ssd:Elements><ssd:Connections>{connection("drive", "a.u")}</ssd:Connections>
-</ssd:System>{units}"""
-    ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
-    assert ours["a.u"][0] == pytest.approx(1.5 * np.pi)  # 0.5 turn = 180 deg, + 90 deg
 
 
 def said(times: str, step: float) -> str:

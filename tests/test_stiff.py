@@ -9,19 +9,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.fmi.building.build import build as build_fmus
-from cosim.fmi.building.file import LoadedModel, own_model, read_model, write_model
+from cosim.fmi.building.file import LoadedModel, read_model, write_model
 from cosim.fmi.building.substep import with_substep
 from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, Values
-from cosim.model.duals import DualNamespace, jacobian
 from cosim.model.rosenbrock import step
-from cosim.model.symbolic.linearize import linearize
-from plant.hovercraft import Hovercraft
 from tests.cases import some
 from tests.logs import replay
 from tests.motor import motor_log
@@ -64,14 +59,6 @@ def test_the_implicit_method_is_of_order_four_and_ends_a_mode_that_is_too_fast()
         assert abs(left) < 10.0 / abs(rate)
 
 
-def test_dual_numbers_give_the_jacobian_of_the_symbols() -> None:
-    craft = Hovercraft().with_values(dict.fromkeys(("coulomb_friction.force", "tilt_offset.right"), 0.05))
-    state = tuple(0.1 + 0.03 * k for k in range(len(craft.states)))
-    command = tuple(6.0 + 0.1 * k for k in range(len(craft.inputs)))
-    rows = jacobian(craft.acting(DualNamespace()).derivative, 0.3, state, command)
-    np.testing.assert_allclose(rows, linearize(craft, state, command, 0.3).A, rtol=1e-12, atol=1e-12)
-
-
 @NEEDS_COMPILER
 @pytest.mark.parametrize("kind", some(["native", "python"], every=2))
 def test_kernel_and_fmu_integrate_a_stiff_model_alike(tmp_path: Path, kind: str) -> None:
@@ -91,27 +78,6 @@ def test_kernel_and_fmu_integrate_a_stiff_model_alike(tmp_path: Path, kind: str)
     fine = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5, "rk4")), [log])
     exact = fine.simulate(fine.values, 0)
     assert np.max(np.abs(exact.outputs - run.outputs)) < 1e-5  # of steps of 10 A
-
-
-@NEEDS_COMPILER
-def test_the_filter_carries_its_covariance_as_the_method_carries_the_state(tmp_path: Path) -> None:
-    """Variances and innovations are those of RK4 in substeps that are short enough for the winding."""
-    model = own_model("motor.py:Motor", motor(tmp_path, inductance=WINDING) and tmp_path)
-    rng, rows = np.random.default_rng(4), 200
-    u = np.repeat(rng.uniform(-12.0, 12.0, rows // 20), 20)[:, None]
-    y = rng.normal(size=(rows, 2)) * [1.0, 5.0] + u * [0.8, 8.0]
-    runs = []
-    for integrator, substep in (("stiff", ROW / 8), ("rk4", 1e-5)):
-        k = kernel(model.with_substep(substep, integrator), ("current", "speed"))
-        values = {p.name: getattr(model, p.name) for p in model.parameters} | {"disturbance.time": 0.15}
-        p = np.array([values.get(name, 0.0) for name in k.layout.parameters])
-        size = len(k.layout.stochastic)
-        q = np.zeros(size)
-        q[list(k.layout.noisy)] = 1e2
-        data = Data(ROW, 0.0, u, y, round(ROW / substep), interpolated=frozenset({"voltage"}))
-        runs.append(k.run(data, p, np.zeros(len(k.layout.states)), np.eye(size), q, np.array([1.0, 25.0])))
-    np.testing.assert_allclose(runs[0].variances, runs[1].variances, rtol=1e-5)
-    np.testing.assert_allclose(runs[0].errors, runs[1].errors, atol=1e-4)
 
 
 def test_a_fast_mode_that_rings_on_is_refused() -> None:

@@ -6,19 +6,14 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cosim.core.errors import InputError
-from cosim.estimation.posing import build_problem
-from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.fmi.building.build import build as build_fmus
 from cosim.fmi.building.file import LoadedModel, load_model
 from cosim.fmi.building.substep import MAX_CHOSEN, with_substep
 from cosim.logs.log import read_log
 from cosim.model import Model
 from cosim.refinement.workflow import refine
-from tests.logs import replay
 from tests.motor import motor_file, motor_log
 
 WINDING = 578.0  # [1/s], eigenvalue of the winding beside that of the shaft
@@ -74,22 +69,6 @@ def test_a_mode_that_is_fast_on_the_way_only_counts(tmp_path: Path) -> None:
     chosen, (said,) = with_substep(loaded, [log])
     assert "s of a.csv" in said  # where it was fast
     assert chosen.model.substep < Model.substep
-
-
-@pytest.mark.parametrize("kind", ["python", "native"])
-def test_kernel_and_fmu_take_the_same_substeps(tmp_path: Path, kind: str) -> None:
-    loaded, _ = with_substep(motor(tmp_path))
-    log = read_log(motor_log(tmp_path / "a.csv", 1, seconds=4.0), loaded.model.inputs, loaded.model.outputs)
-    name = str(tmp_path / "motor.py:Motor")
-    (fmu,) = build_fmus(tmp_path / "built", name, native=kind == "native")
-    problem = build_problem(ModelSubject(loaded), [log])
-    start = {f"{q.name}_start": x for q, x in zip(loaded.model.states, problem.x0[0].tolist(), strict=False)}
-    through, kernel = replay(log, fmu, start), problem.simulate(problem.values, 0)
-    for k, output in enumerate(problem.layout.outputs):
-        assert np.max(np.abs(through.outputs[output] - kernel.outputs[:, k])) < 1e-9
-    fine = build_problem(ModelSubject.of(loaded.model.with_substep(1e-5)), [log])
-    exact = fine.simulate(fine.values, 0)
-    assert np.max(np.abs(exact.outputs - kernel.outputs)) < 2e-3  # A and rad/s; 5e-4 of the steps of 10 A
 
 
 def test_a_model_that_runs_away_is_told_with_its_log_and_time(

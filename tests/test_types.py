@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +35,9 @@ def started(values: str) -> str:
     return f"a: {{fmu: typed.fmu, start: {{{values}}}}}"
 
 
-def results_of(path: Path, **how: Any) -> Results:
+def results_of(path: Path) -> Results:
     file = ScenarioFile(path)
-    return simulate(build_system(file), file.scenario.steps, file.scenario.step, **how)
+    return simulate(build_system(file), file.scenario.steps, file.scenario.step)
 
 
 def system_of(path: Path) -> System:
@@ -66,27 +65,6 @@ def typed(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("version", "start", "wires", "found"),
-    [
-        (2, "r_in: 0.5, b_in: true, s_in: 'a \"b\", c', e_in: second",
-         "a.r_out>b.r_in a.b_out>b.b_in a.s_out>b.s_in a.e_out>b.e_in",
-         {"b.r_out": "0.5", "b.b_out": "1", "b.s_out": 'a "b", c', "b.e_out": "2"}),
-        (3, "a: [1, 2, 3, 4], n: 9223372036854775805", "a.twice>b.a a.next>b.n a.s_out>b.s a.raw_out>b.raw",
-         {"b.twice[2,1]": "12.0", "b.next": "9223372036854775807", "b.s_out": "", "b.raw_out": ""}),  # of no pointer
-    ],
-)  # fmt: skip
-def test_every_type_goes_from_fmu_to_fmu_of_processes_of_their_own(
-    tmp_path: Path, version: int, start: str, wires: str, found: dict[str, str]
-) -> None:
-    typed_fmu(tmp_path, version)
-    parts = f"a: {{fmu: typed.fmu, process: own, start: {{{start}}}}}, b: {{fmu: typed.fmu, process: own}}"
-    ran(scenario(tmp_path, parts, wires))
-    with (tmp_path / "out" / "results.csv").open(newline="") as stream:
-        *_, row = csv.DictReader(stream)
-    assert {name: row[name] for name in found} == found
-
-
-@pytest.mark.parametrize(
     ("version", "start", "words"),
     [
         (3, "byte: 256", "it lies in [0, 255]"),
@@ -109,23 +87,6 @@ def test_a_value_outside_its_type_is_a_fault(tmp_path: Path, version: int, start
     assert words in faults_of(scenario(tmp_path, started(start)))
 
 
-@pytest.mark.parametrize("in_c", [False, True])
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        ("1e+39", r"a\.f at t = 0\.5 s: the input 1e\+39 is outside"),
-        ("1e+20", r"a\.square at t = 0\.6 s: the value is inf"),
-    ],
-)
-def test_numbers_of_32_bits_become_no_infinity_unseen(tmp_path: Path, in_c: bool, value: str, words: str) -> None:
-    """Neither an input that is too large for the type, nor an output whose square is."""
-    numbers_fmu(tmp_path)
-    reference = f"r: {{block: reference, signals: {{f: {{start: 2, changes: [{{at: 0.5, to: {value}}}]}}}}}}"
-    with pytest.raises(StoppedRun, match=words) as stopped:
-        results_of(scenario(tmp_path, f"{reference}, {ONE}", "r.f>a.f"), in_c=in_c)
-    assert set(stopped.value.results["a.square"].tolist()) == {4}
-
-
 def test_types_that_lose_values_are_not_connected(typed: Path) -> None:
     for wire in ("a.r_out>b.i_in", "a.i_out>b.b_in", "a.s_out>b.r_in"):
         assert "types do not agree" in faults_of(scenario(typed, TWO, wire))
@@ -136,25 +97,7 @@ def test_types_that_lose_values_are_not_connected(typed: Path) -> None:
     assert "enumerations of one name, Gear, with other items" in faults_of(path)
 
 
-@pytest.mark.parametrize(("start", "at"), [(2, r"0\.5"), (7, "0")])
-def test_a_value_that_is_no_item_stops_the_run_when_it_comes(typed: Path, start: int, at: str) -> None:
-    reference = f"r: {{block: reference, signals: {{n: {{start: {start}, changes: [{{at: 0.5, to: 7}}]}}}}}}"
-    said = rf"b\.e_in at t = {at} s: 7, which comes from a\.i_out, is none of its items: first 1, second 2"
-    with pytest.raises(StoppedRun, match=said) as stopped:
-        results_of(scenario(typed, f"{reference}, {TWO}", "r.n>a.i_in a.i_out>b.e_in"))
-    assert start == 7 or list(stopped.value.results["b.e_out"]) == [2] * 5
-
-
 # -- beginning --------------------------------------------------------------------------------------
-
-
-def test_single_elements_have_start_values_and_parameters_are_recorded_on_request(tmp_path: Path) -> None:
-    typed_fmu(tmp_path, 3)
-    results = results_of(scenario(tmp_path, started("'a[2,1]': 9, 'a[1,2]': 7")))
-    assert [results[f"a.twice[{k}]"][-1] for k in ("1,1", "1,2", "2,1", "2,2")] == [2, 14, 18, 8]
-    typed_fmu(tmp_path)
-    assert "a.gain" not in results_of(scenario(tmp_path, ONE)).columns
-    assert results_of(scenario(tmp_path, started("gain: 3"), more="record: [a.g*]"))["a.gain"][-1] == 3
 
 
 def test_outputs_are_read_again_after_initialization(typed: Path) -> None:
@@ -220,64 +163,55 @@ def test_text_in_place_of_a_number_in_a_description_is_told(tmp_path: Path, old:
 # -- while it goes on -------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("value", "place"), [("1e+39", "a.f at t = 0.5 s"), ("1e+20", "a.square at t = 0.6 s")])
+def test_numbers_of_32_bits_become_no_infinity_unseen(tmp_path: Path, value: str, place: str) -> None:
+    """Neither an input that is too large for the type, nor an output whose square is."""
+    numbers_fmu(tmp_path)
+    reference = f"r: {{block: reference, signals: {{f: {{start: 2, changes: [{{at: 0.5, to: {value}}}]}}}}}}"
+    with pytest.raises(StoppedRun, match=place) as stopped:
+        results_of(scenario(tmp_path, f"{reference}, {ONE}", "r.f>a.f"))
+    assert set(stopped.value.results["a.square"].tolist()) == {4}
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        (0.25, "use a whole multiple"),
+        (2.0, "it would never step"),
+        (0.3, "its last 0.1 s of the run make no whole step"),
+    ],
+)
+def test_a_longer_step_of_a_component_fits_into_the_run(typed: Path, step: float, words: str) -> None:
+    path = scenario(typed, f"a: {{fmu: typed.fmu, step: {step}}}")
+    assert words in (" ".join(system_of(path).warnings) if step == 0.3 else faults_of(path))
+
+
+EARLIER = "{at: 0.5, set: {a.r_in: 1}}, {at: 0.45, set: {a.r_in: 3}}"  # at one communication point
+
+
+@pytest.mark.parametrize(
+    ("events", "words"),
+    [
+        ("{at: 0.5, set: {a.warn_at: 1}}", "tunable"),
+        ("{at: 0.5, set: {a.h: 1}}", "tunable"),
+        ("{at: 0.5, set: {b.x: 1}}", "no FMU"),
+        (f"{EARLIER}, {{at: 0.5, set: {{a.r_in: 2}}}}", "two values at 0.5 s: 1.0 and 2.0"),
+        (EARLIER, ""),
+    ],
+)
+def test_events_change_what_can_change_and_the_later_has_the_last_word(typed: Path, events: str, words: str) -> None:
+    path = scenario(typed, started("r_in: 1"), more=f"events: [{events}]")
+    if words:
+        assert words in faults_of(path)
+    else:
+        assert results_of(path)["a.r_in"][5:].tolist() == [1] * 6
+
+
 def test_a_warning_is_logged_once_and_debugging_only_where_asked_for(typed: Path) -> None:
     warnings = ran(scenario(typed, started("warn_at: 0.3"))).manifest["warnings"]
     assert [w for w in warnings if w.startswith("a: ")] == ["a: it runs hot", "a: fmi2DoStep returned Warning"]
     outcome = ran(scenario(typed, "a: {fmu: typed.fmu, logging: true}"))
     assert "a: debugging" in outcome.manifest["warnings"]
-
-
-def test_an_fmu_that_ends_the_simulation_leaves_a_row_for_that_time(typed: Path) -> None:
-    outcome = ran(scenario(typed, started("end_at: 0.55"), more="criteria: {peak: {of: a.r_out, after: 0.7, max: 1}}"))
-    assert outcome.time[-2:] == pytest.approx([0.5, 0.55])
-    assert outcome.manifest["status"] == "ok"
-    assert any("a ended the simulation at t = 0.55 s" in w for w in outcome.manifest["warnings"])
-    assert [c["value"] for c in outcome.missed] == [None]  # its times were not reached
-
-
-def test_a_component_with_a_longer_step_makes_it_at_its_end(typed: Path) -> None:
-    def path(step: float) -> Path:
-        parts = f"{RAMP}, slow: {{fmu: typed.fmu, step: {step}}}, fast: {{fmu: typed.fmu}}"
-        return scenario(typed, parts, "r.u>slow.r_in slow.r_out>fast.r_in")
-
-    results = results_of(path(0.5))
-    for name in ("slow.r_out", "fast.r_out"):
-        assert results[name] == pytest.approx([0, 0, 0, 0, 0, 0.5, 0.5, 0.5, 0.5, 0.5, 1])
-    assert "use a whole multiple" in faults_of(path(0.25))
-    assert "it would never step" in faults_of(path(2.0))
-    assert any("its last 0.1 s of the run make no whole step" in w for w in system_of(path(0.3)).warnings)
-
-
-def test_events_change_parameters_and_free_inputs(typed: Path) -> None:
-    def path(events: str) -> Path:
-        return scenario(typed, started("r_in: 1"), more=f"events: [{events}]")
-
-    results = results_of(path("{at: 0.5, set: {a.gain: 4}}, {at: 0.72, set: {a.r_in: 2, a.e_in: second}}"))
-    assert results["a.r_out"].tolist() == [1, 1, 1, 1, 1, 4, 4, 4, 8, 8, 8]
-    assert results["a.r_in"].tolist() == [1] * 8 + [2] * 3  # the row of 0.8 s holds what acts from then on
-    assert results["a.e_in"][-1] == 2
-    for wrong, words in (("a.warn_at: 1", "tunable"), ("a.h: 1", "tunable"), ("b.x: 1", "no FMU")):
-        assert words in faults_of(path(f"{{at: 0.5, set: {{{wrong}}}}}"))
-    at_one_point = "{at: 0.5, set: {a.r_in: 1}}, {at: 0.45, set: {a.r_in: 3}}"  # the later has the last word
-    assert results_of(path(at_one_point))["a.r_in"][5:].tolist() == [1] * 6
-    told = faults_of(path(f"{at_one_point}, {{at: 0.5, set: {{a.r_in: 2}}}}"))
-    assert "two values at 0.5 s: 1.0 and 2.0" in told
-
-
-@pytest.mark.parametrize(
-    ("fault", "expected"),
-    [
-        ("kind: stuck, value: 9", [0, 1, 9, 9, 9, 5]),
-        ("kind: scale, value: -1", [0, 1, -2, -3, -4, 5]),
-        ("kind: dropout, probability: 1", [0, 1, 1, 1, 1, 5]),
-        ("kind: spike, value: 100", [0, 1, 102, 3, 4, 5]),
-        ("kind: delay, delay: 2", [0, 1, 0, 1, 2, 5]),
-    ],
-)
-def test_a_fault_acts_on_its_connection_between_its_times(typed: Path, fault: str, expected: list[float]) -> None:
-    more = f"faults: [{{on: a.r_in, from: 2, to: 4, {fault}}}]"
-    path = scenario(typed, f"{RAMP}, {ONE}", "r.u>a.r_in", more, "duration: 5\nstep: 1")
-    assert results_of(path)["a.r_out"].tolist() == expected
 
 
 def test_a_fault_is_on_a_connection_and_has_what_its_kind_needs(typed: Path) -> None:
@@ -295,18 +229,6 @@ def test_a_fault_is_on_a_connection_and_has_what_its_kind_needs(typed: Path) -> 
 
 
 # -- errors of coupling -----------------------------------------------------------------------------
-
-
-def test_the_coupling_error_of_a_held_input_falls_with_the_step(typed: Path) -> None:
-    # two balls, the second lifted by the height of the first: ∫∫ of an input held over h is off by about h/2 of it
-    ball = "{fmu: typed.fmu, interface: model-exchange, tolerance: 1e-9}"
-    errors = []
-    for step in (0.02, 0.01):
-        times = f"duration: 0.4\nstep: {step}"
-        path = scenario(typed, f"a: {ball}, b: {ball}", "a.h>b.r_in b.h>a.r_in", "algorithm: jacobi", times)
-        errors.append(coupling_error(path).of["a.h"])
-    assert 1e-5 < errors[1] < errors[0]
-    assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)  # of first order
 
 
 @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])

@@ -16,7 +16,6 @@ from cosim.files.results import read_results
 from cosim.files.table import read_columns
 from cosim.logs.gate import gate
 from cosim.logs.log import Finding, Log, read_log
-from cosim.logs.model_comparison import scales
 from tests.typed import typed_fmu
 
 NO_UNIT = [Signal("inflow")], [Signal("level")]  # a tank, as PythonFMU describes one
@@ -61,13 +60,6 @@ def test_a_unit_that_says_nothing_changes_nothing_and_is_told(tmp_path: Path, un
     log = tank_log(tmp_path / "a.csv", f"time,inflow [{unit}],level")
     assert log.inputs["inflow"][0] == 60.0
     assert len(of_units(log)) == 1
-
-
-def test_a_model_that_moves_as_the_column_did_before_it_was_converted_is_told(tmp_path: Path) -> None:
-    log = tank_log(tmp_path / "a.csv", "time,inflow,level [mm]")
-    (found,) = scales(log, {"level": 1000.0 * log.outputs["level"]})
-    assert found.severity == "fault"
-    assert not [*scales(log, {"level": log.outputs["level"]})]
 
 
 # -- of recordings and references in a scenario -----------------------------------------------------

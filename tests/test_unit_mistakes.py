@@ -12,11 +12,11 @@ from cosim.files.csv_source import write_table
 from cosim.fmi.building.file import load_model
 from cosim.logs.log import Log, read_log
 from cosim.logs.log_check import log_findings
-from cosim.logs.model_comparison import input_unit_findings, scales
+from cosim.logs.model_comparison import input_unit_findings
 from plant.hovercraft import INPUTS, OUTPUTS
+from tests.logs import RECORDED
 
 HOVERCRAFT = Path(__file__).parent.parent / "examples" / "hovercraft"
-RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
 
 
 def warnings_of(path: Path) -> list[str]:
@@ -104,12 +104,3 @@ def test_check_names_wrong_columns(kind: str, tmp_path: Path) -> None:
     sentences = log_findings(tmp_path / "wrong.csv", load_model("base", tmp_path))
     assert any(WRONG_COLUMNS[kind] in line.replace("\xa0", " ") for line in sentences), sentences
     assert not any(WRONG_COLUMNS[kind] in line for line in log_findings(right, load_model("base", tmp_path)))
-
-
-def test_noise_has_no_unit(log: Log) -> None:
-    rng = np.random.default_rng(1)
-    counts = 0
-    for _ in range(200):
-        noise = replace(log, outputs={"ax": 1000.0 * rng.standard_normal(log.rows)})
-        counts += len([*scales(noise, {"ax": rng.standard_normal(log.rows)})])
-    assert counts == 0

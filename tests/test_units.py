@@ -8,12 +8,8 @@ import pytest
 
 from cosim.core.units import (
     SYMBOLS,
-    alternatives,
-    assume_si,
-    conversion,
     factor,
     parse,
-    read_quantity,
     unit_definitions,
     unit_of_rate,
 )
@@ -81,37 +77,6 @@ def test_a_definition_has_exponents_factor_and_the_degrees_of_angles() -> None:
         "1": {"BaseUnit": {}},
         "rad": {"BaseUnit": {"rad": "1"}, "DisplayUnit": degrees},
     }
-
-
-def test_volts_and_amperes_of_a_log_come_in_other_sizes() -> None:
-    assert factor("mV", "V") == factor("mA", "A") == 1e-3
-    assert {"mA", "kA"} <= set(alternatives("A"))
-    assert factor("V", "A") is None
-
-
-@pytest.mark.parametrize(
-    ("written", "taken"),
-    [
-        ("degC", ("K", 1.0, 273.15)),
-        ("l/min", ("m3/s", 1e-3 / 60.0, 0.0)),
-    ],
-)
-def test_signals_without_unit_are_taken_in_si(written: str, taken: tuple[str, float, float]) -> None:
-    assumed = assume_si(written)
-    assert assumed.unit == taken[0]
-    assert (assumed.factor, assumed.offset) == pytest.approx(taken[1:])
-
-
-def test_a_definition_of_an_fmu_comes_before_a_known_unit() -> None:
-    own = {"turn": (*7 * [0.0], 1.0, 6.0, 0.0), "degC": (*4 * [0.0], 1.0, *3 * [0.0], 2.0, 10.0)}
-    assert conversion("turn", "rad", definitions=own) == (6.0, 0.0)
-    assert conversion("degC", "K", definitions=own) == (2.0, 10.0)
-
-
-def test_a_quantity_has_a_unit_where_its_signal_has_one() -> None:
-    assert read_quantity("5", "") == read_quantity("5 m", "m") == 5.0
-    with pytest.raises(ValueError, match="number"):
-        read_quantity("5 m", "")
 
 
 def test_a_derivative_by_time_has_the_unit_of_a_rate() -> None:

@@ -17,10 +17,10 @@ import cosim
 from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
 from cosim.verbs import verbs
+from tests.conftest import ROOT
 from tests.tank import MODEL, tank_log
 from tests.test_identify_craft import at_rest, protocol
 
-ROOT = Path(__file__).resolve().parent.parent
 RUN = "name: tank\nduration: 1\nstep: 0.5\ncomponents: {tank: {fmu: tank.fmu}}\n"
 STUDY = "model: tank.py:Tank\ncandidates: [leak]\nlogs: {estimation: [e1.csv], validation: [v1.csv]}\n"
 SWEEP = "name: areas\nscenario: run.yaml\nruns: 2\nvary: {tank.area: {values: [0.5, 0.6]}}\n"

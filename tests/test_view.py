@@ -82,17 +82,6 @@ def test_a_picture_has_the_extremes_of_the_rows_in_every_pixel_column(
             assert np.nanmin(low[near]) <= values[row] <= np.nanmax(high[near])
 
 
-def test_a_wide_gap_is_a_gap_and_a_pause_between_bursts_is_no_block() -> None:
-    time = np.concatenate([np.arange(50_000) * 1e-3, 1000.0 + np.arange(50_000) * 1e-3])
-    values = np.where((time > 20.0) & (time < 30.0), np.nan, np.sin(time))
-    record = recording(time, values, None)
-    far, near = record.picture(0.0, 1050.0, 500), record.picture(0.0, 50.0, 500)
-    assert not ((far.time > 52.0) & (far.time < 998.0)).any()
-    is_good, inside = np.isfinite(near.points("x")[0]), (near.time > 20.2) & (near.time < 29.8)
-    assert not is_good[inside].any()
-    assert is_good[~inside].mean() > 0.98
-
-
 # -- tables --------------------------------------------------------------------------------------------
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
+import cosim
 from cosim.fmi.native import compiler
 from cosim.fmi.native.compiler import NoCompiler
 from cosim.fmi.wrapping.wrap import CannotWrap, wrap
@@ -168,15 +169,8 @@ def test_every_type_and_an_early_end_pass_through(tmp_path: Path) -> None:
 def test_arrays_pass_through_beside_parameters(tmp_path: Path) -> None:
     terms = replace(terms_of("bias"), source="", inputs=(), states=(), outputs=(), hooks=())
     wrap(typed_fmu(tmp_path, 3), terms, {"bias_at_force.offset": 0.5}, tmp_path / "w.fmu")
-    description = fmpy.read_model_description(str(tmp_path / "w.fmu"), validate=False)
-    (parameter,) = (v.valueReference for v in description.modelVariables if v.name == "bias_at_force.offset")
-    fmu = fmpy.instantiate_fmu(fmpy.extract(str(tmp_path / "w.fmu")), description, STEPS)
-    fmu.enterInitializationMode()
-    fmu.setFloat64([1, parameter], [1.0, 2.0, 3.0, 4.0, 5.0])
-    fmu.exitInitializationMode()
-    fmu.setFloat64([1], [5.0, 6.0, 7.0, 8.0])
-    fmu.doStep(0.0, STEP)
-    assert fmu.getFloat64([parameter, 2], nValues=5) == [5.0, 10.0, 12.0, 14.0, 16.0]
-    assert fmu.getFloat64([2], nValues=4) == [10.0, 12.0, 14.0, 16.0]
-    fmu.terminate()
-    fmu.freeInstance()
+    start = {"a": [5, 6, 7, 8], "bias_at_force.offset": 5.0}
+    component = {"fmu": str(tmp_path / "w.fmu"), "start": start}
+    ran = cosim.run({"name": "a", "duration": 2 * STEP, "step": STEP, "components": {"w": component}, "record": ["*"]})
+    assert [ran[f"w.twice[{k}]"][-1] for k in ("1,1", "1,2", "2,1", "2,2")] == [10, 12, 14, 16]
+    assert ran["w.bias_at_force.offset"][-1] == 5.0

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
-from tests.compiled import library
+from tests.compiled import library, pack
 from tests.decay import decay_fmu
 
 HEAD2 = """<?xml version="1.0" encoding="UTF-8"?>
@@ -62,11 +61,7 @@ def walker_fmu(path: Path, *, saves: bool, version: str = "2", mood: bool = Fals
         "unknown": '<Unknown index="6" dependencies=""/>' if mood else "",
     }
     description = (HEAD2 if version == "2" else HEAD3).format(saves=SAVES[version] if saves else "", **more)
-    platform_ = "linux64" if version == "2" else "x86_64-linux"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", description)
-        archive.write(library(Path(__file__).with_name("walker.c")), f"binaries/{platform_}/walker.so")
-    return path
+    return pack(path, description, library(Path(__file__).with_name("walker.c")))
 
 
 SCENARIO = """name: walk

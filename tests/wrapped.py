@@ -19,10 +19,10 @@ from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import compiler
 from cosim.model.quantities import Parameter
 from cosim.terms.code import HOOKS, Hook, TermCode
+from tests.conftest import ROOT
 from tests.slider import slider_fmu
 
 Array = NDArray[np.float64]
-ROOT = Path(__file__).resolve().parent.parent
 EXCHANGE, STEPS = "ModelExchange", "CoSimulation"
 WAYS = (EXCHANGE, STEPS)
 STEP = 0.01  # communication step [s]

@@ -12,10 +12,10 @@ import numpy as np
 
 import cosim
 from tests.known.couplings import BY_FORCE, GAIN, LEFT
-from tests.known.interfaces import DECAY
+from tests.known.interfaces import DECAY, NEGATED
 from tests.known.kit import Model, Way, tag
-from tests.known.sources import DECLARED, DIRECT
-from tests.known.table import WAYS, Case, Run, at, found, part, run, table
+from tests.known.sources import DIRECT, EPOCH, INTEGRATORS
+from tests.known.table import Case, Run, at, found, part, run, table
 from tests.known.values import METRIC_HP, OWN_HP, through
 from tests.lag import bound, component, connection, real, ssp
 from tests.warm import cosim as command
@@ -186,11 +186,13 @@ def commanded(folder: Path) -> Any:
     return {"x": first, "codes": codes}
 
 
-def replayed(model: Model, columns: Mapping[str, np.ndarray], way: Way = "cs", **start: float) -> Callable[[Path], Any]:
+def replayed(
+    model: Model, columns: Mapping[str, np.ndarray], way: Way = "cs", begin: float = 0, **start: float
+) -> Callable[[Path], Any]:
     """Return least and largest residuals of a log of columns."""
 
     def replay(folder: Path) -> Any:
-        rows = zip(TIMES.round(9), *columns.values(), strict=True)
+        rows = zip((begin + TIMES).round(9), *columns.values(), strict=True)
         log = table(folder / "log.csv", ",".join(["time", *columns]), *rows)
         residual = cosim.replay(log, fmu=model.fmu(2, way), start=start).residual
         assert residual is not None
@@ -200,9 +202,14 @@ def replayed(model: Model, columns: Mapping[str, np.ndarray], way: Way = "cs", *
     return replay
 
 
-def linearized(_: Path) -> Any:
-    made = cosim.linearize(LEFT.fmu(2, "me")).first
-    return {"A": made.A, "B": made.B, "C": made.C, "D": made.D, "frequency": abs(np.linalg.eigvals(made.A)[0])}
+def linearized(model: Model, version: int = 2) -> Callable[[Path], Any]:
+    """Return the linearization by model exchange."""
+
+    def found(_: Path) -> dict[str, Any]:
+        made = cosim.linearize(model.fmu(version, "me")).first
+        return {"A": made.A, "B": made.B, "C": made.C, "D": made.D, "frequency": abs(np.linalg.eigvals(made.A)[0])}
+
+    return found
 
 
 def fitted(folder: Path) -> Any:
@@ -249,15 +256,21 @@ VERB = [
     Case(
         "replay-step", "A log of x' = u, y = x + u with a step of u at 1 s, by formula, and an FMU of them.",
         "no residual: a row's command acts from its time",
-        {way: replayed(DECLARED, {"u": COMMAND, "x": AFTER, "y": AFTER + COMMAND}, way, x=0) for way in WAYS},
-        # model exchange: CVODE at 1e-5 a step
-        found({f"{word} {name}": 0.0 for word in ("least", "most") for name in ("x", "y")}, 1e-6),
+        {f"{name}, {way}, {begin}": replayed(
+            model, {"u": COMMAND, "x": AFTER, "y": AFTER + COMMAND * (name != "no feedthrough")}, way, begin, x=0)
+         for name, model in INTEGRATORS.items() for way, begin in (("cs", 0), ("me", 0), ("cs", EPOCH))},
+        # model exchange: CVODE at 1e-5 a step; from an epoch on, times have a spacing of 2.4e-7 s, for 80 rows
+        found({f"{word} {name}": 0.0 for word in ("least", "most") for name in ("x", "y")}, 2e-5),
     ),
     Case(
         "linearized-mass", "x'' = −10 x − 0.1 v + 4 (x₂ − x) + 0.2 (v₂ − v).",
-        "A = (0 1; −14 −0.3), B = (0 0; 4 0.2), C = 1, D = 0; |λ| = √14", linearized,
+        "A = (0 1; −14 −0.3), B = (0 0; 4 0.2), C = 1, D = 0; |λ| = √14", linearized(LEFT),
         found({"A": [[0, 1], [-14, -0.3]], "B": [[0, 0], [4, 0.2]], "C": np.eye(2), "D": np.zeros((2, 2)),
                "frequency": math.sqrt(14)}, 1e-6),  # central differences
+    ),
+    Case(
+        "linearized-negated-alias", "flow_out' = u with the negated alias flow_in.", "A = 0, B = 1, C = (1; −1), D = 0",
+        linearized(NEGATED, 1), found({"A": [[0]], "B": [[1]], "C": [[1], [-1]], "D": [[0], [0]]}, 1e-6),
     ),
     Case(
         "fitted-parameter", "A log of e^−0.7t and x' = −k x with k = 1.", "k = 0.7", fitted,

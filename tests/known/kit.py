@@ -10,7 +10,6 @@ import os
 import re
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 from xml.sax.saxutils import quoteattr
 
-from tests.compiled import library
+from tests.compiled import library, pack
 
 Way = Literal["cs", "me"]
 C_TYPES = {
@@ -286,7 +285,11 @@ class Model:
 
     def fmu(self, version: int = 2, way: Way = "cs") -> Path:
         """Return the FMU, named after the model."""
-        return _fmu(self.c(), self.description(version, way), self.name, version)
+        return _fmu(self.c(), self.description(version, way), self.name)
+
+    def library(self) -> Path:
+        """Return the compiled library."""
+        return _library(self.c())
 
 
 @cache
@@ -312,10 +315,7 @@ def _library(code: str) -> Path:
 
 
 @cache
-def _fmu(code: str, description: str, name: str, version: int) -> Path:
+def _fmu(code: str, description: str, name: str) -> Path:
     """Return the FMU, written once a process."""
     made = Path(tempfile.mkdtemp(dir=_folder())) / f"{name}.fmu"
-    with zipfile.ZipFile(made, "w") as archive:
-        archive.writestr("modelDescription.xml", description)
-        archive.write(_library(code), f"binaries/{'x86_64-linux' if version == 3 else 'linux64'}/{name}.so")
-    return made
+    return pack(made, description, _library(code))

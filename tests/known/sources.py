@@ -119,8 +119,10 @@ CASES = [
         + at(None, 1.1e-4, m_x=np.cumsum([0, *range(30)]) * 0.1),
     ),
     Case(
-        "epoch-changes", "u is 1 from 1 700 000 000.2 s on, step 0.1 s (`reference`; `events`).", "u = 0, 0, 1, 1, …",
-        {door: jump(part(PLAIN), door, EPOCH + 0.2, start_time=EPOCH) for door in ("reference", "event")},
+        "epoch-changes", "u is 1 from 1 700 000 000.2 s on, step 0.1 s (`reference`; `events`; `faults`).",
+        "u = 0, 0, 1, 1, …",
+        {door: jump(part(PLAIN), door, EPOCH + 0.2, start_time=EPOCH) for door in ("reference", "event")}
+        | fed(reference(0), faults=[{"on": "m.u", "kind": "bias", "from": EPOCH + 0.2, "value": 1}], start_time=EPOCH),
         at(None, m_u=(np.arange(21) >= 2).astype(float)),
     ),
     Case(

@@ -109,7 +109,8 @@ UNIT = [
     ),
     Case(
         "inverse-display-unit", "47 mpg for an input in L/100km with an inverse display unit.",
-        "235.214583 / 47 = 5.004566 (FMI 3.0, 2.4.3.2)", started(CONSUMPTION, "47 mpg", 3),
+        "235.214583 / 47 = 5.004566 (FMI 3.0, 2.4.3.2)",
+        {way: put(way, part(CONSUMPTION, 3), {"u": "47 mpg"}, 0.1, duration=0.2) for way in ("start", "event")},
         at(0.2, m_y=235.214583 / 47),
     ),
     Case(
@@ -201,7 +202,8 @@ def every_way(name: str, system: str, source: str, *kinds: str) -> Case:
     component, values = part(TYPED, 3), {f"i_{t}": EXTREMES[t] for t in kinds}
     runs = {way: put(way, component, values, 0.1, duration=0.2) for way in ("start", "event", "playback")}
     wires = ", ".join(f"s.o_{t} > m.i_{t}" for t in kinds)
-    runs["connection"] = run({"s": component | {"start": values}, "m": component}, wires, 0.2)
+    for door, keys in (("connection", {}), ("own process", {"process": "own"})):
+        runs[door] = run({"s": component | keys | {"start": values}, "m": component | keys}, wires, 0.2)
     return Case(name, system, source, runs, at(0.2, 0, **{f"m_o_{t}": RIGHT[t] for t in kinds}))
 
 
@@ -209,12 +211,18 @@ KEPT = ("Float64", "Float32", "Int64", "UInt64", "String", "Boolean")
 
 
 def kept(format_: str) -> Run:
-    """Return the run whose values are written to a file and read again."""
+    """Return the run whose values are written to a file, read again, and played back."""
 
     def read(content: Any, folder: Path) -> dict[str, str]:
         cosim.run(content, folder / "out", report=False, format=format_)
-        ran = cosim.read(folder / "out")
-        return {t: str(value_of(ran, Answer(f"m.o_{t}", 0.2, None, 0))) for t in KEPT}
+        (file,) = (folder / "out").glob("results.*")
+        recording, names = {"block": "playback", "file": str(file)}, [f"m.o_{t}" for t in KEPT if t != "Boolean"]
+        wires = ", ".join(f"r.{name} > {name.replace('o_', 'i_')}" for name in names)
+        again, played = cosim.read(folder / "out"), run({"r": recording, "m": part(TYPED, 3)}, wires, 0.2)(folder)
+        for name in names:
+            values = [str(value_of(ran, Answer(name, 0.2, None, 0))) for ran in (again, played)]
+            assert values[0] == values[1], name
+        return {t: str(value_of(again, Answer(f"m.o_{t}", 0.2, None, 0))) for t in KEPT}
 
     return put("start", part(TYPED, 3), {f"i_{t}": EXTREMES[t] for t in KEPT}, duration=0.2, door=read)
 
@@ -266,8 +274,10 @@ TYPE = [
         at(0.2, m_total=321.0, n_total=642.0, o_total=246.0, **{f"n_b[{k}]": 4.0 * k for k in (1, 2, 3)}),
     ),
     Case(
-        "array-start", "The same with a = (5, 6, 7) in `start`.", "total = 5 + 60 + 700",
-        put("start", part(ARRAY, 3), {"a": [5, 6, 7]}, duration=0.2), at(0.2, m_total=765.0, **{"m_b[3]": 14.0}),
+        "array-start", "The same with a = (5, 6, 7) in `start`, whole or by elements.", "total = 5 + 60 + 700",
+        {name: put("start", part(ARRAY, 3), start, duration=0.2) for name, start in (
+            ("whole", {"a": [5, 6, 7]}), ("elements", {"a[3]": 7, "a[1]": 5, "a[2]": 6}))},
+        at(0.2, m_total=765.0, **{"m_b[3]": 14.0}),
     ),
     Case(
         "out-of-range", "An Int32 of 128 into an Int8.", "exit code 4: values never wrap",
@@ -276,7 +286,7 @@ TYPE = [
     ),
     Case(
         "formats", "0.1 + 0.2, a single, 2⁵³ + 1, 2⁶⁴ − 1, a text and true in results of each format.",
-        "the same values, read again", {f: kept(f) for f in ("csv", "hdf5")},
+        "the same values, read again and played back", {f: kept(f) for f in ("csv", "hdf5", "parquet", "mat")},
         found({t: str(float(RIGHT[t]) if t == "Boolean" else RIGHT[t]) for t in KEPT}, 0),
     ),
 ]  # fmt: skip
