@@ -14,8 +14,8 @@ import pytest
 import cosim
 from cosim.core.errors import InputError
 from cosim.estimation.kernel.backend import RemoteLibraryKernel
-from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.posing import build_problem
+from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.experiment.question import ask
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.workflow import failure_warnings
