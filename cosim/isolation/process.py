@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import itertools
 import os
 import pickle
@@ -20,7 +21,7 @@ from typing import Any, BinaryIO, Self
 
 import psutil
 
-from cosim.blocks.shared_code import SharedCode
+from cosim.blocks.shared_code import SharedCode, has_loaded_fmus
 from cosim.core.errors import Crashed, SimulationError, Terminated
 from cosim.core.scratch import ScratchFolder, scratch
 from cosim.files.cache import cache_environment
@@ -381,11 +382,11 @@ class _Forked:
 
 
 def _can_fork() -> bool:
-    """Return whether a fork of this process can be the worker: on Linux, where the process has one thread.
+    """Return whether a fork of this process can be the worker: on Linux, with one thread and without code of an FMU.
 
     A fork has all imported modules. A lock of another thread, also of one of a library, would never be released in it.
     """
-    return sys.platform.startswith("linux") and int(psutil.Process().num_threads()) == 1
+    return sys.platform.startswith("linux") and not has_loaded_fmus() and int(psutil.Process().num_threads()) == 1
 
 
 def _fork() -> _Forked:
@@ -408,7 +409,7 @@ def _fork() -> _Forked:
             os.dup2(end, number)
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
         os.environ.update(cache_environment())
-        worker.main()
+        contextvars.Context().run(worker.main)  # nothing of the work of the caller applies in it
     finally:
         os._exit(1)
 
