@@ -17,6 +17,7 @@ from cosim.logs.gate import gate
 from cosim.logs.log import Log, read_log
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.logs import RECORDED, times, write_log
+from tests.test_first_steps import told
 
 HEADER = "time,duty_right,duty_left,tilt_right,tilt_left,psi,psi_dot"
 ROWS = "0.00,6.4,6.4,0.1,0.1,0.0,0.0\n0.02,6.4,6.4,0.1,0.1,0.1,0.0\n0.04,6.4,6.4,0.2,0.1,0.1,0.0\n"
@@ -99,6 +100,7 @@ def test_a_sheet_of_excel_is_a_log_and_several_tables_are_refused(tmp_path: Path
     assert log.time.tolist() == pytest.approx(wanted.time.tolist(), abs=1e-6)
     assert log.outputs["psi"].tolist() == wanted.outputs["psi"].tolist()
     assert len(log.assumed) == 1
+    told("check", path)
     (tmp_path / "torn.xlsx").write_bytes(path.read_bytes()[:900])
     book.create_sheet("other").append(["x"])
     book.save(path)
@@ -155,8 +157,8 @@ LAST = "0.04,6.4,6.4,0.2,0.1,0.1,0.0"
     ],
 )
 def test_a_fault_is_told_with_its_place(tmp_path: Path, old: str, new: str, place: str) -> None:
-    (told,) = faults(tmp_path / "a.csv", PLAIN.replace(old, new))
-    assert told.startswith(f"{place}: ")
+    (fault,) = faults(tmp_path / "a.csv", PLAIN.replace(old, new))
+    assert fault.startswith(f"{place}: ")
 
 
 @pytest.mark.parametrize(
@@ -173,8 +175,8 @@ def test_a_fault_is_told_with_its_place(tmp_path: Path, old: str, new: str, plac
     ],
 )
 def test_a_fault_of_the_whole_file_is_told_with_its_place(tmp_path: Path, text: str | bytes, place: str) -> None:
-    (told,) = faults(tmp_path / "a.csv", text)
-    assert told.startswith(f"{place}: ")
+    (fault,) = faults(tmp_path / "a.csv", text)
+    assert fault.startswith(f"{place}: ")
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:

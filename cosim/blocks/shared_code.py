@@ -195,6 +195,11 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
 _loaded: dict[Path, Code] = {}  # FMUs of this process, also those that are freed: modules and some libraries stay
 
 
+def has_loaded_fmus() -> bool:
+    """Return whether this process has loaded an FMU."""
+    return bool(_loaded)
+
+
 def claim(path: Path) -> list[str]:
     """Note that this process loads an FMU; return warnings of modules and libraries that it has from elsewhere.
 

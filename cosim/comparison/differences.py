@@ -128,9 +128,9 @@ class Difference:
     note: str = ""
     alike: bool = True
 
-    def as_json(self, *, named: bool = True) -> dict[str, Any]:
-        """Return the difference as plain data; non-finite becomes None."""
-        values = [(k, v) for k, v in asdict(self).items() if named or k != "name"]
+    def as_json(self) -> dict[str, Any]:
+        """Return the difference without the signal's name as plain data; non-finite becomes None."""
+        values = [(k, v) for k, v in asdict(self).items() if k != "name"]
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values}
 
 

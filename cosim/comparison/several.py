@@ -304,7 +304,7 @@ class ComparedRuns:
             "inputs": [{"kind": i.kind, "name": i.name, "values": list(i.values)} for i in self.inputs],
             "criteria": [{"what": title, "outcomes": outcomes} for title, outcomes in criteria_of(self.runs).items()],
             "signals": [
-                {"name": name, "differences": [None if d is None else d.as_json(named=False) for d in cells]}
+                {"name": name, "differences": [None if d is None else d.as_json() for d in cells]}
                 for name, cells in self.table.items()
             ],
             "drawn": {"runs": [self.labels[k] for k in self.drawn], "signals": [*self.values]},

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.core.errors import Fault, InputError
 from cosim.core.extras import optional
-from cosim.core.text import counted
+from cosim.core.text import counted, join_names
 from cosim.files.csv_source import MOST_BYTES
 from cosim.files.table import Column, Source, Table
 
@@ -47,7 +47,7 @@ class Mdf(Source):
         columns = [Column("time", "s", time)]
         for signal in signals:
             if not signal.timestamps.size or signal.samples.ndim != 1 or signal.samples.dtype.names:
-                continue  # no values, or a structure
+                continue  # no values, an array or a structure
             rows, samples = places[signal.timestamps.tobytes()], signal.samples
             if samples.dtype.kind in "biuf":
                 if rows.size == time.size and samples.dtype.kind in "biu":
@@ -61,8 +61,10 @@ class Mdf(Source):
                 for row, sample in zip(rows.tolist(), samples.tolist(), strict=True):
                     cells[row] = sample.decode("utf-8", "replace") if isinstance(sample, bytes) else str(sample)
                 columns.append(Column(signal.name, signal.unit or "", cells, is_text=True))
-        assumed = (f"channels have {counted(len(rasters), 'raster')} of time, which are joined",) if rasters else ()
-        return Table(columns, assumed=assumed if len(rasters) > 1 else (), own_times=len(rasters) > 1)
+        assumed = [f"{counted(len(rasters), 'time channel')} are joined"] if len(rasters) > 1 else []
+        omitted = [s.name for s in signals if s.samples.ndim != 1 or s.samples.dtype.names]
+        assumed += [f"arrays and structures are left out: {join_names(omitted)}"] if omitted else []
+        return Table(columns, assumed=tuple(assumed), own_times=len(rasters) > 1)
 
 
 MDF = Mdf()

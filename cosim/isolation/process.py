@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import itertools
 import os
 import pickle
@@ -20,7 +21,7 @@ from typing import Any, BinaryIO, Self
 
 import psutil
 
-from cosim.blocks.shared_code import SharedCode
+from cosim.blocks.shared_code import SharedCode, has_loaded_fmus
 from cosim.core.errors import Crashed, SimulationError, Terminated
 from cosim.core.scratch import ScratchFolder, scratch
 from cosim.files.cache import cache_environment
@@ -350,7 +351,8 @@ class _Forked:
     """A process that `_fork` has started, with what is used of `subprocess.Popen`."""
 
     def __init__(self, pid: int, stdin: int, stdout: int, stderr: int) -> None:
-        self.pid, self.returncode = pid, None if pid else 0
+        self.pid = pid
+        self.returncode: int | None = None
         self.stdin, self.stdout, self.stderr = os.fdopen(stdin, "wb"), os.fdopen(stdout, "rb"), os.fdopen(stderr, "rb")
 
     def poll(self) -> int | None:
@@ -380,18 +382,18 @@ class _Forked:
 
 
 def _can_fork() -> bool:
-    """Return whether a fork of this process can do the work: on Linux, from the only thread of the process.
+    """Return whether a fork of this process can be the worker: on Linux, with one thread and without code of an FMU.
 
-    It has all modules already, which a new Python would import for half a second. A lock that another thread holds
-    would be held in the fork for good, so that threads of libraries count, too.
+    A fork has all imported modules. A lock of another thread, also of one of a library, would never be released in it.
     """
-    return sys.platform.startswith("linux") and int(psutil.Process().num_threads()) == 1
+    return sys.platform.startswith("linux") and not has_loaded_fmus() and int(psutil.Process().num_threads()) == 1
 
 
 def _fork() -> _Forked:
     """Start a fork of this process in its own group, with default signals and no files but its streams."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):  # else the fork writes what they buffer, too
+        with suppress(OSError, ValueError):  # a closed one
+            stream.flush()
     (to_read, to_write), (out_read, out_write), (err_read, err_write) = os.pipe(), os.pipe(), os.pipe()
     pid = os.fork()
     if pid:
@@ -400,14 +402,14 @@ def _fork() -> _Forked:
         return _Forked(pid, to_write, out_read, err_read)
     try:
         os.setsid()
-        for number in ("SIGINT", "SIGTERM", "SIGHUP"):
-            signal.signal(getattr(signal, number), signal.SIG_DFL)
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            signal.signal(getattr(signal, name), signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_SETMASK, [])
-        for stream, end in enumerate((to_read, out_write, err_write)):
-            os.dup2(end, stream)
+        for number, end in enumerate((to_read, out_write, err_write)):
+            os.dup2(end, number)
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
         os.environ.update(cache_environment())
-        worker.main()
+        contextvars.Context().run(worker.main)  # nothing of the work of the caller applies in it
     finally:
         os._exit(1)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,12 +30,12 @@ def new_figure(width: float = 0.0, height: float = 0.0) -> Figure:
                 os.environ[VARIABLE] = str(process_folder() / "matplotlib")
     from matplotlib.figure import Figure
 
-    class ShownFigure(Figure):
-        """A figure that a notebook shows also without `%matplotlib`."""
+    figure = Figure(figsize=(width, height) if width else None, layout="constrained")
+    figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]  # for notebooks without %matplotlib
+    return figure
 
-        def _repr_png_(self) -> bytes:
-            picture = io.BytesIO()
-            self.savefig(picture, format="png", dpi=110)
-            return picture.getvalue()
 
-    return ShownFigure(figsize=(width, height) if width else None, layout="constrained")
+def _png(figure: Figure) -> bytes:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=110)
+    return picture.getvalue()

@@ -75,7 +75,7 @@ def page(swept: Swept) -> str:
         "criteria": [],
         "worst": [],
         "histograms": histograms(criteria, values, charts),
-        "parallel": _parallel_coordinates(swept, table),
+        "parallel": _parallel_coordinates(swept, table, values),
         "scatters": scatters[0],
         "more_scatters": scatters[1],
         "factors": [_factor(swept, factor) for factor in study.factors],
@@ -192,7 +192,7 @@ def histograms(criteria: Sequence[Mapping[str, Any]], values: Mapping[str, Array
     return plots
 
 
-def _parallel_coordinates(swept: Swept, table: Any) -> Mapping[str, Any] | None:
+def _parallel_coordinates(swept: Swept, table: Any, outcomes: Mapping[str, Array]) -> Mapping[str, Any] | None:
     """Return axes and lines of runs in parallel coordinates: numeric factors, then criteria that a run misses.
 
     The rarer kind of runs comes last and lies above the other one. None if no run misses a criterion.
@@ -202,7 +202,7 @@ def _parallel_coordinates(swept: Swept, table: Any) -> Mapping[str, Any] | None:
     units = {factor.name: factor.unit for factor in swept.sweep.factors}
     columns = {name: c for name, c in swept.sweep.columns.items() if name != "seed" and are_numbers(c)}
     axes = {name: (np.array(column, float)[runs], units[name]) for name, column in columns.items()}
-    axes |= {c["name"]: (swept.criteria[c["name"]], c["unit"]) for c in criteria}
+    axes |= {c["name"]: (outcomes[c["name"]], c["unit"]) for c in criteria}
     axes = {name: entry for name, entry in axes.items() if (span := extent([entry[0]])) and span[1] > span[0]}
     if len(axes) < 2 or not criteria:
         return None

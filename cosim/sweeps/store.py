@@ -188,7 +188,7 @@ class Runs:
 
     @property
     def headline(self) -> str:
-        """How many runs meet all criteria, and the criterion that most runs miss."""
+        """Return a sentence with the number of runs that meet all criteria, and the criterion that most runs miss."""
         record = self.record
         criteria, runs, completed = record["criteria"], record["runs"], record["runs"] - record["failed"]
         if not criteria:
@@ -204,7 +204,7 @@ class Runs:
 
     @property
     def criteria(self) -> dict[str, Array]:
-        """Values of each criterion in the runs, NaN without one."""
+        """Return the values of each criterion in the runs, NaN without one."""
         table, _ = read_table(self.folder / TABLE)
         names = [c["name"] for c in self.record["criteria"]]
         return {name: np.array(table.column(name).to_pylist(), float) for name in names}
@@ -213,13 +213,13 @@ class Runs:
         """Return a matplotlib figure with a histogram of each criterion, and its limit."""
         from cosim.report.figure import new_figure
 
-        criteria = self.record["criteria"]
+        criteria, outcomes = self.record["criteria"], self.criteria
         figure = new_figure(5.6, 2.4 * max(1, len(criteria)))
         axes = figure.subplots(max(1, len(criteria)), squeeze=False).ravel()
         with showing(self.record):
             for ax, c in zip(axes, criteria, strict=False):
                 unit, factor = display(c["unit"])
-                values = self.criteria[c["name"]] * factor
+                values = outcomes[c["name"]] * factor
                 ax.hist(values[np.isfinite(values)], bins="auto", color="#7fb8d8")
                 ax.axvline(c["max"] * factor, color="#767676", linestyle="--")
                 ax.set(xlabel=f"{c['name']} [{unit or '1'}]", ylabel="runs")

@@ -168,8 +168,7 @@ def sweep(
                         observer.add([result])
                     if progress is not None:
                         progress(len(runs) - len(missing) + made, len(runs))
-                for database in databases:
-                    database.store()
+                databases[0].store()
                 hold_stops()  # The table must still be written.
             except (KeyboardInterrupt, Terminated) as stop:
                 why, cure, exit_code = "stopped", "", getattr(stop, "exit_code", 130)

@@ -203,8 +203,10 @@ class SignalPlot extends Chart {
     this.statistics.hidden = marks.length < 2 || this.kind !== "time" || !curves.length;
     if (this.statistics.hidden) return;
     const [from, to] = [...marks].sort((a, b) => a - b),
-      answer = await request("statistics", { from, to, curves: curves.map((c) => [c.run, c.name]) }),
-      numbers = new Float64Array(await answer.arrayBuffer()),
+      asked = { from, to, curves: curves.map((c) => [c.run, c.name]) },
+      answer = await request("statistics", asked).catch((error) => this.host.warn(error.message));
+    if (!answer) return;
+    const numbers = new Float64Array(await answer.arrayBuffer()),
       heads = ["min", "max", "mean", "RMS", "σ"],
       cells = (k) => heads.map((_, n) => make("td", { class: "num" }, readable(numbers[heads.length * k + n])));
     this.statistics.replaceChildren(
