@@ -70,7 +70,7 @@ class Killed:
         """Return what differs in the files of the run and of one that was not killed."""
         manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (self.part, self.whole)]
         for manifest in manifests:
-            del manifest["timings"]
+            del manifest["date"], manifest["timings"]
         found = ["manifest.json differs"] if manifests[0] != manifests[1] else []
         if (self.part / "results.csv").read_bytes() != (self.whole / "results.csv").read_bytes():
             found.append("results.csv differs")

@@ -11,27 +11,75 @@ import jsonschema
 import numpy as np
 import pytest
 
+from cosim.fmi.building.file import own_model
+from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import compare_effects, innovations
 from cosim.refinement.report.refine_page import write_refine_report
 from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.verbs.checks import schema_of
-from tests.rail import rail_study
+from tests.logs import times, write_log
 from tests.seen import faults
 from tests.studies import proven
 
-DRY, SMOOTH, MASS = 2.0, 0.02, 2.0  # [N], [m/s], [kg] of the block
+DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
+CART = """
+from dataclasses import dataclass
+from cosim.model import Effect, Equations, Model, Quantity, parameter
+
+@dataclass(frozen=True, kw_only=True)
+class Dry(Effect):
+    name, equation = "dry", "force -F tanh(v/0.02)"
+    force: float = parameter(0.0, unit="N", bounds=(0, 5), neutral=0.0, typical=0.2, doc="F")
+    def pull(self, m, v):
+        return -self.force * m.tanh(v / 0.02)
+
+@dataclass(frozen=True, kw_only=True)
+class Push(Effect):
+    name, equation = "push", "force f"
+    force: float = parameter(0.0, unit="N", bounds=(-5, 5), neutral=0.0, typical=0.2, doc="f")
+    def pull(self, m, v):
+        return self.force
+
+@dataclass(frozen=True, kw_only=True)
+class Cart(Model):
+    title = "Cart <of mine>"
+    base_states = (Quantity("s", "m", "place"), Quantity("v", "m/s", "speed"))
+    inputs, outputs = (Quantity("force", "N", "force"),), base_states[:1]
+    catalogue, sensor_variance = (Dry, Push), {"s": 1e-6}
+    forced, calibrated = ("v",), ("mass",)
+    mass: float = parameter(2.0, unit="kg", bounds=(0.1, 10), doc="mass")
+    drag: float = parameter(0.5, unit="N.s/m", bounds=(0, 10), doc="viscous friction")
+    def equations(self, m):
+        def derivative(t, state, command):
+            pulls = sum(e.pull(m, state[1]) for e in self.awake)
+            return state[1], (command[0] - self.drag * state[1] + pulls) / self.mass
+        return Equations(derivative, lambda t, state, command: state[:1])
+"""
 
 
 @pytest.fixture(scope="module")
-def rail(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
-    """Two logs of 12 s of a block with dry friction, and a third one that is sealed."""
-    folder = tmp_path_factory.mktemp("rail") / "<b>&amp; co"
-    study = rail_study(folder, {"coulomb": DRY}, "candidates: [coulomb, slope]\n")
-    model = folder / "rail.py"
-    model.write_text(model.read_text().replace('"Rail"', '"Rail <of mine>"'))
-    return proven(study, folder / "out")
+def cart(tmp_path_factory: pytest.TempPathFactory) -> Refinement:
+    """Two logs of 12 s of a cart with dry friction, and a third one that is sealed."""
+    folder = tmp_path_factory.mktemp("cart") / "<b>&amp; co"
+    folder.mkdir()
+    (folder / "cart.py").write_text(CART)
+    stepper, time = Stepper(own_model("cart.py:Cart", folder).with_values({"dry.force": DRY})), times(12.0)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        waves = zip((1.2, 0.8, 0.5), (0.9, 2.3, 5.1), rng.uniform(0, 6, 3), strict=True)
+        force = np.sum([a * np.sin(w * time + p) for a, w, p in waves], axis=0)
+        moment, place = stepper.start(), []
+        for u in force.tolist():
+            place.append(moment.state[0])
+            moment = stepper.step(moment, (u,), 0.02)
+        noise = 1e-3 * rng.standard_normal(time.size)
+        write_log(folder / f"{seed}.csv", {"time": time, "force": force, "s": np.array(place) + noise})
+    (folder / "study.yaml").write_text(
+        "model: cart.py:Cart\nlogs: {estimation: [0.csv, 1.csv], validation: [2.csv]}\ncandidates: [dry, push]\n"
+    )
+    return proven(folder / "study.yaml", folder / "out")
 
 
 def page(r: Refinement, folder: Path) -> str:
@@ -40,8 +88,8 @@ def page(r: Refinement, folder: Path) -> str:
 
 
 @pytest.mark.thorough
-def test_the_page_loads_nothing_and_hinders_nobody(rail: Refinement, tmp_path: Path) -> None:
-    text = page(rail, tmp_path)
+def test_the_page_loads_nothing_and_hinders_nobody(cart: Refinement, tmp_path: Path) -> None:
+    text = page(cart, tmp_path)
     assert re.findall(r'(?:src|href)="(?!#|data:,)[^"]', text) == []
     assert re.search(r"https?://|@import|url\(|<script[^>]* src", text) is None
     assert len(text.encode()) < 900_000
@@ -51,18 +99,18 @@ def test_the_page_loads_nothing_and_hinders_nobody(rail: Refinement, tmp_path: P
     assert all(f'id="{t}"' in text for t in targets)
     assert "<b>&" not in text  # names from files never become markup
     assert "Study &lt;b&gt;&amp;amp; co" in text
-    assert "Rail &lt;of mine&gt;" in text
+    assert "Cart &lt;of mine&gt;" in text
     assert faults(tmp_path / "report.html") == []
 
 
 def test_the_claimed_term_is_the_force_over_the_mass_and_the_data_show_it_to_one_who_does_not_know(
-    rail: Refinement,
+    cart: Refinement,
 ) -> None:
-    (found,) = compare_effects(rail)
-    assert (found.effect, found.where, found.against.name) == ("coulomb", "velocity", "velocity")
+    (found,) = compare_effects(cart)
+    assert (found.effect, found.where, found.against.name) == ("dry", "v", "v")
     assert found.term is not None
-    assert rail.verdict.claimed is not None
-    force, v = rail.verdict.claimed.fit.values["coulomb.level"], found.against.values
+    assert cart.verdict.claimed is not None
+    force, v = cart.verdict.claimed.fit.values["dry.force"], found.against.values
     for sign in (-1, 1):
         rows = sign * v > 8 * SMOOTH
         # the term is a mean over 20 ms; base mass recalibrated by less than 1 % acts on 0.2 m/s², and on up to 2.5 N
@@ -73,8 +121,8 @@ def test_the_claimed_term_is_the_force_over_the_mass_and_the_data_show_it_to_one
     assert found.share > 0.8
 
 
-def test_innovations_are_coloured_before_and_white_after(rail: Refinement) -> None:
-    (row,) = innovations(rail, Charts())
+def test_innovations_are_coloured_before_and_white_after(cart: Refinement) -> None:
+    (row,) = innovations(cart, Charts())
     assert row["white"] == ["no", "yes"]
     assert float(row["size"][0]) > 1.5
     assert float(row["size"][1]) == pytest.approx(1.0, abs=0.1)  # 1100 samples: standard error 0.02
@@ -85,24 +133,24 @@ def test_innovations_are_coloured_before_and_white_after(rail: Refinement) -> No
     [
         ("no_effect", (), "nothing missing"),
         ("unexplained", (), "figure of the remainder"),
-        ("ambiguous", ("coulomb", "slope"), "push harder"),
+        ("ambiguous", ("dry", "push"), "push harder"),
         ("parameter_error", (), "wrong parameter"),
     ],
 )
 def test_every_verdict_has_its_page(
-    rail: Refinement, tmp_path: Path, name: Any, rivals: tuple[str, ...], says: str
+    cart: Refinement, tmp_path: Path, name: Any, rivals: tuple[str, ...], says: str
 ) -> None:
     is_claimed, chances = name == "parameter_error", {frozenset({rival}): 0.5 for rival in rivals}
-    claims = rail.verdict
+    claims = cart.verdict
     decision = replace(claims.decision, verdict=name, rivals=chances)
     if not is_claimed:
         decision = replace(decision, claimed={}, grade="nearest")
         claims = replace(claims, claimed=None, nearest=claims.best)
     rivalry = {"rivals": list(rivals), "experiment": "push harder" if rivals else ""}
-    record = {**rail.record, **rivalry, "verdict": name, "sentence": "A sentence."}
+    record = {**cart.record, **rivalry, "verdict": name, "sentence": "A sentence."}
     jsonschema.validate(record, schema_of("refine_result"))
     verdict = replace(claims, decision=decision, experiment="push harder")
-    text = page(replace(rail, verdict=verdict, record=record), tmp_path)
+    text = page(replace(cart, verdict=verdict, record=record), tmp_path)
     assert says in text
     assert all(f"<li>{rival}</li>" in text for rival in rivals)
     assert ("Left of recalibrated" in text) == is_claimed

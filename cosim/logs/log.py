@@ -277,7 +277,7 @@ def _check_header(
         else:
             cure = f"for a column of another name say --column COLUMN={name}, or `columns` in a study"
             faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
-    if not missing and not any(name in table for name in outputs):
+    if outputs and not missing and not any(name in table for name in outputs):
         cure = "".join(dict.fromkeys(unread.values()))
         message = f"holds no output of the model{cure}; at least one of {name_list(outputs)} is measured; {other}"
         faults.note(line, 1, message)

@@ -204,7 +204,7 @@ def read_recording(path: Path) -> Recording:
     Raises:
         InputError: Every fault of the file.
     """
-    log = read_log(path, COLUMNS, COLUMNS[3:])  # readings are as complete as commands
+    log = read_log(path, COLUMNS, ())  # readings are as complete as commands
     number = log.grid
     whole = np.arange(number[-1] + 1)
     time, *volts = (np.interp(whole, number, v) for v in (log.time, *(log.inputs[q.name] for q in COLUMNS[3:])))
