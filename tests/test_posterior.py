@@ -30,7 +30,6 @@ from cosim.refinement.decision.posterior import (
     Misfit,
     Parameter,
     decide,
-    held_out_gains,
     log_evidence,
     log_prior,
 )
@@ -217,18 +216,18 @@ def test_what_remains_or_is_uncertain_stands_against_a_claim(
     assert bool(d.rivals) == (verdict == "ambiguous")
 
 
-@pytest.mark.parametrize(("kind", "verdict"), [("effect", "ambiguous"), ("parameter", "parameter_error")])
-def test_a_loss_on_logs_left_out_withdraws_an_effect_and_no_base_number(kind: Kind, verdict: str) -> None:
-    """A column acts in the first log only."""
-    model = Linear({"a": 0.0}, 3)
-    model.y += 1.2 * model.columns["a"] * (np.arange(ROWS) < ROWS // 2)
-    d = decide(bundle := model.bundle({"a": kind}))
-    assert held_out_gains(bundle.hypotheses, d.dispersion, {"a": frozenset("a")}, 1)["a"] < 0.0
-    assert d.inclusion["a"] >= CERTAIN
-    assert (d.verdict, set(d.claimed)) == (verdict, set() if kind == "effect" else {"a"})
-    assert d.reasons == (("held out: a",) if kind == "effect" else ())
-    steady = Linear({"a": 0.4}, 7).bundle({"a": kind})
-    assert held_out_gains(steady.hypotheses, 1.0, {"a": frozenset("a")}, 1)["a"] > 5.0
+def test_a_part_is_not_withdrawn_for_another_that_predicts_as_well() -> None:
+    """Two columns are equal; the prior of one is narrower, or no input tells them apart."""
+    model = Linear({"a": 0.4}, 7)
+    one, other = frozenset("a"), frozenset("b")
+    a = model.fit("a")
+    b = replace(a, parts=other, parameters=tuple(replace(p, part="b") for p in a.parameters))
+    kinds: dict[str, Kind] = {"a": "effect", "b": "effect"}
+    alike = decide(Bundle([model.fit(), a, b], kinds, equivalent=[(one, other)]))
+    assert (alike.verdict, alike.reasons) == ("effect_found", ())
+    narrow = replace(b, parameters=tuple(replace(p, width=1e-3 * p.width) for p in b.parameters))
+    d = decide(Bundle([model.fit(), a, narrow], kinds))
+    assert (d.verdict, set(d.claimed), d.reasons) == ("effect_found", {"a"}, ())
 
 
 # -- gain of a part against the scatter of chance, over blocks of time ----------------------------------

@@ -66,10 +66,6 @@ DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time a
 NO_EFFECT = "no_effect"
 NOTHING = "Nothing is missing: the model, recalibrated, explains these logs down to the sensors' noise."
 DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
-REFUSALS = {
-    "interval": "Probable but not claimed, since intervals hold the values without effect: {}.",
-    "held out": "Fits to some of the logs predict the others worse with {} than without.",
-}
 OPENINGS = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
 
 
@@ -191,9 +187,8 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         yield f"{opening}: {join_names(c.hidden)} would not show in them, present or not."
         yield f"An experiment that shows more: {c.experiment}."
     elif c.name == "ambiguous":
-        for reason, text in REFUSALS.items():
-            if parts := [name for kind, _, name in (r.partition(": ") for r in reasons) if kind == reason]:
-                yield text.format(join_names(parts))
+        if parts := [reason.removeprefix("interval: ") for reason in reasons if reason.startswith("interval: ")]:
+            yield f"Probable but not claimed, since intervals contain the values without them: {join_names(parts)}."
         if sum(p > 0.0 for p in rivals.values()) > 1:
             yield _rivals_text(c)
     elif c.name == NO_EFFECT:

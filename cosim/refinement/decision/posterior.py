@@ -15,9 +15,8 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
-from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -294,50 +293,13 @@ def inclusion(classes: Mapping[Names, float]) -> dict[str, float]:
     return {n: sum(p for parts, p in classes.items() if n in parts) for n in sorted(frozenset[str]().union(*classes))}
 
 
-def held_out_gains(
-    hypotheses: Sequence[Evidence], kappa: float, groups: Mapping[str, Names], count: int
-) -> dict[str, float]:
-    """Return part → gain of the log score on logs left out, each by the best set of the others with it and without.
-
-    The score of a log is its predictive density, the evidence of all logs over that of the others (Geisser and Eddy
-    1979, J. Am. Stat. Assoc. 74:153): at an estimate alone, what the others hardly determine would reject true parts.
-    A single log has no others, and gives 0.
-
-    Args:
-        groups: Part → its name, and those of richer parts that contain it.
-        count: Number of parts on trial.
-    """
-    logs = np.unique(hypotheses[0].logs)
-    gains = dict.fromkeys(groups, 0.0)
-    whole = [log_evidence(h, kappa) for h in hypotheses]
-    for log in logs if len(logs) > 1 else ():
-        scored: list[tuple[float, float, Names]] = []  # log weight on the other logs, score of this one, parts
-        for h, evidence in zip(hypotheses, whole, strict=True):
-            kept, others = h.logs != log, np.delete(h.informations, log, axis=0)
-            blocks = {"log_likelihoods": h.log_likelihoods[kept], "gradients": h.gradients[kept], "logs": h.logs[kept]}
-            rest = replace(h, informations=others, **blocks)
-            of_others = log_evidence(rest, kappa)
-            if math.isfinite(evidence) and math.isfinite(of_others):
-                scored.append((of_others + log_prior(len(h.parts), count), evidence - of_others, h.parts))
-        for part, names in groups.items():
-            with_it = [entry for entry in scored if names & entry[2]]
-            without = [entry for entry in scored if not names & entry[2]]
-            if with_it and without:
-                gains[part] += max(with_it, key=itemgetter(0))[1] - max(without, key=itemgetter(0))[1]
-    return gains
-
-
 def decide(bundle: Bundle) -> Decision:
     """Return the verdict of a study."""
     sets, kappa = posterior(bundle.hypotheses, len(bundle.kinds))
     classes = folded(by_family(sets, bundle.families, bundle.unsure), bundle.equivalent)
     numbers, nearest, misfit = inclusion(classes), next(iter(classes)), bundle.misfit
     certain = {name: p for name, p in numbers.items() if p >= CERTAIN}
-    riches = {simple: {rich for rich, own in bundle.families.items() if own == simple} for simple in certain}
-    groups = {name: frozenset({name, *riches[name]}) for name in certain if bundle.kinds[name] != "parameter"}
-    gains = held_out_gains(bundle.hypotheses, kappa, groups, len(bundle.kinds))
-    withdrawn = {name: "held out" for name, gain in gains.items() if gain < 0.0}  # part → why
-    withdrawn |= {name: "interval" for name in certain if name in bundle.unsure}
+    withdrawn = {name for name in certain if name in bundle.unsure}
     certain = {name: p for name, p in certain.items() if name not in withdrawn}
     # a posterior means nothing where every hypothesis is wrong: what remains is then compared with what has no name
     is_misfit = misfit.probability < MISFIT
@@ -398,5 +360,5 @@ def decide(bundle: Bundle) -> Decision:
         nearest=nearest,
         dispersion=kappa,
         misfit=misfit,
-        reasons=(*(f"{why}: {name}" for name, why in withdrawn.items()), *reasons),
+        reasons=(*(f"interval: {name}" for name in sorted(withdrawn)), *reasons),
     )

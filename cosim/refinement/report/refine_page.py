@@ -60,7 +60,6 @@ TOLERANCE = (
     "Beside sensor errors alone, the model keeps its values."
 )
 WITHDRAWN = {  # reason → why a part is not claimed
-    "held out": "held-out logs are predicted no better with it",
     "interval": "its interval holds the value without it",
 }
 Rows = list[dict[str, Any]]
