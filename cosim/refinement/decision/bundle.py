@@ -83,7 +83,6 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
         else np.zeros((len(logs), 0)),
         informations=project.T @ informations @ project,  # positive semidefinite for each log
         logs=logs,
-        among=math.prod(c.among for c in h.candidates),
     )
     search.evidences[h.key] = h, found
     return found
@@ -97,8 +96,9 @@ def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
         return Parameter(f.name, "", value, *f.prior, low=low, high=f.high)
     of = next((c for c in h.candidates if f.name in c.parameters), None)
     part, given = of.name if of else "", float(problem.values[f.name])
-    if of and f.name in of.repeats[:1]:  # the period from which this fit began: all that are apart count in `among`
-        given = of.starts[0].get(f.name, given)
+    if of and f.name in of.repeats[:1]:  # every period is equally probable: this normal prior has their density
+        width = of.among * math.sqrt(2.0 * math.pi) * f.size
+        return Parameter(f.name, part, value, of.starts[0].get(f.name, given), width, low=low, high=f.high)
     if f.name in {p.name for p in subject.parameters}:
         p, stated = subject.declared[f.name], problem.settings.tolerance
         tolerance = stated.get(f.name, TRIAL_TOLERANCE if p.tolerance is None else p.tolerance)

@@ -71,7 +71,6 @@ class Evidence:
         log_likelihoods, logs: Log-likelihood of each block, and the log to which it belongs.
         gradients: Of −ℓ by the parameters, shape (blocks, parameters).
         informations: Of each log, shape (logs, parameters, parameters).
-        among: Number of shapes that were tried before the fit, equally probable: periods of a force that repeats.
     """
 
     parts: Names
@@ -80,7 +79,6 @@ class Evidence:
     gradients: Array
     informations: Array
     logs: Rows
-    among: int = 1
 
 
 @dataclass(frozen=True)
@@ -181,7 +179,7 @@ def log_evidence(h: Evidence, kappa: float) -> float:
     for widths in product(MIXTURE, repeat=len(parts)):
         scale = dict(zip(parts, widths, strict=True))
         of_widths.append(_log_evidence(h, kappa, [scale.get(p.part, 1.0) if p.is_size else 1.0 for p in h.parameters]))
-    evidence = float(logsumexp(of_widths)) - math.log(len(of_widths)) - math.log(h.among)
+    evidence = float(logsumexp(of_widths)) - math.log(len(of_widths))
     return evidence if math.isfinite(evidence) else -math.inf  # of a filter that diverges beside the estimate
 
 
