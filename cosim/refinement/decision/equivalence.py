@@ -18,11 +18,10 @@ from cosim.estimation.data import lagged_table
 from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import WIDTHS
-from cosim.refinement.decision.posterior import MIXTURE
+from cosim.refinement.decision.posterior import EQUIVALENT, MIXTURE
 from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.search.missing import MOST_ROWS
 
-EQUIVALENT = 1e-3  # share of an effect's response below which a difference is that of rounding and integration
 ENLARGED = max(MIXTURE)  # factor on the ranges of inputs, and least factor on the sizes of effects
 
 

@@ -25,7 +25,7 @@ from scipy.special import log_ndtr, logsumexp
 from cosim.core.arrays import Array, Rows
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
-# The numbers that decide, with `EQUIVALENT` of `equivalence.py`, `CLEARLY` of `trust.py` and `COUNTS_FROM` of replays.
+# The numbers that decide, with `COUNTS_FROM` of replays.
 CERTAIN = 0.95  # inclusion probability from which a part is claimed; mass of the classes of an ambiguous verdict
 POSSIBLE = 1.0 - CERTAIN  # probability of a class from which it counts beside others
 PART = 0.5  # prior factor of each further part
@@ -35,6 +35,8 @@ MISFIT = 1e-3  # probability below which a lack of fit is no chance
 UNKNOWN_INPUT = 0.02  # share of a derivative that unknown inputs may carry, unless replays show what a claim removes
 LITTLE = 0.1  # share of the excess error that may remain beside a complete claim
 UNEXPLAINED = 0.5  # share of the excess error that may remain beside any claim
+CLEARLY = 0.05  # difference of the log errors of predictions from which exact equations are better
+EQUIVALENT = 1e-3  # share of an effect's response below which a difference is that of rounding and integration
 
 Kind = Literal["effect", "sensor", "parameter"]
 Verdict = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]

@@ -19,10 +19,9 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.bundle import held_out_errors, noise_gains, unknown_input_gain
+from cosim.refinement.decision.posterior import CLEARLY
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Hypothesis, Progress, Search
-
-CLEARLY = 0.05  # difference of the log errors of predictions from which one way is better
 
 
 def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Attributor:
