@@ -8,30 +8,36 @@
  * model's rates at both ends, or straight over the step if the equations are stiff. So is what a sensor with a lag sees.
  */
 /* Rows of b are added up, so that a compiler can take several columns at once; many entries of a Jacobian are zero. */
+typedef double Two __attribute__((vector_size(16), aligned(8), may_alias));
 static void multiply(const double *a, const double *b, double *out)
 {
     for (int i = 0; i < NS; i++) {
-        double row[NS + 1] = {0.0};
+        Two row[NS / 2 + 1];
+        double last = 0.0;
+        for (int j = 0; j < NS / 2; j++) row[j] = (Two){0.0, 0.0};
         for (int k = 0; k < NS; k++) {
             const double factor = a[NS * i + k];
-            if (factor != 0.0)
-                for (int j = 0; j < NS; j++) row[j] += factor * b[NS * k + j];
+            if (factor == 0.0) continue;
+            const double *line = b + NS * k;
+            for (int j = 0; j < NS / 2; j++) row[j] += factor * *(const Two *)(line + 2 * j);
+            if (NS % 2) last += factor * line[NS - 1];
         }
-        memcpy(out + NS * i, row, sizeof(double) * NS);
+        for (int j = 0; j < NS / 2; j++) *(Two *)(out + NS * i + 2 * j) = row[j];
+        if (NS % 2) out[NS * i + NS - 1] = last;
     }
 }
 
-static void transpose(const double *a, double *out)
+/* P = Phi P Phi'. No measurement reduces an asymmetry by rounding, so that it would grow without bound where the plant is
+ * unstable. */
+static void propagate(const double *Phi, double *P)
 {
+    double M[NS * NS + 1], turned[NS * NS + 1];
+    multiply(Phi, P, M);
     for (int i = 0; i < NS; i++)
-        for (int j = 0; j < NS; j++) out[NS * j + i] = a[NS * i + j];
-}
-
-/* No measurement reduces an asymmetry by rounding, so that it would grow without bound where the plant is unstable. */
-static void symmetric(double *a)
-{
+        for (int j = 0; j < NS; j++) turned[NS * j + i] = M[NS * i + j];
+    multiply(Phi, turned, P); /* P is symmetric, and Phi has zeros */
     for (int i = 0; i < NS; i++)
-        for (int j = 0; j < i; j++) a[NS * i + j] = a[NS * j + i] = 0.5 * (a[NS * i + j] + a[NS * j + i]);
+        for (int j = 0; j < i; j++) P[NS * i + j] = P[NS * j + i] = 0.5 * (P[NS * i + j] + P[NS * j + i]);
 }
 
 #if STIFF
@@ -151,7 +157,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
            double *errors, double *variances, double *states, double *memories, double *covariances)
 {
     static const int S[NS + 1] = STOCHASTIC;
-    double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], M[NS * NS + 1], C[NY * NS + 1], y[NY];
+    double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], C[NY * NS + 1], y[NY];
     double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1], PC[NS + 1];
     double slopes[NY * NS + 1]; /* of the outputs, where C holds those of the readings */
     Lags lags = lags_of(log);
@@ -178,10 +184,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                     jacobian(before, x, u, p, A);
                     transition_over(log->substeps, h, A, Phi);
                     if (lags.any) lags_over_step(&lags, Phi);
-                    multiply(Phi, P, M);
-                    transpose(Phi, A);
-                    multiply(M, A, P);
-                    symmetric(P);
+                    propagate(Phi, P);
                     for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step;
                 }
 #if !STIFF
