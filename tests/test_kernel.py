@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from cosim.core.arrays import Array
 from cosim.estimation.kernel import backend
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.c_filter import CompiledKernel
-from cosim.estimation.kernel.generate import generate
+from cosim.estimation.kernel.generate import KNOTS, bump, generate, rise
 from cosim.estimation.kernel.kernel import MEMORY, Data, Layout
 from cosim.estimation.subject.model_subject import neutral_values
 from cosim.files.cache import cache_path
@@ -110,3 +111,42 @@ def steps_as_the_fmu(k: CompiledKernel, table: Model) -> bool:
         assert state == pytest.approx(moment.state, rel=1e-9, abs=1e-12)  # the same steps, sums in another order
         moment = stepper.step(moment, tuple(u), 0.02)
     return True
+
+
+@NEEDS_C
+def test_rows_simulated_at_once_are_those_of_single_simulations(table: Model) -> None:
+    made, count, length = kernel(table, ("angle",)), 40, 3
+    p = parameters(table, made.layout, **{"dry_friction.level": 0.05})
+    data = Data(0.02, 1.0, 0.1 * np.sin(times(0.8))[:count, None], np.full((count, 1), np.nan), 2)
+    rows, states = [0, 7, count - 2, count - 1], np.arange(12.0).reshape(4, 3)
+    at_once = made.simulate_from(data, p, (rows, states, np.zeros((4, 0))), length)
+    for row, state, run in zip(rows, states, at_once, strict=True):
+        single = made.simulate(data.rows(0, row + length + 1), p, state, np.zeros(0), first=row)
+        assert run.states.shape[0] == min(length + 1, count - row)
+        np.testing.assert_array_equal(run.states, single.states[row:])
+        np.testing.assert_array_equal(run.outputs, single.outputs[row:])
+
+
+SHAPES = {"rise": rise, "sin": np.sin, "cos": np.cos} | {
+    str(k): (lambda z, k=k: bump(z - k)) for k in (0, 3, KNOTS - 1)
+}
+
+
+@NEEDS_C
+def test_local_shapes_and_their_slopes_are_those_of_the_regressors(table: Model) -> None:
+    made, wide = kernel(table, ("angle",), unnamed=True), 0.3
+    nothing, nowhere = Data(0.02, 0.0, np.zeros((1, 1)), np.zeros((1, 1)), 1), np.zeros(0)
+    noise = np.zeros(len(made.layout.stochastic)), np.ones(1)
+    P0 = np.diag([wide if name == "angle" else 0.0 for name in made.layout.uncertain])
+    for (name, shape), slot in product(SHAPES.items(), (1, 2)):
+        of = f"local.{slot}."
+        settings = {f"{of}of.angle": 1.5, f"{of}of.1": -0.2, f"{of}by.1": 2.0, f"{of}to.reading of angle": 1.0}
+        p = parameters(table, made.layout, **settings, **{of + name: 0.7})
+        for angle in np.linspace(-2.05, 6.95, 13):  # between the kinks
+            x0 = np.array([angle, *np.zeros(len(made.layout.states) - 1)])
+            added = made.simulate(nothing, p, x0, nowhere).outputs[0, 0] - angle
+            slope = np.sqrt((made.run(nothing, p, x0, P0, *noise).variances[0, 0] - 1.0) / wide)
+            ends = np.array([-1e-6, 1e-6]) + 1.5 * angle - 0.2
+            expected = 1.0 + 1.4 * 1.5 * float(np.diff(shape(ends))[0] / 2e-6)
+            assert added == pytest.approx(1.4 * float(shape(1.5 * angle - 0.2)), abs=1e-12), name
+            assert slope == pytest.approx(abs(expected), abs=1e-6), name

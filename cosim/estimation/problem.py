@@ -410,7 +410,11 @@ class Problem:
             points: Rows, with the state and the memory at each.
             length: Number of rows after the first.
         """
-        log, p, delay, begins = self.logs[index], self.parameters(values, index), self.layout.delay, list[Begin]()
+        log, p, delay = self.logs[index], self.parameters(values, index), self.layout.delay
+        at_once: Any = getattr(self.kernel, "simulate_from", None)
+        if at_once:
+            return list(at_once(log, p, points, length))
+        begins = list[Begin]()
         back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # rows of commands that may still be delayed
         for row, state, memory in zip(*points, strict=True):
             before = min(row, back)

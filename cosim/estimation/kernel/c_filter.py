@@ -60,6 +60,21 @@ class CompiledKernel:
         self._library.simulate(ctypes.byref(log), first, *addresses)
         return made
 
+    def simulate_from(
+        self, data: Data, p: Array, points: tuple[Sequence[int], Any, Any], length: int
+    ) -> list[Simulated]:
+        """Simulate rows of a log from each of some rows, as `Problem.simulate_from`."""
+        rows, states, memory = np.array(points[0], np.int32), _contiguous(points[1]), _contiguous(points[2])
+        sizes = len(self.layout.outputs), len(self.layout.states), self.layout.memory
+        made = [np.full((len(rows), length + 1, size), np.nan) for size in sizes]
+        if len(rows):
+            self._use(p, data, states[0])
+        p = _contiguous(p)
+        addresses = map(_address, (p, states, memory, *made))
+        self._library.simulate_from(ctypes.byref(self._log(data)), len(rows), _address(rows), length, *addresses)
+        ends = np.minimum(length + 1, len(data.u) - rows).tolist()
+        return [Simulated(*(each[:end] for each in run)) for end, *run in zip(ends, *made, strict=True)]
+
     def _use(self, p: Array, data: Data, x0: Array) -> None:
         """Prepare the functions of the model, which are those of a library in a derived class."""
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,7 +87,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
     symbols, shaping, library = body.symbols, body.shaping, _library_inputs(body)
-    local = [(s.factor, s.shape, s.sums, s.value, s.slopes) for s in shapes]
+    local = [(s.factor, s.shape, s.sums, s.values, s.slopes) for s in shapes]
     key = srepr([f, g, x, body.parameters, list(symbols.state), list(symbols.command), symbols.time, library])
     key += srepr([shaping.stages, shaping.results, shaping.remembered, local, body.terms])
     stiff = model.integrator == STIFF
@@ -100,7 +101,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         texts = [body.function(C(), name, e, _stages(shapes)) for name, e in functions.items()]
         return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
 
-    text: str = load_or_make(f"{version} {key}", print_functions)
+    text: str = (_shape_functions() if unnamed else "") + load_or_make(f"{version} {key}", print_functions)
     if library:
         text += body.function(C(), "library_inputs", library)
     layout = _layout(
@@ -142,7 +143,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
         near = {q.name: symbol for q, symbol in known.states}
         x = [near.get(prefix + n, sympy.Symbol(f"no {prefix}{n}")) for prefix in ("", RATE) for n in measured]
         of_outputs = replace(body, symbols=replace(body.symbols, state=tuple(x)))
-        texts.append(of_outputs.function(C(), "add_unnamed", [*sums.values()], _stages(shapes)))
+        texts += [_shape_functions(), of_outputs.function(C(), "add_unnamed", [*sums.values()], _stages(shapes))]
     # parameter → neutral value of the terms that depend on a position or level, and the names of these
     m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)
     along, places = dict[str, float](), dict[str, None]()
@@ -214,9 +215,14 @@ def _nameless(
     return sums, shapes
 
 
+def _shape_functions() -> str:
+    """Return the C functions of local shapes."""
+    return f"#define KNOTS {KNOTS}\n" + Path(__file__).with_name("local_shape.c").read_text(encoding="utf-8")
+
+
 def _stages(shapes: Sequence[LocalShape]) -> list[dict[Any, Any]]:
     """Return the stages of all local shapes."""
-    stages = zip(*(s.stages for s in shapes), strict=True)
+    stages = zip(*((s.sums, s.values) for s in shapes), strict=True)
     return [dict(chain.from_iterable(s.items() for s in stage)) for stage in stages]
 
 
@@ -410,25 +416,17 @@ class LocalShape:
 
     Attributes:
         terms: Contribution to each equation, and to each reading.
-        over, bend: Symbols of ζ and of the derivative of the shape by ζ.
         sums: Symbol of ζ and of the factor → expression.
-        value: Expression of the shape.
+        values: Symbol of the shape and of its derivative by ζ → C function.
         slopes: Symbol of a signal → derivatives of factor and shape.
     """
 
     factor: Any
     shape: Any
-    over: Any
-    bend: Any
     terms: tuple[Any, ...]
     sums: dict[Any, Any]
-    value: Any
+    values: dict[Any, Any]
     slopes: dict[Any, tuple[Any, Any]]
-
-    @property
-    def stages(self) -> tuple[dict[Any, Any], ...]:
-        """Return the stages computed first; derived here because printing alone needs the derivative of the shape."""
-        return self.sums, {self.shape: self.value, self.bend: self.value.diff(self.over)}
 
 
 def local_shape(
@@ -442,6 +440,8 @@ def local_shape(
     """
     import sympy
 
+    from cosim.model.symbolic import printed
+
     def symbol(name: str) -> Any:
         return sympy.Symbol(f"{LOCAL}{slot}_{name}", real=True)
 
@@ -451,18 +451,14 @@ def local_shape(
         return sum(w * sympy.diff(z, x) for z, w in weights[role].items() if x in z.free_symbols)
 
     over, factor, shape, bend = map(symbol, ("over", "factor", "shape", "bend"))
-    value = number(f"{LOCAL}.{slot}.rise") * rise(over)
-    value += sum(number(f"{LOCAL}.{slot}.{k}") * bump(over - k) for k in range(KNOTS))
-    value += sum(number(f"{LOCAL}.{slot}.{w.__name__}") * w(over) for w in (sympy.sin, sympy.cos))
+    coefficients = [number(f"{LOCAL}.{slot}.{name}") for name in ("rise", *range(KNOTS), "sin", "cos")]
     sums = {role: sum(w * z for z, w in of.items()) for role, of in weights.items()}
     return LocalShape(
         factor,
         shape,
-        over,
-        bend,
         tuple(number(f"{LOCAL}.{slot}.to.{name}") * factor * shape for name in equations),
         {over: number(f"{LOCAL}.{slot}.of.1") + sums["of"], factor: number(f"{LOCAL}.{slot}.by.1") + sums["by"]},
-        value,
+        {shape: printed.LocalShape(over, coefficients[0]), bend: printed.LocalSlope(over, coefficients[0])},
         {x: (slope("by", x), bend * slope("of", x)) for x in signals.values() if x.is_Symbol},
     )
 

@@ -127,9 +127,9 @@ static void act(const Log *log, int k, int s, double delay, double *memory, cons
 }
 
 /* Run without looking at measurements: kicks (rows x NX) are added to the state at each row, outputs (rows x NY) are free of
- * noise. `first` is the row of x0 and memory0: the log's rows before it matter to a delay alone. */
-int simulate(const Log *log, int first, const double *p, const double *x0, const double *memory0, const double *kicks,
-             double *outputs, double *states, double *memories)
+ * noise. `first` is the row of x0 and memory0: the log's rows before it matter to a delay alone. Results begin with it. */
+static int run_from(const Log *log, int first, const double *p, const double *x0, const double *memory0, const double *kicks,
+                    double *outputs, double *states, double *memories)
 {
     double x[NX + 1], u[3 * NU], command[NU], memory[NM + 1];
     const double h = log->step / log->substeps, delay = DELAY < 0 ? 0.0 : p[DELAY < 0 ? 0 : DELAY] / log->step;
@@ -151,10 +151,29 @@ int simulate(const Log *log, int first, const double *p, const double *x0, const
             if (kicks) for (int i = 0; i < NX; i++) x[i] += kicks[NX * k + i];
         }
         row_command(log, k, command);
-        measure(t, x, command, p, outputs + NY * k);
-        if (states) memcpy(states + NX * k, x, sizeof(double) * NX);
-        if (memories) memcpy(memories + NM * k, memory, sizeof(double) * NM);
+        measure(t, x, command, p, outputs + NY * (k - first));
+        memcpy(states + NX * (k - first), x, sizeof(double) * NX);
+        if (NM) memcpy(memories + NM * (k - first), memory, sizeof(double) * NM);
         for (int i = 0; i < NX; i++) if (!isfinite(x[i])) return k;
     }
     return log->rows;
+}
+
+/* The same, with results in the rows of the log. */
+int simulate(const Log *log, int first, const double *p, const double *x0, const double *memory0, const double *kicks,
+             double *outputs, double *states, double *memories)
+{
+    return run_from(log, first, p, x0, memory0, kicks, outputs + NY * first, states + NX * first, memories + NM * first);
+}
+
+/* Run `length` rows beyond each of some rows; x0 (count x NX) and memory0 (count x NM) are of these. */
+void simulate_from(const Log *log, int count, const int *rows, int length, const double *p, const double *x0,
+                   const double *memory0, double *outputs, double *states, double *memories)
+{
+    for (int i = 0, n = length + 1; i < count; i++) {
+        Log part = *log;
+        if (rows[i] + n < log->rows) part.rows = rows[i] + n;
+        run_from(&part, rows[i], p, x0 + NX * i, memory0 + NM * i, NULL, outputs + NY * n * i, states + NX * n * i,
+                 memories + NM * n * i);
+    }
 }

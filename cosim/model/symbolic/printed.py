@@ -7,7 +7,7 @@ from typing import Any
 import sympy
 
 
-class _Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
+class Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     """A function of numbers with its C and Python text."""
 
     is_real = True
@@ -20,7 +20,7 @@ class _Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         return self.python.format(*map(printer.doprint, self.args))
 
 
-class Rint(_Printed):
+class Rint(Printed):
     """Nearest integer, halves to even, with the slope of the argument instead of zero."""
 
     c, python = "rint({})", "float(round({}))"
@@ -30,7 +30,19 @@ class Rint(_Printed):
         return sympy.Integer(1)
 
 
-class Below(_Printed):
+class LocalShape(Printed):
+    """A local shape of unnamed terms, a C function of a signal and of the first of its coefficients in `p`."""
+
+    c = "local_shape({}, &{})"
+
+
+class LocalSlope(Printed):
+    """Derivative of a local shape by its signal."""
+
+    c = "local_slope({}, &{})"
+
+
+class Below(Printed):
     """Indicator of a < b: 1 or 0."""
 
     c, python = "(({}) < ({}) ? 1.0 : 0.0)", "(1.0 if ({}) < ({}) else 0.0)"
@@ -40,7 +52,7 @@ class Below(_Printed):
         return sympy.Integer(0)
 
 
-class Clip(_Printed):
+class Clip(Printed):
     """Symbolic function: the argument x limited to the range from `low` to `high`."""
 
     c, python = "fmin(fmax({}, {}), {})", "min(max({}, {}), {})"

@@ -9,8 +9,7 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-from scipy.special import expit, logsumexp
-from scipy.stats import chi2, norm
+from scipy.special import expit, logsumexp, ndtr
 
 from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.linear_algebra import least_squares
@@ -37,6 +36,7 @@ from cosim.refinement.decision.posterior import (
     Evidence,
     Misfit,
     Parameter,
+    chance_of_gain,
     folded,
     log_prior,
     posterior,
@@ -193,8 +193,8 @@ def chance_of(problem: Problem, leftover: Leftover, alone: Fit) -> float:
     """
     if leftover.fit is None:
         return 1.0
-    of_gain = leftover.among * float(chi2.sf(2.0 * leftover.gain, sum(len(u.names) for u in leftover.terms)))
-    return min(1.0, max(of_gain, float(norm.sf(steadiness(problem, leftover.fit, alone)))))
+    of_gain = leftover.among * chance_of_gain(leftover.gain, sum(len(u.names) for u in leftover.terms))
+    return min(1.0, max(of_gain, float(ndtr(-steadiness(problem, leftover.fit, alone)))))
 
 
 def drifts(problem: Problem, f: Fit) -> dict[str, tuple[float, float]]:
@@ -221,8 +221,8 @@ def drifts(problem: Problem, f: Fit) -> dict[str, tuple[float, float]]:
         changing = replace(scored, errors=errors, variances=variances)
         of_priors = float(sizes @ others.T @ gradients.sum(axis=1))  # their gradient at an optimum is minus that of −ℓ
         gain = scored.nll - changing.nll + of_priors
-        of_gain = len(f.free) * float(chi2.sf(2.0 * gain, len(shapes)))
-        steady = float(norm.sf(gain_per_chance(block, scored, changing, of_priors)))
+        of_gain = len(f.free) * chance_of_gain(gain, len(shapes))
+        steady = float(ndtr(-gain_per_chance(block, scored, changing, of_priors)))
         found[p.name] = 2.0 * float(sizes[0]), min(1.0, max(of_gain, steady))
     return found
 

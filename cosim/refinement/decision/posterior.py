@@ -20,7 +20,7 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import chdtrc, log_ndtr, logsumexp
 
 from cosim.core.arrays import Array, Rows
 from cosim.residuals.residual_statistics import COUNTS_FROM
@@ -42,6 +42,11 @@ Kind = Literal["effect", "sensor", "parameter"]
 Verdict = Literal["effect_found", "parameter_error", "sensor_error", "no_effect", "ambiguous", "unexplained"]
 Grade = Literal["claimed", "part", "nearest"]
 Names = frozenset[str]
+
+
+def chance_of_gain(gain: float, count: int) -> float:
+    """Return the probability by chance of a log-likelihood gain from as many parameters, by the χ² test."""
+    return float(chdtrc(count, 2.0 * np.maximum(gain, 0.0)))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from itertools import chain, combinations
 from typing import Any, Self
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
 from cosim.estimation.parallel import in_parallel
@@ -264,7 +264,7 @@ class Attributor(Search):
             self.tried = {n: replace(h, ended=False) for n, h in self.tried.items()}
             self.fit_to_the_end([(h.candidates, h.fit) for h in ended])
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.key]
-        self.hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(norm.isf(MISFIT)) ** 2)
+        self.hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(ndtri(MISFIT)) ** 2)
 
     def _beyond_special_cases(self, best: Hypothesis) -> list[Start]:
         """Return sets near the best with an effect in place of its special case, starting from the values of that."""

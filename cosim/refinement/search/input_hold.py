@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.special import logit
-from scipy.stats import norm
+from scipy.special import logit, ndtr
 
 from cosim.core.text import counted, join_names, plain
 from cosim.estimation.fit import fit
@@ -100,6 +99,6 @@ def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, st
     # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
     refit = fit(other, h.fit.free, h.fit.values, other.plain)
     gain, steady = h.fit.objective - refit.objective, steadiness(problem, refit, h.fit, other)
-    if gain <= float(logit(CERTAIN)) or float(norm.sf(steady)) >= MISFIT:
+    if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:
         return gain, ""
     return gain, f"raises the log-likelihood of the logs by {plain(gain)}, {plain(steady, 2)} times its scatter"

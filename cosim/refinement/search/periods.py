@@ -15,7 +15,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.signal import find_peaks
 
 from cosim.core.arrays import Array
 from cosim.estimation.fit import DIFFERENCE
@@ -91,6 +90,8 @@ def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
 
 def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float) -> Iterator[float]:
     """Yield the periods of the strongest lines in the spectrum of the innovations along the position."""
+    from scipy.signal import find_peaks  # only here: it takes half a second to import
+
     frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
     height[frequency * high < 1.0] = 0.0
     peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from scipy.special import logit
-from scipy.stats import chi2
 
 from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, orthonormal
@@ -31,7 +30,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.estimation.subject.candidates import Free
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.posterior import CERTAIN, LITTLE, MISFIT
+from cosim.refinement.decision.posterior import CERTAIN, LITTLE, MISFIT, chance_of_gain
 from cosim.refinement.search.fits import SCREEN_ITERATIONS
 from cosim.refinement.search.missing import MissingInput, smooth_logs
 from cosim.refinement.search.periods import innovations_of_logs, spectrum_along
@@ -108,6 +107,9 @@ class Leftover:
     is_placed: bool = True
 
 
+LINEAR = 1e-5, 1.0  # change of the innovations by a step, in standard deviations: above rounding, and linear
+
+
 def find_unnamed_terms(
     problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
 ) -> Leftover:
@@ -133,9 +135,11 @@ def find_unnamed_terms(
         rows, steps = list[Array](), list[float]()
         for name in u.names:
             step = DIFFERENCE * usual[u.equation]
-            size = float(np.linalg.norm(test.row({**u.settings, name: step})))
+            row = test.row({**u.settings, name: step})
+            size = float(np.linalg.norm(row))
             steps.append(step / size if size > 0.0 else step)
-            rows.append(test.row({**u.settings, name: steps[-1]}))
+            is_linear = LINEAR[0] <= size <= LINEAR[1]
+            rows.append(row / size if is_linear else test.row({**u.settings, name: steps[-1]}))
         return rows, steps
 
     found = in_parallel(effects, terms)
@@ -143,7 +147,7 @@ def find_unnamed_terms(
     steps_of = {u: steps for u, (_, steps) in zip(terms, found, strict=True)}
 
     def is_chance(u: UnnamedTerm, gain: float) -> bool:
-        return among * float(chi2.sf(2.0 * gain / problem.scatter, len(u.names))) > MISFIT
+        return among * chance_of_gain(gain / problem.scatter, len(u.names)) > MISFIT
 
     def likeliest(gains: Sequence[float]) -> list[int]:
         """Return the terms that are nearly as likely as the best, simplest first."""
