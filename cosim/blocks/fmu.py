@@ -26,6 +26,9 @@ from cosim.fmi.fmi_types import element_names
 from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
+POINTER, SIZE = ctypes.c_void_p, ctypes.c_size_t
+SET_DERIVATIVES = ctypes.CFUNCTYPE(ctypes.c_int, POINTER, POINTER, SIZE, POINTER, POINTER)
+
 
 class FmuBlock(FmuVariables):
     """An FMU instance as a component.
@@ -255,6 +258,31 @@ class FmuBlock(FmuVariables):
             instance.time = t
             instance.judge(instance.step_name, status)
         instance.time = t + h
+
+    @property
+    def interpolates_inputs(self) -> bool:
+        """Return whether the FMU declares that it takes derivatives of its inputs."""
+        instance = self.instance
+        return bool(instance.version == 2 and instance.way == "co-simulation" and instance.about.canInterpolateInputs)
+
+    def step_by_derivatives(self, names: Sequence[str], orders: Sequence[Sequence[float]], t: float, h: float) -> None:
+        """Put the inputs and their derivatives, from the first order on, advance by `h` and get the outputs."""
+        self.put()
+        references, numbers, values = zip(
+            *(
+                (self.variables[name].valueReference, number, value)
+                for number, derivatives in enumerate(orders, 1)
+                for name, value in zip(names, derivatives, strict=True)
+            ),
+            strict=True,
+        )
+        count, name = len(references), "SetRealInputDerivatives"
+        call = self.instance.bare(SET_DERIVATIVES, name)
+        arrays = (ctypes.c_int * count)(*numbers), (ctypes.c_double * count)(*values)
+        if status := call(self.instance.component, (ctypes.c_uint * count)(*references), count, *arrays):
+            self.instance.judge(f"{self.instance.prefix}{name}", status)
+        self.advance(t, h)
+        self.get()
 
     def await_inputs(self, times: Collection[float] = (), *, always: bool = False) -> None:
         """Let model exchange handle an event at the end of a step together with the inputs that change there.

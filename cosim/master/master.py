@@ -38,16 +38,16 @@ from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying
-from cosim.master.extrapolation import with_courses
+from cosim.master.extrapolation import Polynomial, read_again, with_courses
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import LoopSolver
 from cosim.master.observer import Inbox
 from cosim.master.pacing import Pacer
-from cosim.master.policies import Active, ControlledSteps, EqualSteps, HalvedSteps, Policy, Round
+from cosim.master.policies import Active, ControlledSteps, EqualSteps, HalvedSteps, Policy, Round, SavedPoint
+from cosim.system.control import rollback_obstacle
 from cosim.system.schedule import Stage
 from cosim.system.system import System
-from cosim.system.wiring import Transfer
 
 Progress = Callable[[int], None]  # receives the current communication point
 PROGRESS_EVERY = 50
@@ -132,6 +132,7 @@ class Master:
         self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
+        self.extrapolated: list[tuple[list[int], Polynomial]] = []  # places of inputs with their course
         self._rounds: dict[tuple[Any, ...], Round] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
@@ -141,9 +142,6 @@ class Master:
                 points = [k for k, changes in system.events.items() if stage.component.name in changes]
                 stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
         self.copying = Copying(system, self.row, self.beside, steps, h)
-        self.held: dict[str, list[Transfer]] = {name: [] for name in system.names}
-        for transfer in system.held:
-            self.held[transfer.name.partition(".")[0]].append(transfer)
         self.solvers = [LoopSolver(loop, self) for loop in system.loops]
 
     # -- call sequence -----------------------------------------------------------------------------
@@ -214,16 +212,19 @@ class Master:
 
     def _step_on(self) -> None:
         """Make all steps, in C if possible, otherwise in Python."""
-        if self.system.control is not None:
-            self.controlled = ControlledSteps(self, self.system.control)
+        system = self.system
+        if system.control is not None:
+            self.controlled = ControlledSteps(self, system.control)
         policy: Policy | CompiledSteps | None = self.instants or self.controlled
-        if self.system.halved:
+        if system.halved:
             policy = HalvedSteps(self)
         if policy is None:
             try:
                 policy = CompiledSteps(self)
             except NotCompiled as reason:
                 policy = EqualSteps(self, str(reason))
+                if system.courses[0] > 1:
+                    self._estimate_slopes()
         self.loop = "C" if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
         self.rows.tell_loop(self.loop)
         if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
@@ -316,7 +317,7 @@ class Master:
                 self.announce(component, GET).get()
         if changed and self.loop != "C":  # C makes its held transfers again.
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
-            self.copying.of(t for name in due for t in self.held[name])(k)
+            self.copying.of(t for name in due for t in self.system.held_of[name])(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
@@ -344,15 +345,44 @@ class Master:
         due = tuple(stage.component.name for stage in stages if k % stage.every == 0)
         key = nominal, tuple(held), due
         if key not in self._rounds:
-            copies = self.copying.of(t for name in (*due, *held) for t in self.held[name])
+            copies = self.copying.of(t for name in (*due, *held) for t in self.system.held_of[name])
             actives = [self.actives[n] if nominal else self.actives[n]._replace(length=0.0) for n in due]
-            self._rounds[key] = (*actives, Active(copies, lambda t, h: None))
+            closing = [active for name, active in self.closing.items() if name in due]
+            self._rounds[key] = (*actives, *closing, Active(copies, lambda t, h: None))
         return self._rounds[key]
 
     @cached_property
     def actives(self) -> dict[str, Active]:
         """Return the step of each component with the copies around it, once all have started."""
         return {stage.component.name: self._active(stage) for stage in self.system.stages}
+
+    @cached_property
+    def closing(self) -> dict[str, Active]:
+        """Return the stages in which outputs are read again at the end of a step."""
+
+        def reading(component: Any) -> Callable[[float, float], None]:
+            return lambda t, h: read_again(self.announce(component, GET))
+
+        return {
+            stage.component.name: Active(self.copying.of(stage.pulls), reading(stage.component))
+            for stage in self.system.closing
+        }
+
+    def _estimate_slopes(self) -> None:
+        """Extrapolate the first step by slopes of a step that is taken back, as a coupling of third order needs.
+
+        A held input would make an error of second order in the first step.
+        """
+        stages = self.system.stages
+        if any(stage.every > 1 for stage in stages) or rollback_obstacle({c.name: c for c in self.components}):
+            return
+        start, values = self.system.start, self.values.copy()
+        point = SavedPoint(self, [c for c in self.components if isinstance(c, FmuBlock)])
+        self.advance(self.round(stages, 1), 1, start, start + self.h)
+        before = 2.0 * values - self.values
+        point.restore()
+        for places, course in self.extrapolated:
+            course.add(start - self.h, before[places])
 
     def _active(self, stage: Stage) -> Active:
         component, name, pulls = stage.component, stage.component.name, self.copying.of(stage.pulls)
@@ -361,7 +391,7 @@ class Master:
             return Active(pulls, solver.step if name == solver.last else lambda t, h: None)
         step, late = component.stepping(self.doing, self.numbers[name]), None
         if any(self.system.courses):
-            step = with_courses(step, self.system, stage, self.values)
+            step = with_courses(step, self, stage)
         if stage.late:
             copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
 

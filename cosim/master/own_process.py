@@ -158,6 +158,10 @@ class OwnFmu(OwnProcess, FmuBlock):
         OwnProcess.__init__(self, component, limits)
         self.instance.fmu = self  # a crash loses the FMU, and ends the run
 
+    def step_by_derivatives(self, names: Any, orders: Any, t: float, h: float) -> None:
+        """Put inputs with derivatives, advance and get there."""
+        self._step(t, h, ("step_by_derivatives", names, orders, t, h))
+
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
         """Restore a saved state there, and free the state unless `keep` is set."""
         self.act(("restore_state", state, keep))

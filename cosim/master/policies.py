@@ -347,7 +347,7 @@ class ControlledSteps(Policy):
 
     def _judge_inputs(self, t: float) -> Judged:
         """Return the error of inputs or of the power of bonds at the end of a step [s]."""
-        expected, row, worst = self.past(t), self.master.row, (0.0, "")
+        expected, row, worst = self.past.mean(t), self.master.row, (0.0, "")
         if self.control.estimator != "energy":
             return self._judge(self.sources, expected)
         for number, bond in enumerate(self.control.bonds):
