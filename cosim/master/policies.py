@@ -12,10 +12,11 @@ one from the errors ε of the last two, relative to the tolerance:
 Estimators of ε, docs/coupling.md has their sources:
 
 halving   Each step is made whole (y₁) and in two halves (y₂), and taken back if ε > 1:
-          ε = max |y₁ − y₂| / ((2^p − 1)·τ·s),  q = p + 1
+          ε = max |y₁ − y₂| / ((2^p − 1)·τ·s),  q = p + 1, or this error per second, q = p
 residual  Received inputs u against those of the step's course ũ: ε = max |u − ũ| / (τ·s),  q = p
 energy    Power bonds of an effort e and a flow f: ε = max |e·f̃ − ẽ·f| / (τ·P),  q = p
 
+The first step is judged by halving and begins with the longest one, if all FMUs save and restore their state.
 p is one more than the degree of the inputs' courses; s and P are the largest magnitudes so far, or the nominal ones.
 """
 
@@ -192,8 +193,9 @@ class ControlledSteps(Policy):
         self.scale, self.power = np.array(control.nominal), [b.nominal for b in control.bonds]
         self.largest = np.zeros(len(control.nominal))  # magnitude of each judged signal
         self.p = 1 + min(system.courses)
-        self.q = self.p + (control.estimator == "halving")
-        self.wish, self.before, self._is_checked = control.shortest, 1.0, False
+        self.q = self.p + (control.estimator == "halving" and not control.is_per_second)
+        self.wish = control.longest if control.rolls_back else control.shortest
+        self.before, self._is_checked = 1.0, False
         self.sizes: list[float] = []
         self.made, self.rejected, self.worst = 0, 0, 0.0
         self.failed: list[tuple[float, float, str]] = []
@@ -206,12 +208,13 @@ class ControlledSteps(Policy):
         t = begin
         while t < end:
             until, is_shortest = self._next(t, end)
-            if self.control.estimator == "halving":
+            self.past.add(t, self.signals[self.sources])
+            # The first step has no earlier inputs by which to judge the extrapolated ones.
+            if self.control.estimator == "halving" or (self.control.rolls_back and not self.sizes):
                 error, name = self._halve(k, t, until, final=is_shortest)
                 if math.isnan(error):  # taken back
                     continue
             else:
-                self.past.add(t, self.signals[self.sources])
                 self._step(k, t, until)
                 error, name = self._judge_inputs(until)
             self._accept(t, until - t, error, name, final=is_shortest)
@@ -266,6 +269,7 @@ class ControlledSteps(Policy):
         return {
             "estimator": self.control.estimator,
             "tolerance": tolerance,
+            "per": "second" if self.control.is_per_second else "step",
             "order": self.p,
             "accepted": len(self.sizes),
             "rejected": self.rejected,
@@ -334,7 +338,7 @@ class ControlledSteps(Policy):
         for since, to in ((t, middle), (middle, until)):
             self._step(k, since, to)
         error, name = self._judge(outputs, whole)
-        error /= 2.0**self.p - 1.0
+        error /= (2.0**self.p - 1.0) * (until - t if self.control.is_per_second else 1.0)
         if error <= 1.0 or final:
             for fmu, state in before.states:
                 self.master.announce(fmu).free_state(state)
