@@ -19,6 +19,7 @@ from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
 from tests.conftest import ROOT
+from tests.coupled import CHASSIS, TRUCK, WHEEL, coupled_fmu
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.lag import lag_fmu
 from tests.native import NEEDS_COMPILER, is_subnormal
@@ -139,3 +140,33 @@ def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: 
     assert isinstance(end.value.error, Interrupted)
     assert end.value.results.loop == "C"
     assert 1 < len(end.value.results.time) < steps
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "extrapolate", "interpolate"),
+    [
+        ("jacobi", "linear", "hold"),
+        ("jacobi", "quadratic", "hold"),
+        ("gauss-seidel", "linear", "linear"),
+        ("gauss-seidel", "quadratic", "linear"),
+        ("gauss-seidel", "hold", "quadratic"),
+    ],
+)
+def test_courses_of_inputs_are_the_same_bytes(
+    tmp_path: Path, algorithm: str, extrapolate: str, interpolate: str
+) -> None:
+    """The force of the wheel is that of its inputs at the end of each step, under Jacobi too."""
+    for name, law in (("chassis", CHASSIS), ("wheel", WHEEL)):
+        coupled_fmu(tmp_path / f"{name}.fmu", law)
+    components = {
+        "chassis": {"fmu": "chassis.fmu", "start": TRUCK[CHASSIS]},
+        "wheel": {"fmu": "wheel.fmu", "start": TRUCK[WHEEL]},
+    }
+    wires = ["chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"]
+    more = {"duration": 1.2, "step": 0.005, "algorithm": algorithm, "record": ["wheel.x*"]}
+    held = same(tmp_path, components, wires, **more)
+    results = same(tmp_path, components, wires, **more, extrapolate=extrapolate, interpolate=interpolate)
+    assert not np.array_equal(results["chassis.y1"], held["chassis.y1"])
+    speed, height, foot, seen = (results[f"wheel.{name}"] for name in ("x0", "x1", "x2", "u0"))
+    force = 15e3 * (height - foot) + 1e3 * (speed - seen)  # law of coupled.c
+    assert results["wheel.y0"] == pytest.approx(force, abs=1e-9)

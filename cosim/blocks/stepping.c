@@ -49,6 +49,12 @@ typedef struct {           /* variables of one type, moved in one call; `values`
     int32_t type;
 } Move;
 
+typedef struct {           /* a polynomial through the last values of inputs, the newest first; see master/extrapolation.py */
+    int64_t degree, inputs, points; /* points: so many there are */
+    double *const *place;  /* of the inputs in the row */
+    double *times, *values; /* degree + 1 points */
+} Course;
+
 /* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on */
 typedef struct {
     int32_t version;
@@ -63,7 +69,9 @@ typedef struct {
     int64_t since;
     double time;           /* to which it has come */
     double reached;        /* FMI 3.0: what fmi3DoStep says */
+    Course *past, *course; /* of extrapolated and of interpolated inputs, or NULL */
     bool event, terminate, early;
+    bool again;            /* the inputs of the step's end are put after it */
 } Slot;
 
 typedef struct {
@@ -124,6 +132,37 @@ static bool make_transfers(const Transfer *transfers, int64_t count, int64_t k)
         if (!ok) return false;
     }
     return true;
+}
+
+static void add_point(Course *c, double t)
+{
+    const size_t row = (size_t)c->inputs;
+    memmove(c->times + 1, c->times, (size_t)c->degree * sizeof(double));
+    memmove(c->values + row, c->values, (size_t)c->degree * row * sizeof(double));
+    c->times[0] = t;
+    for (size_t n = 0; n < row; n++) c->values[n] = *c->place[n];
+    if (c->points <= c->degree) c->points++;
+}
+
+/* Into the row, the means from t over h */
+static void put_means(const Course *c, double t, double h)
+{
+    const size_t row = (size_t)c->inputs;
+    const double *time = c->times, ahead = (t - time[0]) + 0.5 * h;
+    for (size_t n = 0; n < row && c->points > 1; n++) {
+        const double *v = c->values + n, gap = time[0] - time[1], slope = (v[0] - v[row]) / gap;
+        double mean = v[0] + ahead * slope;
+        if (c->points > 2) {
+            const double before = (v[row] - v[2 * row]) / (time[1] - time[2]);
+            mean = mean + (ahead * (ahead + gap) + h * h / 12.0) * ((slope - before) / (time[0] - time[2]));
+        }
+        *c->place[n] = mean;
+    }
+}
+
+static void put_newest(const Course *c)
+{
+    for (int64_t n = 0; n < c->inputs; n++) *c->place[n] = c->values[n];
 }
 
 #define ENCODED(TYPE) for (size_t n = 0; n < m->scalars; n++) ((TYPE *)m->values)[n] = (TYPE)m->row[n]; break
@@ -211,19 +250,32 @@ static int step_slot(Plan *p, Slot *s, int64_t k)
     int status, why;
     switch (p->phase) {
     case PULLS:
+        if (s->course && !s->course->points) add_point(s->course, since);
         if (!make_transfers(s->pull, s->pulls, k)) return NO_ITEM;
         if (s->version == PREPARED) {
             memcpy(s->row, s->prepared + (size_t)(k - s->since) * s->scalars, s->scalars * sizeof(double));
             s->time = since + length;
             return FINISHED;
         }
+        if (s->past) {
+            add_point(s->past, since);
+            put_means(s->past, since, length);
+        }
+        if (s->course) {
+            add_point(s->course, since + length);
+            put_means(s->course, since, length);
+        }
         p->move = 0;
         p->phase = PUTS; /* fall through */
     case PUTS:
-        if ((why = put_inputs(p, s)) != FINISHED) return why; /* fall through */
+        if ((why = put_inputs(p, s)) != FINISHED) return why;
+        if (s->past) put_newest(s->past);
+        if (s->course) put_newest(s->course); /* fall through */
     case STEPS:
         *p->doing = s->doing + ADVANCE;
-        if (s->version == 2) {
+        status = 0;
+        if (!s->step) { /* outputs are read again, at the end of a step */
+        } else if (s->version == 2) {
             status = ((Step2)s->step)(s->instance, since, length, 1);
         } else {
             status = ((Step3)s->step)(s->instance, since, length, true, &s->event, &s->terminate, &s->early, &s->reached);
@@ -240,7 +292,7 @@ static int step_slot(Plan *p, Slot *s, int64_t k)
     case STEPPED:
         s->time = since + length;
         if (!make_transfers(s->late, s->lates, k)) return NO_ITEM;
-        p->move = s->lates ? 0 : s->puts;
+        p->move = s->lates || s->again ? 0 : s->puts;
         p->phase = LATE_PUTS; /* fall through */
     case LATE_PUTS:
         if ((why = put_inputs(p, s)) != FINISHED) return why;

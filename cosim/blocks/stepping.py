@@ -87,8 +87,8 @@ class Move(ctypes.Structure):
 class Slot(ctypes.Structure):
     """Data of one stepped component for the loop in C.
 
-    The component is an FMU of FMI `version` 2 or 3. With version 0 it is a source with `scalars` values prepared for
-    each point, beginning at point `since`.
+    The component is an FMU of FMI `version` 2 or 3; without `step` its outputs are read again. With version 0 it is a
+    source with `scalars` values prepared for each point, beginning at point `since`.
     """
 
     keeping: Any
@@ -96,8 +96,16 @@ class Slot(ctypes.Structure):
     _fields_ = _fields(
         "int32 version; pointer step, instance; int64 every, doing, pulls, lates, puts, gets; "
         "pointer pull, late, put, get, prepared, row; size scalars; int64 since; double time, reached; "
-        "bool event, terminate, early"
+        "pointer past, course; bool event, terminate, early, again"
     )
+
+
+class Course(ctypes.Structure):
+    """Polynomial through the last values of inputs, `points` of them, the newest first."""
+
+    keeping: Any
+
+    _fields_ = _fields("int64 degree, inputs, points; pointer place, times, values")
 
 
 class Plan(ctypes.Structure):

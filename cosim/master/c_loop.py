@@ -7,7 +7,7 @@ the operating system. Python then acts as in its own loop, so the rows have the 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -49,21 +49,24 @@ class CompiledSteps:
             raise NotCompiled("asked for")
         if master.solvers:
             raise NotCompiled("algebraic loops are solved")
-        if any(system.courses):
-            raise NotCompiled("inputs follow polynomials during a step")
         if system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
         slots: list[Slot] = []
-        for stage in system.stages:
-            component: Any = stage.component
+        self.stages = stages = *system.stages, *system.closing
+        self.components: list[Any] = [stage.component for stage in stages]
+        for stage, component in zip(stages, self.components, strict=True):
             slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
             if not isinstance(slot, Slot):
                 raise NotCompiled(slot)
             slot.every, slot.doing = stage.every, master.numbers[component.name]
             slots.append(slot)
+        for slot in slots[len(system.stages) :]:
+            slot.step = None
+        if any(system.courses):
+            self._add_courses(slots)
         self._run = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
-        for slot, stage in zip(slots, system.stages, strict=True):
+        for slot, stage in zip(slots, stages, strict=True):
             (slot.pulls, slot.pull), (slot.lates, slot.late) = map(self._transfers, (stage.pulls, stage.late))
         self.slots = (Slot * len(slots))(*slots)
         self.plan = plan = Plan(system.start, master.h, len(slots), width=len(master.row), next=master.done)
@@ -73,6 +76,17 @@ class CompiledSteps:
         )
         plan.row, plan.table = ctypes.addressof(master.row), master.table.ctypes.data
         plan.counter, plan.doing, plan.asked = map(address_of, (master.row_count, master.doing, master.asked))
+
+    def _add_courses(self, slots: Sequence[Slot]) -> None:
+        """Set the courses of inputs, which the steps in Python have found."""
+        for slot, name in zip(slots, self.master.actives, strict=False):
+            if (step := self.master.courses.get(name)) is None:
+                continue
+            courses = step.in_c()
+            if isinstance(courses, str):
+                raise NotCompiled(courses)
+            slot.past, slot.course = (ctypes.addressof(course) if course.inputs else None for course in courses)
+            slot.again, slot.courses = step.answers, courses
 
     def _transfers(
         self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})
@@ -113,7 +127,7 @@ class CompiledSteps:
                 try:
                     why = StopReason(self._run(ctypes.byref(plan)))
                 finally:
-                    for component, slot in zip(master.components, self.slots, strict=True):
+                    for component, slot in zip(master.components, self.slots, strict=False):
                         component.set_time(slot.time)
                 place = plan.place
                 if why == StopReason.FINISHED:
@@ -125,7 +139,7 @@ class CompiledSteps:
                     plan.place = plan.slots
                     plan.pause = master.next_call(plan.pause + 1)
                 elif why == StopReason.NO_ITEM:
-                    for t in system.stages[place].transfers if place < len(system.stages) else system.held:
+                    for t in self.stages[place].transfers if place < plan.slots else system.held:
                         t.check_item(master.row[t.target], system.start + plan.next * master.h)
                     raise AssertionError("C met a value that is no item, and there is none")
                 elif why == StopReason.LATER:
@@ -133,4 +147,4 @@ class CompiledSteps:
                         master.keeper.look(master, plan.next - 1)
                     plan.pause = master.next_call(plan.next)  # Steps may have become slower.
                 else:
-                    master.components[place].raise_error(why, plan, self.slots[place])
+                    self.components[place].raise_error(why, plan, self.slots[place])

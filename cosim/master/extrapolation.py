@@ -9,13 +9,16 @@ mean over the step.
 
 from __future__ import annotations
 
+import ctypes
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.blocks.component import Row
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.stepping import Course as CCourse
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
@@ -70,6 +73,18 @@ class Polynomial:
             return nothing if slope is None else slope, nothing
         return slope + (2.0 * (t - last) + gap) * curvature, 2.0 * curvature
 
+    def in_c(self, row: Row, places: Sequence[int], start: float) -> CCourse:
+        """Return the equivalent for the loop in C, with the points up to the start of the steps [s]."""
+        room, count = self.degree + 1, len(places)
+        points = [point for point in reversed(self._points) if point[0] <= start][:room] if count else []
+        place = (ctypes.c_void_p * count)(*(ctypes.addressof(row) + 8 * k for k in places))
+        times, values = (ctypes.c_double * room)(*(t for t, _ in points)), (ctypes.c_double * (room * count))()
+        values[: len(points) * count] = [value for _, row in points for value in row.tolist()]
+        buffers = place, times, values
+        course = CCourse(self.degree, count, len(points), *map(ctypes.addressof, buffers))
+        course.keeping = buffers
+        return course
+
     def _differences(self) -> tuple[Array | None, Array | None, float]:
         """Return the first two divided differences, as far as there are points, and the length of the last step."""
         if not self.degree or len(self._points) < 2:
@@ -89,65 +104,88 @@ def read_again(component: Any) -> None:
     component.get()
 
 
-def with_courses(step: StepFunction, master: Master, stage: Stage) -> StepFunction:
-    """Return a step in which real inputs follow polynomials, which are absent from the row.
+class CourseStep:
+    """A step in which real inputs follow polynomials, which are absent from the row.
 
     Those with the value of the step's start are extrapolated, those with the value of its end interpolated. Afterwards
     the inputs of the step's end are put, and the outputs that depend directly on them are read. A component that
     answers only after a step makes a last part of the step with these inputs instead.
-    """
-    component, system, row = stage.component, master.system, master.values
-    old_degree, new_degree = system.courses
-    old = [t.target for t in system.extrapolated(component.name)]
-    new = [t.target for t in stage.pulls if system.is_real(t)] if new_degree else []
-    own = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
-    outputs, answers = own[len(component.inputs) :], False
-    if new:  # Does an output follow an input without a step?
-        before = row.copy()
-        for place in new:
-            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
-            read_again(component)
-            answers |= bool((row[outputs] != before[outputs]).any())
-            row[place] = before[place]
-        read_again(component)
-        description = getattr(component, "description", None)
-        if not answers and description is not None and not takes_any_step(description):
-            new = []
-    if not old + new:
-        return step
-    past, course, is_first = Polynomial(old_degree), Polynomial(new_degree), True
-    master.extrapolated.append((old, past))
-    start, names = row[new], [system.columns[place].partition(".")[2] for place in (*old, *new)]
-    follows = max(system.courses) > 1 and _follows_derivatives(master, stage, names, outputs)
 
-    def stepped(t: float, h: float) -> None:
-        nonlocal is_first
+    Attributes:
+        old, new: Places of the extrapolated and of the interpolated inputs.
+        past, course: Their polynomials.
+        answers: Whether outputs follow an interpolated input without a step.
+        follows: Whether the component gets derivatives in place of means.
+        tail: Length of the last part, relative to that of the step.
+    """
+
+    def __init__(self, step: StepFunction, master: Master, stage: Stage) -> None:
+        self._step, self._master, self._row, system = step, master, master.values, master.system
+        self.component = component = stage.component
+        old_degree, new_degree = system.courses
+        self.old = [t.target for t in system.extrapolated(component.name)]
+        self.new = [t.target for t in stage.pulls if system.is_real(t)] if new_degree else []
+        self._names = [system.columns[place].partition(".")[2] for place in (*self.old, *self.new)]
+        own = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
+        outputs = own[len(component.inputs) :]
+        self.answers = bool(self.new) and self._answers(outputs)
+        description = getattr(component, "description", None)
+        if not self.answers and description is not None and not takes_any_step(description):
+            self.new = []
+        self.past, self.course = Polynomial(old_degree), Polynomial(new_degree)
+        self._start: Array | None = self._row[self.new]  # Before the first step, only its end's values are in the row.
+        self.follows = max(system.courses) > 1 and _follows_derivatives(master, stage, self._names, outputs)
+        self.tail = TAIL if self.new and not (self.answers or self.follows) else 0.0
+
+    def __call__(self, t: float, h: float) -> None:
+        """Step from t to t + h [s]."""
+        row, old, new, past, course = self._row, self.old, self.new, self.past, self.course
         held, given = row[old], row[new]
-        if is_first:  # Before the first step, only the values of its end are in the row.
-            course.add(t, start)
-            is_first = False
+        if self._start is not None:
+            course.add(t, self._start)
+            self._start = None
         past.add(t, held)
         course.add(t + h, given)
-        tail = TAIL * h if new and not answers else 0.0
+        tail = self.tail * h
         try:
-            if follows:
+            if self.follows:
                 row[old], row[new] = past.mean(t), course.mean(t)
                 orders = zip(past.derivatives(t), course.derivatives(t), strict=True)
                 derivatives = [[*of_old.tolist(), *of_new.tolist()] for of_old, of_new in orders]
-                master.announce(component, ADVANCE).step_by_derivatives(names, derivatives, t, h)
+                component: Any = self._master.announce(self.component, ADVANCE)
+                component.step_by_derivatives(self._names, derivatives, t, h)
             else:
-                mean = (course.mean(t, h) - tail / h * given) / (1.0 - tail / h)
-                row[old], row[new] = past.mean(t, h), mean
-                step(t, h - tail)
+                mean = course.mean(t, h)
+                row[old], row[new] = past.mean(t, h), (mean - tail / h * given) / (1.0 - tail / h) if tail else mean
+                self._step(t, h - tail)
                 if tail:
                     row[new] = given
-                    step(t + h - tail, tail)
+                    self._step(t + h - tail, tail)
         finally:
             row[old], row[new] = held, given
-        if answers:
-            read_again(component)
+        if self.answers:
+            read_again(self.component)
 
-    return stepped
+    def in_c(self) -> str | tuple[CCourse, CCourse]:
+        """Return both courses for the loop in C, or the reason against it."""
+        if self.tail:
+            return f"{self.component.name} answers interpolated inputs only after a step"
+        if self.follows:
+            return f"{self.component.name} takes derivatives of its inputs"
+        row, start = self._master.row, self._master.system.start
+        return self.past.in_c(row, self.old, start), self.course.in_c(row, self.new, start)
+
+    def _answers(self, outputs: Sequence[int]) -> bool:
+        """Return whether an output follows an interpolated input without a step."""
+        row, answers = self._row, False
+        before = row.copy()
+        for place in self.new:
+            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
+            read_again(self.component)
+            answers |= bool((row[outputs] != before[outputs]).any())
+            row[place] = before[place]
+        read_again(self.component)
+        return answers
 
 
 def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], outputs: Sequence[int]) -> bool:

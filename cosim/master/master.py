@@ -38,7 +38,7 @@ from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying
-from cosim.master.extrapolation import Polynomial, read_again, with_courses
+from cosim.master.extrapolation import CourseStep, read_again
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import LoopSolver
@@ -132,7 +132,7 @@ class Master:
         self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
-        self.extrapolated: list[tuple[list[int], Polynomial]] = []  # places of inputs with their course
+        self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
         self._rounds: dict[tuple[Any, ...], Round] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
@@ -219,12 +219,12 @@ class Master:
         if system.halved:
             policy = HalvedSteps(self)
         if policy is None:
+            if system.courses[0] > 1:
+                self._estimate_slopes()
             try:
                 policy = CompiledSteps(self)
             except NotCompiled as reason:
                 policy = EqualSteps(self, str(reason))
-                if system.courses[0] > 1:
-                    self._estimate_slopes()
         self.loop = "C" if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
         self.rows.tell_loop(self.loop)
         if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
@@ -381,8 +381,8 @@ class Master:
         self.advance(self.round(stages, 1), 1, start, start + self.h)
         before = 2.0 * values - self.values
         point.restore()
-        for places, course in self.extrapolated:
-            course.add(start - self.h, before[places])
+        for course in self.courses.values():
+            course.past.add(start - self.h, before[course.old])
 
     def _active(self, stage: Stage) -> Active:
         component, name, pulls = stage.component, stage.component.name, self.copying.of(stage.pulls)
@@ -391,7 +391,9 @@ class Master:
             return Active(pulls, solver.step if name == solver.last else lambda t, h: None)
         step, late = component.stepping(self.doing, self.numbers[name]), None
         if any(self.system.courses):
-            step = with_courses(step, self, stage)
+            course = CourseStep(step, self, stage)
+            if course.old or course.new:
+                self.courses[name] = step = course
         if stage.late:
             copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
 
