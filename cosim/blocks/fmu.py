@@ -18,7 +18,7 @@ from cosim.blocks.component import ADVANCE, in_turn
 from cosim.blocks.instance import Instance, end_of
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
-from cosim.blocks.stepping import Move, Plan, Slot, StopReason
+from cosim.blocks.stepping import Move, Slot, StopReason
 from cosim.blocks.values import FmuVariables
 from cosim.core.errors import FmuError
 from cosim.fmi.description import Way, declares_slopes, slips_of, ways
@@ -34,6 +34,7 @@ class FmuBlock(FmuVariables):
     """An FMU instance as a component.
 
     Attributes:
+        is_apart: Whether the FMU has a process of its own.
         clock_types: Types of variables that are neither set nor read like others, but known.
         instance: Instance of the FMU, by its interface.
         log: Messages of the FMU.
@@ -51,6 +52,7 @@ class FmuBlock(FmuVariables):
         compiles: Whether sources may be compiled for a missing library; None for the current permission.
     """
 
+    is_apart = False
     clock_types: frozenset[str] = frozenset()
     _refuses = False  # to serialize its state, though it declares that it can
     _arguments: tuple[Any, ...]
@@ -407,7 +409,7 @@ class FmuBlock(FmuVariables):
         self.instance.time = t
         self.instance.raise_stop()
 
-    def raise_error(self, reason: StopReason, plan: Plan, slot: Slot) -> None:
+    def raise_error(self, reason: StopReason, slot: Slot) -> None:
         """Raise the error behind the C loop's return.
 
         Warnings are only logged.
@@ -418,10 +420,10 @@ class FmuBlock(FmuVariables):
         """
         if reason == StopReason.TERMINATED:
             raise end_of(self.name, slot.reached)
-        if plan.called == ADVANCE and reason not in (StopReason.NOT_FINITE, StopReason.UNFIT):
-            self.instance.judge(self.instance.step_name, plan.status)
+        if slot.called == ADVANCE and reason not in (StopReason.NOT_FINITE, StopReason.UNFIT):
+            self.instance.judge(self.instance.step_name, slot.status)
         else:
-            self.raise_error_of_move(reason, plan)
+            self.raise_error_of_move(reason, slot)
 
 
 class RestartableFmu(FmuBlock):

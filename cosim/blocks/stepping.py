@@ -96,7 +96,8 @@ class Slot(ctypes.Structure):
     _fields_ = _fields(
         "int32 version; pointer step, instance; int64 every, doing, pulls, lates, puts, gets; "
         "pointer pull, late, put, get, prepared, row; size scalars; int64 since; double time, reached; "
-        "pointer past, course; bool event, terminate, early, again"
+        "pointer past, course; int64 phase, move, called, moving, batch; double begin, length, least; "
+        "int32 status, why, timed; bool event, terminate, early, again, stepped"
     )
 
 
@@ -113,7 +114,7 @@ class Plan(ctypes.Structure):
 
     _fields_ = _fields(
         "double begin, h; int64 slots, holds, width, next, last, pause; "
-        "pointer slot, hold, row, table, counter, doing, asked; int64 place, phase, move, called, moving; int32 status"
+        "pointer slot, hold, row, table, counter, doing, asked; int64 place, threads; pointer pool"
     )
 
 
@@ -123,15 +124,16 @@ class NotCompiled(Exception):
 
 @cache
 def library() -> Any:
-    """Return the compiled loop from the cache; raise NotCompiled without a working compiler."""
+    """Return the library of the loop from the cache; raise NotCompiled without a working compiler."""
     try:
-        run = load_library(SOURCE.read_text(encoding="utf-8")).run
+        loop = load_library(SOURCE.read_text(encoding="utf-8"))
+        loop.run.argtypes, loop.run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
+        loop.finish.argtypes, loop.finish.restype = [ctypes.POINTER(Plan)], None
     except NoCompiler:
         raise NotCompiled("no C compiler") from None
     except (CompilerFailed, AttributeError) as error:  # AttributeError: the compiler produced a library without `run`
         raise NotCompiled(f"the C compiler fails: {' '.join(str(error).split())[:200]}") from None
-    run.argtypes, run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
-    return run
+    return loop
 
 
 def move(function: Any, exchange: Exchange, row: Row) -> Move:

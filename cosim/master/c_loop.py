@@ -19,6 +19,8 @@ from cosim.blocks.stepping import ConvertedLink, NotCompiled, Plan, Slot, StopRe
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
 from cosim.master.observer import MOST_IN_C
+from cosim.master.policies import cores
+from cosim.system.schedule import batches
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
@@ -64,12 +66,17 @@ class CompiledSteps:
             slot.step = None
         if any(system.courses):
             self._add_courses(slots)
-        self._run = library()  # compiled only if used
+        self._library = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
         for slot, stage in zip(slots, stages, strict=True):
             (slot.pulls, slot.pull), (slot.lates, slot.late) = map(self._transfers, (stage.pulls, stage.late))
+        together, first = [len(batch) for batch in batches(stages)], 0
+        for count in together:
+            slots[first].batch = count
+            first += count
         self.slots = (Slot * len(slots))(*slots)
         self.plan = plan = Plan(system.start, master.h, len(slots), width=len(master.row), next=master.done)
+        plan.threads = min(cores(), max(together)) - 1
         plan.slot = ctypes.addressof(self.slots)
         plan.holds, plan.hold = self._transfers(
             system.held, {stage.component.name: stage.every for stage in system.stages}
@@ -107,6 +114,10 @@ class CompiledSteps:
         self._keeping.append(array)
         return len(made), ctypes.addressof(array)
 
+    def finish(self) -> None:
+        """End the threads that have stepped slow FMUs."""
+        self._library.finish(ctypes.byref(self.plan))
+
     def make_all(self) -> None:
         """Make all steps; errors are those of the Python loop. Source values are prepared for some points at a time."""
         master, plan, system = self.master, self.plan, self.master.system
@@ -125,7 +136,7 @@ class CompiledSteps:
             plan.last, plan.pause = last, master.next_call(plan.next)
             while True:
                 try:
-                    why = StopReason(self._run(ctypes.byref(plan)))
+                    why = StopReason(self._library.run(ctypes.byref(plan)))
                 finally:
                     for component, slot in zip(master.components, self.slots, strict=False):
                         component.set_time(slot.time)
@@ -147,4 +158,4 @@ class CompiledSteps:
                         master.keeper.look(master, plan.next - 1)
                     plan.pause = master.next_call(plan.next)  # Steps may have become slower.
                 else:
-                    self.components[place].raise_error(why, plan, self.slots[place])
+                    self.components[place].raise_error(why, self.slots[place])

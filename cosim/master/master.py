@@ -44,9 +44,19 @@ from cosim.master.instants import Instants
 from cosim.master.loops import LoopSolver
 from cosim.master.observer import Inbox
 from cosim.master.pacing import Pacer
-from cosim.master.policies import Active, ControlledSteps, EqualSteps, HalvedSteps, Policy, Round, SavedPoint
+from cosim.master.policies import (
+    Active,
+    ControlledSteps,
+    EqualSteps,
+    HalvedSteps,
+    Policy,
+    Round,
+    SavedPoint,
+    Together,
+    cores,
+)
 from cosim.system.control import rollback_obstacle
-from cosim.system.schedule import Stage
+from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
 
 Progress = Callable[[int], None]  # receives the current communication point
@@ -133,6 +143,7 @@ class Master:
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
         self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
+        self.together: list[Together] = []
         self._rounds: dict[tuple[Any, ...], Round] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
@@ -198,6 +209,8 @@ class Master:
         finally:
             if self.keeper is not None:
                 self.keeper.is_over.set()
+            for together in self.together:
+                together.close()
             for component in self.components:
                 self.announce(component).close()
         return self._rows_so_far()
@@ -252,8 +265,7 @@ class Master:
                         self.keeper.look(self, k)
         finally:
             self.done = self.row_count[0]
-            if isinstance(policy, Policy):
-                policy.finish()
+            policy.finish()
         if self.done <= self.steps:
             raise OSError(errno.ENOSPC, "no room for further rows")
 
@@ -346,7 +358,15 @@ class Master:
         key = nominal, tuple(held), due
         if key not in self._rounds:
             copies = self.copying.of(t for name in (*due, *held) for t in self.system.held_of[name])
-            actives = [self.actives[n] if nominal else self.actives[n]._replace(length=0.0) for n in due]
+            actives = list[Active]()
+            for batch in batches([stage for stage in stages if stage.component.name in due]):
+                some = [self.actives[stage.component.name] for stage in batch]
+                some = some if nominal else [active._replace(length=0.0) for active in some]
+                in_threads = [self._steps_in_threads(stage) for stage in batch]
+                if sum(in_threads) > 1 and cores() > 1 and all(stage.every == 1 for stage in batch):
+                    self.together.append(Together(some, in_threads))
+                    some = [self.together[-1].active()]
+                actives += some
             closing = [active for name, active in self.closing.items() if name in due]
             self._rounds[key] = (*actives, *closing, Active(copies, lambda t, h: None))
         return self._rounds[key]
@@ -355,6 +375,14 @@ class Master:
     def actives(self) -> dict[str, Active]:
         """Return the step of each component with the copies around it, once all have started."""
         return {stage.component.name: self._active(stage) for stage in self.system.stages}
+
+    def _steps_in_threads(self, stage: Stage) -> bool:
+        """Return whether a step needs no Python while it lasts: in another process, or in the library of an FMU."""
+        component: Any = stage.component
+        if any(component.name in solver.names for solver in self.solvers):
+            return False
+        is_library = isinstance(component, FmuBlock) and not (component.changes_by_events or component.nominal_step)
+        return is_library or getattr(component, "is_apart", False)
 
     @cached_property
     def closing(self) -> dict[str, Active]:

@@ -84,6 +84,7 @@ class OwnProcess:
 
     start, change, checkpoint, restore = map(_there, ("start", "change", "checkpoint", "restore"))
     put, get = _there("put", PUT), _there("get", GET)
+    is_apart = True
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
         self._component, self._limits = component, limits

@@ -23,7 +23,10 @@ p is one more than the degree of the inputs' courses; s and P are the largest ma
 from __future__ import annotations
 
 import math
+import os
+import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
 SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
 SMALLEST, LARGEST = 0.2, 4.0  # change of a step
 MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
+TIMED, SLOW = 4, 50e-6  # first steps that are timed; shortest step [s] that is worth a thread, as in stepping.c
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
 ROUNDING = 1e-9  # relative
 Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
@@ -69,6 +73,66 @@ class Active(NamedTuple):
 
 
 Round = tuple[Active, ...]  # the last one makes no step: its copies are those at the end of the step
+
+
+class Together:
+    """Steps of components that need no output of each other, made at the same time if at least two are slow.
+
+    The first steps follow each other, to measure them.
+
+    Args:
+        in_threads: Whether each step may be made in a thread.
+    """
+
+    def __init__(self, actives: Sequence[Active], in_threads: Sequence[bool]) -> None:
+        self._actives, self._timed, self._pool = actives, 0, ThreadPoolExecutor(min(cores(), len(actives)))
+        self._least = [math.inf if each else 0.0 for each in in_threads]  # time [s] of the fastest of the first steps
+        self._others: list[int] = []  # steps that are not made by the caller's thread
+
+    def active(self) -> Active:
+        """Return the steps as a single one, with the copies around all of them."""
+        copies, lates = [a.copy for a in self._actives], [a.late for a in self._actives if a.late is not None]
+
+        def copy(k: int) -> None:
+            for each in copies:
+                each(k)
+
+        def late(k: int) -> None:
+            for each in lates:
+                each(k)
+
+        return Active(copy, self, late=late if lates else None)
+
+    def __call__(self, t: float, h: float) -> None:
+        """Step all components by h [s]; raise the error of the first one that fails."""
+        if self._timed < TIMED:
+            for k, active in enumerate(self._actives):
+                begin = time.perf_counter()
+                active.step(t, active.length or h)
+                self._least[k] = min(self._least[k], time.perf_counter() - begin)
+            self._timed += 1
+            if self._timed == TIMED:
+                self._others = [k for k, least in enumerate(self._least) if least >= SLOW][1:]
+            return
+        others = self._others
+        tasks = [self._pool.submit(self._actives[k].step, t, self._actives[k].length or h) for k in others]
+        try:
+            for k, active in enumerate(self._actives):
+                if k not in others:
+                    active.step(t, active.length or h)
+        finally:
+            wait(tasks)
+        for task in tasks:
+            task.result()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Policy:
