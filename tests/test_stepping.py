@@ -21,6 +21,7 @@ from cosim.system.system import build_system
 from tests.conftest import ROOT
 from tests.coupled import CHASSIS, TRUCK, WHEEL, coupled_fmu
 from tests.deeds import deeds_fmu, deeds_scenario
+from tests.known.kit import Model
 from tests.lag import lag_fmu
 from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.test_event_mode import scenario
@@ -48,7 +49,7 @@ def stopped(file: ScenarioFile) -> tuple[str, Results, list[str]]:
             results, how = end.results, f"{type(end.error).__name__} {end.error}"
         assert results.loop == ("C" if in_c else "Python: asked for")
         said = [text for stage in system.stages for text in getattr(stage.component, "log", ())]
-        found.append((how, results.columns, results.time.tobytes(), results.values.tobytes(), said))
+        found.append((how, results.columns, results.time.tobytes(), results.values.tobytes(), results.exact, said))
     assert found[0] == found[1]
     return how, results, said
 
@@ -112,6 +113,34 @@ def test_integers_booleans_and_enumerations_are_the_same_bytes(
     assert (how == "") == (told == "")
     if not told:
         assert results["c.e_out"].tolist() == [1, 1, 1, 1, 2, 2, 1, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+def test_text_and_integers_of_64_bits_are_the_same(tmp_path: Path, algorithm: str) -> None:
+    """Recorded, connected, and changed by an event between two changes of their own."""
+    source = Model(
+        "input u = 0, discrete String mode = start, discrete Int64 n = 9007199254740993, "
+        "discrete UInt64 big = 18446744073709551615",
+        step='if (t > 0.45) strcpy(mode, u > 0 ? "é \\"zwei\\"" : "drei"); n += t > 0.25; big -= 1 * (t > 0.75);',
+        name="source",
+    )
+    sink = Model(
+        "input String s = x, input Int64 i = 1, input String free = own, String so = q, Int64 io = 3",
+        calc="strcpy(so, s); io = i + 1;",
+        depends={"so": ("s",), "io": ("i",)},
+        name="sink",
+    )
+    components = {"source": {"fmu": str(source.fmu(3))}, "sink": {"fmu": str(sink.fmu(3))}}
+    events = [{"at": 0.6, "set": {"source.u": 1, "sink.free": "new"}}]
+    wires = ["source.mode → sink.s", "source.n → sink.i"]
+    exact = same(tmp_path, components, wires, algorithm=algorithm, events=events).exact
+    assert exact["source.mode"] == ["start"] * 6 + ["drei"] + ['é "zwei"'] * 4
+    assert exact["sink.s"] == exact["source.mode"]
+    assert exact["source.n"][-1] == 9007199254740993 + 7
+    assert exact["sink.free"] == ["own"] * 6 + ["new"] * 5
+    assert exact["source.big"][-3:] == [18446744073709551615, 18446744073709551614, 18446744073709551613]
+    late = 1 if algorithm == "jacobi" else 0
+    assert exact["sink.io"][late:] == [n + 1 for n in exact["source.n"]][: 11 - late]
 
 
 @pytest.mark.parametrize(("call", "at"), [("SetReal", 9), ("DoStep", 5), ("GetReal", 9)])

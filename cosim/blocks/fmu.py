@@ -388,15 +388,19 @@ class FmuBlock(FmuVariables):
 
     # -- stepped by C -------------------------------------------------------------------------
 
-    def slot(self) -> Slot | str:
-        """Return the slot for the C loop, or the reason for none."""
+    def slot(self, cells: Any) -> Slot | str:
+        """Return the slot for the C loop, or the reason for none.
+
+        Args:
+            cells: Values beside the row.
+        """
         instance = self.instance
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
         if type(instance) is not Instance or instance.version == 1:
             return f"{self.name} is of FMI {self.description.fmiVersion} {instance.way}"
-        if (moves := self.moves()) is None:
-            return f"{self.name} has values that no double holds"
+        if (moves := self.moves(cells)) is None:
+            return f"{self.name} has binary values"
         (puts, gets), step = moves, instance.step_function()
         put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
         slot = Slot(instance.version, ctypes.cast(step, ctypes.c_void_p), instance.component, time=instance.time)

@@ -282,12 +282,16 @@ class FmuVariables(Component):
 
     # -- moved by C ---------------------------------------------------------------------------
 
-    def moves(self) -> tuple[list[Move], list[Move]] | None:
-        """Return C's calls to put and get values; None if values beside the row exist."""
-        if any(exchange.kind.beside for exchange in (*self.fed, *self.read)):
+    def moves(self, cells: Any) -> tuple[list[Move], list[Move]] | None:
+        """Return C's calls to put and get values; None if there are binary values.
+
+        Args:
+            cells: Values beside the row.
+        """
+        if any(exchange.kind.ctype is None for exchange in (*self.fed, *self.read)):
             return None
-        puts = [move(e.set.func, e, self._row) for e in self.fed]
-        gets = [move(e.get.func, e, self._row) for e in self.read]
+        puts = [move(e.set.func, e, self._row, cells) for e in self.fed]
+        gets = [move(e.get.func, e, self._row, cells) for e in self.read]
         return puts, gets
 
     def raise_error_of_move(self, reason: StopReason, slot: Slot) -> None:

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.blocks.sources import SourceBlock
-from cosim.blocks.stepping import ConvertedLink, NotCompiled, Plan, Slot, StopReason, address_of, library
+from cosim.blocks.stepping import Cell, ConvertedLink, NotCompiled, Plan, Slot, StopReason, address_of, library
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
+from cosim.fmi.fmi_types import FMI3
 from cosim.master.observer import MOST_IN_C
 from cosim.master.policies import cores
 from cosim.system.schedule import batches
@@ -33,7 +34,7 @@ PREPARED_POINTS = 1000  # points of source values computed at a time
 def compile_beforehand(system: System) -> None:
     """Compile the loop now, outside the time limits of calls."""
     fmus = (stage.component for stage in system.stages if not isinstance(stage.component, SourceBlock))
-    if not system.beside and not any(fmu.nominal_step for fmu in fmus):  # Python steps FMUs made of Python.
+    if not any(fmu.nominal_step for fmu in fmus):  # Python steps FMUs made of Python.
         with suppress(NotCompiled):
             library()
 
@@ -51,13 +52,17 @@ class CompiledSteps:
             raise NotCompiled("asked for")
         if master.solvers:
             raise NotCompiled("algebraic loops are solved")
-        if system.beside:
-            raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
+        self._types = [FMI3[system.signals[name].kind] for name in system.beside]
+        self._cells = (Cell * len(self._types))(*((not kind.is_whole,) for kind in self._types))
         slots: list[Slot] = []
         self.stages = stages = *system.stages, *system.closing
         self.components: list[Any] = [stage.component for stage in stages]
         for stage, component in zip(stages, self.components, strict=True):
-            slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
+            slot = (
+                component.slot(self._cells)
+                if hasattr(component, "slot")
+                else f"{component.name} has a process of its own"
+            )
             if not isinstance(slot, Slot):
                 raise NotCompiled(slot)
             slot.every, slot.doing = stage.every, master.numbers[component.name]
@@ -68,6 +73,7 @@ class CompiledSteps:
             self._add_courses(slots)
         self._library = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
+        self._give_exact()
         for slot, stage in zip(slots, stages, strict=True):
             (slot.pulls, slot.pull), (slot.lates, slot.late) = map(self._transfers, (stage.pulls, stage.late))
         together, first = [len(batch) for batch in batches(stages)], 0
@@ -76,6 +82,7 @@ class CompiledSteps:
             first += count
         self.slots = (Slot * len(slots))(*slots)
         self.plan = plan = Plan(system.start, master.h, len(slots), width=len(master.row), next=master.done)
+        plan.cells, plan.cell_count = ctypes.addressof(self._cells), len(self._cells)
         plan.threads = min(cores(), max(together)) - 1
         plan.slot = ctypes.addressof(self.slots)
         plan.holds, plan.hold = self._transfers(
@@ -83,6 +90,15 @@ class CompiledSteps:
         )
         plan.row, plan.table = ctypes.addressof(master.row), master.table.ctypes.data
         plan.counter, plan.doing, plan.asked = map(address_of, (master.row_count, master.doing, master.asked))
+
+    def _take_exact(self) -> None:
+        """Take the values beside the row from C."""
+        self.master.beside[:] = [cell.value(kind) for cell, kind in zip(self._cells, self._types, strict=True)]
+
+    def _give_exact(self) -> None:
+        """Give C the values beside the row."""
+        for cell, kind, value in zip(self._cells, self._types, self.master.beside, strict=True):
+            cell.set(kind, value)
 
     def _add_courses(self, slots: Sequence[Slot]) -> None:
         """Set the courses of inputs, which the steps in Python have found."""
@@ -103,12 +119,18 @@ class CompiledSteps:
         Args:
             every: Component → its step; a held value is transferred when its target steps.
         """
-        first, made = ctypes.addressof(self.master.row), []
+        first, made, signals = ctypes.addressof(self.master.row), [], self.master.system.signals
         for t in transfers:
+            cells = [ctypes.addressof(self._cells[k]) for k in (t.source, t.target)] if all(t.beside) else (None, None)
+            is_other = signals[t.origin].kind != signals[t.name].kind or bool(self.master.copying.links[t.name])
+            if any(t.beside) and (is_other or not all(t.beside)):
+                raise NotCompiled(f"{t.name} has another value than {t.origin}, and no double holds them")
             links = [link.link() for link in self.master.copying.links[t.name]]
             chain = (ConvertedLink * len(links))(*links)
             ends = first + 8 * t.source, first + 8 * t.target
-            made.append(CTransfer(*ends, every.get(t.name.partition(".")[0], 1), len(chain), ctypes.addressof(chain)))
+            made.append(
+                CTransfer(*ends, every.get(t.name.partition(".")[0], 1), len(chain), ctypes.addressof(chain), *cells)
+            )
             self._keeping += links, chain
         array = (CTransfer * len(made))(*made)
         self._keeping.append(array)
@@ -144,11 +166,15 @@ class CompiledSteps:
                 if why == StopReason.FINISHED:
                     break
                 if why == StopReason.PAUSED:
-                    master.change(plan.pause)
-                    master.tell(plan.pause)
-                    # Events may have changed outputs: the held transfers are made again.
-                    plan.place = plan.slots
-                    plan.pause = master.next_call(plan.pause + 1)
+                    self._take_exact()
+                    if plan.next == plan.pause:
+                        master.change(plan.pause)
+                        self._give_exact()
+                        # Events may have changed outputs: the held transfers are made again.
+                        plan.place = plan.slots
+                        plan.pause = master.next_call(plan.pause + 1)
+                    master.tell(plan.next)
+                    plan.changed = False
                 elif why == StopReason.NO_ITEM:
                     for t in self.stages[place].transfers if place < plan.slots else system.held:
                         t.check_item(master.row[t.target], system.start + plan.next * master.h)

@@ -144,6 +144,8 @@ class Master:
         self.controlled: ControlledSteps | None = None
         self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
         self.together: list[Together] = []
+        self._exact: tuple[Any, ...] = ()
+        self._exact_rows = rows.given if system.beside else 0
         self._rounds: dict[tuple[Any, ...], Round] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
@@ -242,6 +244,7 @@ class Master:
         self.rows.tell_loop(self.loop)
         if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
             self.pacer.begin = self.pacer.clock()
+        self._exact = tuple(self.beside)
         try:
             if isinstance(policy, CompiledSteps):
                 policy.make_all()
@@ -266,6 +269,8 @@ class Master:
         finally:
             self.done = self.row_count[0]
             policy.finish()
+            if self.beside:
+                self._repeat_exact(self.done)
         if self.done <= self.steps:
             raise OSError(errno.ENOSPC, "no room for further rows")
 
@@ -301,7 +306,7 @@ class Master:
 
     def next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.beside or self.pacer is not None:
+        if self.pacer is not None or (self.beside and self.loop != "C"):  # C returns when such values change.
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
@@ -327,18 +332,28 @@ class Master:
             component.change(changes[component.name])
             if not isinstance(component, EventFmu):  # It is read at the instant.
                 self.announce(component, GET).get()
-        if changed and self.loop != "C":  # C makes its held transfers again.
+        if changed:
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
-            self.copying.of(t for name in due for t in self.system.held_of[name])(k)
+            held = [t for name in due for t in self.system.held_of[name]]
+            # C makes its transfers within the row again.
+            self.copying.of(t for t in held if self.loop != "C" or any(t.beside))(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
         if self.beside and k >= self.rows.given:
-            self.rows.beside.append(tuple(self.beside))
+            self._repeat_exact(k)
+            self._exact = tuple(self.beside)
+            self._repeat_exact(k + 1)
         if self.keeper is not None:
             self.keeper.compare_rows(self, k)
         if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY == 0):
             self.progress(k)
+
+    def _repeat_exact(self, rows: int) -> None:
+        """Record the exact values of the last row that has others than the one before, up to a number of rows."""
+        for _ in range(self._exact_rows, rows):
+            self.rows.beside.append(self._exact)
+        self._exact_rows = max(self._exact_rows, rows)
 
     # -- parts --------------------------------------------------------------------------------
 

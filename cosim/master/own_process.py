@@ -134,7 +134,7 @@ class OwnProcess:
         finally:
             self._remote.worker.end()
 
-    def slot(self) -> str:
+    def slot(self, cells: Any) -> str:
         """Return the reason against the C loop."""
         return f"{self.name} has a process of its own"
 
