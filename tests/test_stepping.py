@@ -171,6 +171,15 @@ def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: 
     assert 1 < len(end.value.results.time) < steps
 
 
+def truck(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Write the FMUs of a quarter truck; return components and connections."""
+    laws = {"chassis": CHASSIS, "wheel": WHEEL}
+    for name, law in laws.items():
+        coupled_fmu(folder / f"{name}.fmu", law)
+    components = {name: {"fmu": f"{name}.fmu", "start": TRUCK[law]} for name, law in laws.items()}
+    return components, ["chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"]
+
+
 @pytest.mark.parametrize(
     ("algorithm", "extrapolate", "interpolate"),
     [
@@ -185,13 +194,7 @@ def test_courses_of_inputs_are_the_same_bytes(
     tmp_path: Path, algorithm: str, extrapolate: str, interpolate: str
 ) -> None:
     """The force of the wheel is that of its inputs at the end of each step, under Jacobi too."""
-    for name, law in (("chassis", CHASSIS), ("wheel", WHEEL)):
-        coupled_fmu(tmp_path / f"{name}.fmu", law)
-    components = {
-        "chassis": {"fmu": "chassis.fmu", "start": TRUCK[CHASSIS]},
-        "wheel": {"fmu": "wheel.fmu", "start": TRUCK[WHEEL]},
-    }
-    wires = ["chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"]
+    components, wires = truck(tmp_path)
     more = {"duration": 1.2, "step": 0.005, "algorithm": algorithm, "record": ["wheel.x*"]}
     held = same(tmp_path, components, wires, **more)
     results = same(tmp_path, components, wires, **more, extrapolate=extrapolate, interpolate=interpolate)
@@ -199,3 +202,21 @@ def test_courses_of_inputs_are_the_same_bytes(
     speed, height, foot, seen = (results[f"wheel.{name}"] for name in ("x0", "x1", "x2", "u0"))
     force = 15e3 * (height - foot) + 1e3 * (speed - seen)  # law of coupled.c
     assert results["wheel.y0"] == pytest.approx(force, abs=1e-9)
+
+
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize("course", ["hold", "linear", "quadratic"])
+@pytest.mark.parametrize("estimator", ["halving", "residual", "energy"])
+def test_controlled_steps_are_the_same_bytes(tmp_path: Path, estimator: str, course: str, algorithm: str) -> None:
+    """Steps in C of any length, which are taken back, too."""
+    components, wires = truck(tmp_path)
+    step = {"max": 0.02, "min": 0.002, "tolerance": 1e-3, "estimator": estimator}
+    step |= {"bonds": [{"effort": "wheel.y0", "flow": "chassis.y0"}]} if estimator == "energy" else {}
+    more = {"algorithm": algorithm, "extrapolate": course, "interpolate": course}
+    file = scenario(tmp_path, components, wires, duration=1.2, step=step, **more)
+    found = []
+    for in_c in (True, False):
+        results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
+        found.append((results.values.tobytes(), results.details, results.notes))
+    assert found[0] == found[1]
+    assert found[0][1]["steps"]["accepted"] > 60

@@ -67,9 +67,9 @@ typedef struct {           /* variables of one type, moved in one call; `values`
 } Move;
 
 typedef struct {           /* a polynomial through the last values of inputs, the newest first; see master/extrapolation.py */
-    int64_t degree, inputs, points; /* points: so many there are */
+    int64_t degree, inputs, points, room; /* points: so many there are, of `room` */
     double *const *place;  /* of the inputs in the row */
-    double *times, *values; /* degree + 1 points */
+    double *times, *values;
 } Course;
 
 /* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on */
@@ -100,6 +100,7 @@ typedef struct {
 
 typedef struct {
     double begin, h;
+    double since, length;  /* of all steps, if `length` is not 0 */
     int64_t slots, holds, width, next, last;
     int64_t pause;         /* Python is asked before the row of this point is kept */
     Slot *slot;
@@ -194,14 +195,20 @@ static bool make_transfers(Plan *p, const Transfer *transfers, int64_t count, in
     return true;
 }
 
+/* Drops points at or after the new one, because a step was taken back. */
 static void add_point(Course *c, double t)
 {
-    const size_t row = (size_t)c->inputs;
-    memmove(c->times + 1, c->times, (size_t)c->degree * sizeof(double));
-    memmove(c->values + row, c->values, (size_t)c->degree * row * sizeof(double));
+    const size_t row = (size_t)c->inputs, room = (size_t)c->room;
+    while (c->points && c->times[0] >= t) {
+        c->points--;
+        memmove(c->times, c->times + 1, (room - 1) * sizeof(double));
+        memmove(c->values, c->values + row, (room - 1) * row * sizeof(double));
+    }
+    memmove(c->times + 1, c->times, (room - 1) * sizeof(double));
+    memmove(c->values + row, c->values, (room - 1) * row * sizeof(double));
     c->times[0] = t;
     for (size_t n = 0; n < row; n++) c->values[n] = *c->place[n];
-    if (c->points <= c->degree) c->points++;
+    if (c->points < c->room) c->points++;
 }
 
 /* Into the row, the means from t over h */
@@ -209,10 +216,10 @@ static void put_means(const Course *c, double t, double h)
 {
     const size_t row = (size_t)c->inputs;
     const double *time = c->times, ahead = (t - time[0]) + 0.5 * h;
-    for (size_t n = 0; n < row && c->points > 1; n++) {
+    for (size_t n = 0; n < row && c->degree && c->points > 1; n++) {
         const double *v = c->values + n, gap = time[0] - time[1], slope = (v[0] - v[row]) / gap;
         double mean = v[0] + ahead * slope;
-        if (c->points > 2) {
+        if (c->degree > 1 && c->points > 2) {
             const double before = (v[row] - v[2 * row]) / (time[1] - time[2]);
             mean = mean + (ahead * (ahead + gap) + h * h / 12.0) * ((slope - before) / (time[0] - time[2]));
         }
@@ -330,8 +337,13 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
     int status, why;
     switch (s->phase) {
     case PULLS:
-        s->begin = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
-        s->length = (p->begin + (double)k * p->h) - s->begin;
+        if (p->length > 0.0) {
+            s->begin = p->since;
+            s->length = p->length;
+        } else {
+            s->begin = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
+            s->length = (p->begin + (double)k * p->h) - s->begin;
+        }
         s->stepped = false;
         if (s->course && !s->course->points) add_point(s->course, s->begin);
         if (!make_transfers(p, s->pull, s->pulls, k)) return NO_ITEM;
@@ -506,6 +518,32 @@ void finish(Plan *p)
 #endif
 }
 
+/* All slots and the held transfers of point k, from `place` on. */
+static int make_round(Plan *p, int64_t k)
+{
+    int why;
+    for (; p->place < p->slots; p->place++) {
+        Slot *s = &p->slot[p->place];
+#ifndef _WIN32
+        if (s->batch > 1 && s->phase == PULLS && p->threads) step_together(p, s, k);
+#endif
+        if (s->every != 1 && k % s->every) continue;
+        why = s->why;
+        s->why = FINISHED;
+        if (why != FINISHED || (why = go_on(p, s, k, false)) != FINISHED) return why;
+    }
+    if (!make_transfers(p, p->hold, p->holds, k)) return NO_ITEM;
+    return FINISHED;
+}
+
+/* One step of all slots at point `next`, from `since` over `length`, or on from where Python was asked. */
+int step_once(Plan *p)
+{
+    const int why = make_round(p, p->next);
+    if (why == FINISHED) p->place = 0;
+    return why;
+}
+
 /* Until `last`, or until Python is asked: then `place` and the slot's `phase` and `move` tell where, and go on from there. */
 int run(Plan *p)
 {
@@ -513,19 +551,9 @@ int run(Plan *p)
     int why;
     for (; p->next <= p->last; p->next++) {
         const int64_t k = p->next;
-        for (; p->place < p->slots; p->place++) {
-            Slot *s = &p->slot[p->place];
-#ifndef _WIN32
-            if (s->batch > 1 && s->phase == PULLS && p->threads) step_together(p, s, k);
-#endif
-            if (s->every != 1 && k % s->every) continue;
-            why = s->why;
-            s->why = FINISHED;
-            if (why != FINISHED || (why = go_on(p, s, k, false)) != FINISHED) return why;
-        }
-        if (p->place == p->slots) {
-            if (!make_transfers(p, p->hold, p->holds, k)) return NO_ITEM;
-            p->place++;
+        if (p->place <= p->slots) {
+            if ((why = make_round(p, k)) != FINISHED) return why;
+            p->place = p->slots + 1;
             if (k == p->pause || p->changed) return PAUSED;
         }
         memcpy(p->table + k * p->width, p->row, (size_t)p->width * sizeof(double));

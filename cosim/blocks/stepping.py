@@ -8,6 +8,7 @@ previous values. The caller allocates everything. A step gives the same bytes as
 from __future__ import annotations
 
 import ctypes
+import os
 from ctypes import c_void_p
 from enum import IntEnum
 from functools import cache
@@ -124,14 +125,14 @@ class Course(ctypes.Structure):
 
     keeping: Any
 
-    _fields_ = _fields("int64 degree, inputs, points; pointer place, times, values")
+    _fields_ = _fields("int64 degree, inputs, points, room; pointer place, times, values")
 
 
 class Plan(ctypes.Structure):
     """Complete state of the C loop."""
 
     _fields_ = _fields(
-        "double begin, h; int64 slots, holds, width, next, last, pause; "
+        "double begin, h, since, length; int64 slots, holds, width, next, last, pause; "
         "pointer slot, hold, row, table, counter, doing, asked; int64 place; pointer cells; "
         "int64 cell_count; bool changed; int64 threads; pointer pool"
     )
@@ -141,12 +142,18 @@ class NotCompiled(Exception):
     """Reason for a missing C loop."""
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @cache
 def library() -> Any:
     """Return the library of the loop from the cache; raise NotCompiled without a working compiler."""
     try:
         loop = load_library(SOURCE.read_text(encoding="utf-8"))
         loop.run.argtypes, loop.run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
+        loop.step_once.argtypes, loop.step_once.restype = [ctypes.POINTER(Plan)], ctypes.c_int
         loop.put_cell.argtypes, loop.put_cell.restype = [ctypes.POINTER(Cell), c_void_p], None
         loop.finish.argtypes, loop.finish.restype = [ctypes.POINTER(Plan)], None
     except NoCompiler:

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.blocks.sources import SourceBlock
-from cosim.blocks.stepping import Cell, ConvertedLink, NotCompiled, Plan, Slot, StopReason, address_of, library
+from cosim.blocks.stepping import Cell, ConvertedLink, NotCompiled, Plan, Slot, StopReason, address_of, cores, library
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
 from cosim.fmi.fmi_types import FMI3
 from cosim.master.observer import MOST_IN_C
-from cosim.master.policies import cores
-from cosim.system.schedule import batches
+from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
@@ -40,22 +39,32 @@ def compile_beforehand(system: System) -> None:
 
 
 class CompiledSteps:
-    """All steps of a run after initialization, made in C.
+    """Steps of a run after initialization, made in C: all of them, or one after the other with any length.
+
+    Args:
+        stages: Stages of steps with any length; None for all steps.
 
     Raises:
         NotCompiled: Reason against C.
     """
 
-    def __init__(self, master: Master) -> None:
+    def __init__(self, master: Master, stages: Sequence[Stage] | None = None) -> None:
         self.master, system = master, master.system
         if not master.in_c:
             raise NotCompiled("asked for")
         if master.solvers:
             raise NotCompiled("algebraic loops are solved")
+        if stages is not None and system.beside:
+            raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
         self._types = [FMI3[system.signals[name].kind] for name in system.beside]
         self._cells = (Cell * len(self._types))(*((not kind.is_whole,) for kind in self._types))
         slots: list[Slot] = []
-        self.stages = stages = *system.stages, *system.closing
+        names = {stage.component.name for stage in stages or system.stages}
+        # Steps of any length need values of sources one by one.
+        self._sources = [s.component for s in stages or () if isinstance(s.component, SourceBlock)]
+        made = [stage for stage in stages or system.stages if stage.component not in self._sources]
+        closing = [stage for stage in system.closing if stage.component.name in names]
+        self.stages = stages = [*made, *closing]
         self.components: list[Any] = [stage.component for stage in stages]
         for stage, component in zip(stages, self.components, strict=True):
             slot = (
@@ -67,29 +76,29 @@ class CompiledSteps:
                 raise NotCompiled(slot)
             slot.every, slot.doing = stage.every, master.numbers[component.name]
             slots.append(slot)
-        for slot in slots[len(system.stages) :]:
+        for slot in slots[len(made) :]:
             slot.step = None
         if any(system.courses):
             self._add_courses(slots)
         self._library = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
-        self._give_exact()
         for slot, stage in zip(slots, stages, strict=True):
             (slot.pulls, slot.pull), (slot.lates, slot.late) = map(self._transfers, (stage.pulls, stage.late))
         together, first = [len(batch) for batch in batches(stages)], 0
         for count in together:
             slots[first].batch = count
             first += count
-        self.slots = (Slot * len(slots))(*slots)
-        self.plan = plan = Plan(system.start, master.h, len(slots), width=len(master.row), next=master.done)
+        self.slots, self._count = (Slot * len(slots))(*slots), len(made)
+        self.plan = plan = Plan(system.start, master.h, slots=len(slots), width=len(master.row), next=master.done)
         plan.cells, plan.cell_count = ctypes.addressof(self._cells), len(self._cells)
-        plan.threads = min(cores(), max(together)) - 1
+        plan.threads = min(cores(), max(together, default=1)) - 1
         plan.slot = ctypes.addressof(self.slots)
-        plan.holds, plan.hold = self._transfers(
-            system.held, {stage.component.name: stage.every for stage in system.stages}
-        )
+        held = [t for t in system.held if t.name.partition(".")[0] in names]
+        plan.holds, plan.hold = self._transfers(held, {stage.component.name: stage.every for stage in made})
         plan.row, plan.table = ctypes.addressof(master.row), master.table.ctypes.data
         plan.counter, plan.doing, plan.asked = map(address_of, (master.row_count, master.doing, master.asked))
+        self._give_exact()
+        master.together.append(self)
 
     def _take_exact(self) -> None:
         """Take the values beside the row from C."""
@@ -102,8 +111,10 @@ class CompiledSteps:
 
     def _add_courses(self, slots: Sequence[Slot]) -> None:
         """Set the courses of inputs, which the steps in Python have found."""
-        for slot, name in zip(slots, self.master.actives, strict=False):
-            if (step := self.master.courses.get(name)) is None:
+        actives = self.master.actives
+        for slot, stage in zip(slots, self.stages, strict=True):
+            name = stage.component.name
+            if slot.step is None or name not in actives or (step := self.master.courses.get(name)) is None:
                 continue
             courses = step.in_c()
             if isinstance(courses, str):
@@ -136,9 +147,38 @@ class CompiledSteps:
         self._keeping.append(array)
         return len(made), ctypes.addressof(array)
 
-    def finish(self) -> None:
-        """End the threads that have stepped slow FMUs."""
+    def close(self) -> None:
+        """End the threads that have stepped slow FMUs, and free the texts."""
         self._library.finish(ctypes.byref(self.plan))
+
+    def advance(self, k: int, t: float, until: float) -> None:
+        """Step once from t to `until` [s], towards point k."""
+        plan = self.plan
+        plan.next, plan.since, plan.length = k, t, until - t
+        for source in self._sources:
+            source.advance(t, until - t)
+            source.get()
+        while (why := self._call(self._library.step_once)) != StopReason.FINISHED:
+            self._raise(why)
+
+    def _call(self, function: Any) -> StopReason:
+        """Call the library; return why it returned."""
+        try:
+            return StopReason(function(ctypes.byref(self.plan)))
+        finally:
+            for component, slot in zip(self.components[: self._count], self.slots, strict=False):
+                component.set_time(slot.time)
+
+    def _raise(self, why: StopReason) -> None:
+        """Raise the error behind a return; a warning of an FMU is only logged."""
+        plan, place = self.plan, self.plan.place
+        if why != StopReason.NO_ITEM:
+            self.components[place].raise_error(why, self.slots[place])
+            return
+        system = self.master.system
+        for t in self.stages[place].transfers if place < plan.slots else system.held:
+            t.check_item(self.master.row[t.target], system.start + plan.next * self.master.h)
+        raise AssertionError("C met a value that is no item, and there is none")
 
     def make_all(self) -> None:
         """Make all steps; errors are those of the Python loop. Source values are prepared for some points at a time."""
@@ -157,12 +197,7 @@ class CompiledSteps:
             # C returns at points where Python is to act.
             plan.last, plan.pause = last, master.next_call(plan.next)
             while True:
-                try:
-                    why = StopReason(self._library.run(ctypes.byref(plan)))
-                finally:
-                    for component, slot in zip(master.components, self.slots, strict=False):
-                        component.set_time(slot.time)
-                place = plan.place
+                why = self._call(self._library.run)
                 if why == StopReason.FINISHED:
                     break
                 if why == StopReason.PAUSED:
@@ -175,13 +210,9 @@ class CompiledSteps:
                         plan.pause = master.next_call(plan.pause + 1)
                     master.tell(plan.next)
                     plan.changed = False
-                elif why == StopReason.NO_ITEM:
-                    for t in self.stages[place].transfers if place < plan.slots else system.held:
-                        t.check_item(master.row[t.target], system.start + plan.next * master.h)
-                    raise AssertionError("C met a value that is no item, and there is none")
                 elif why == StopReason.LATER:
                     if master.asked[0] and master.keeper is not None:
                         master.keeper.look(master, plan.next - 1)
                     plan.pause = master.next_call(plan.next)  # Steps may have become slower.
                 else:
-                    self.components[place].raise_error(why, self.slots[place])
+                    self._raise(why)

@@ -75,13 +75,13 @@ class Polynomial:
 
     def in_c(self, row: Row, places: Sequence[int], start: float) -> CCourse:
         """Return the equivalent for the loop in C, with the points up to the start of the steps [s]."""
-        room, count = self.degree + 1, len(places)
+        room, count = self.degree + 1 + SPARE, len(places)
         points = [point for point in reversed(self._points) if point[0] <= start][:room] if count else []
         place = (ctypes.c_void_p * count)(*(ctypes.addressof(row) + 8 * k for k in places))
         times, values = (ctypes.c_double * room)(*(t for t, _ in points)), (ctypes.c_double * (room * count))()
         values[: len(points) * count] = [value for _, row in points for value in row.tolist()]
         buffers = place, times, values
-        course = CCourse(self.degree, count, len(points), *map(ctypes.addressof, buffers))
+        course = CCourse(self.degree, count, len(points), room, *map(ctypes.addressof, buffers))
         course.keeping = buffers
         return course
 

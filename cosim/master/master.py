@@ -27,7 +27,7 @@ import numpy as np
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.stepping import NEVER, NotCompiled
+from cosim.blocks.stepping import NEVER, NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.drafts import is_full
 from cosim.core.errors import CallFailed, DiskFull, NotFinite, SimulationError, Terminated, stop_error
@@ -53,7 +53,6 @@ from cosim.master.policies import (
     Round,
     SavedPoint,
     Together,
-    cores,
 )
 from cosim.system.control import rollback_obstacle
 from cosim.system.schedule import Stage, batches
@@ -143,7 +142,7 @@ class Master:
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
         self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
-        self.together: list[Together] = []
+        self.together: list[Together | CompiledSteps] = []  # which may have threads
         self._exact: tuple[Any, ...] = ()
         self._exact_rows = rows.given if system.beside else 0
         self._rounds: dict[tuple[Any, ...], Round] = {}
@@ -268,7 +267,8 @@ class Master:
                         self.keeper.look(self, k)
         finally:
             self.done = self.row_count[0]
-            policy.finish()
+            if isinstance(policy, Policy):
+                policy.finish()
             if self.beside:
                 self._repeat_exact(self.done)
         if self.done <= self.steps:

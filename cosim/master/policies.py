@@ -23,7 +23,6 @@ p is one more than the degree of the inputs' courses; s and P are the largest ma
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -33,14 +32,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.stepping import NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.isolation.rows import GET
+from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
 from cosim.master.copying import Copies
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
+from cosim.system.schedule import Stage
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
@@ -130,11 +132,6 @@ class Together:
         self._pool.shutdown()
 
 
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 class Policy:
     """A way from one communication point to the next.
 
@@ -195,6 +192,15 @@ class SavedPoint:
         self.restore_signals()
 
 
+def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float, float], None]:
+    """Return a function of point, start and end [s] of a step of any length, in C if possible."""
+    try:
+        return CompiledSteps(master, stages).advance
+    except NotCompiled:
+        actives = master.round(stages, 1, nominal=False)
+        return partial(master.advance, actives)
+
+
 class HalvedSteps(Policy):
     """Equal steps, each made once whole and once in halves, to estimate the coupling error.
 
@@ -206,7 +212,7 @@ class HalvedSteps(Policy):
     reason = "steps are halved"
 
     def __init__(self, master: Master) -> None:
-        self.master, self._round = master, master.round(master.system.stages, 1, nominal=False)
+        self.master, self._advance = master, advance_of(master, master.system.stages)
         self._fmus = [c for c in master.components if isinstance(c, FmuBlock)]
         self._whole: SavedPoint | None = None
         master.table[0] = 0.0
@@ -218,12 +224,12 @@ class HalvedSteps(Policy):
             self._whole.restore_signals()
         t, end = (master.system.start + j * master.h for j in (k - 1, k))
         before, middle = SavedPoint(master, self._fmus), 0.5 * (t + end)
-        master.advance(self._round, k, t, end)
+        self._advance(k, t, end)
         values, self._whole = master.values.copy(), SavedPoint(master, self._fmus)
         before.restore()
         before.check_outputs(t)
         for since, until in ((t, middle), (middle, end)):
-            master.advance(self._round, k, since, until)
+            self._advance(k, since, until)
         differences = np.abs(values - master.values)
         self._whole.restore()
         master.values[:] = differences
@@ -247,7 +253,7 @@ class ControlledSteps(Policy):
         stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
         self._at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
         self._names = [stage.component.name for stage in stages]
-        self._round = master.round(stages, 1, nominal=False)
+        self._advance = advance_of(master, stages)
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
         held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}
@@ -441,5 +447,5 @@ class ControlledSteps(Policy):
 
     def _step(self, k: int, t: float, until: float) -> None:
         """Step all controlled components."""
-        self.master.advance(self._round, k, t, until)
+        self._advance(k, t, until)
         self.made += 1
