@@ -220,3 +220,31 @@ def test_controlled_steps_are_the_same_bytes(tmp_path: Path, estimator: str, cou
         found.append((results.values.tobytes(), results.details, results.notes))
     assert found[0] == found[1]
     assert found[0][1]["steps"]["accepted"] > 60
+
+
+def test_python_steps_only_what_c_cannot(tmp_path: Path) -> None:
+    """An algebraic loop of y = 0.5·(0.4·y) + 1, model exchange, FMI 1.0 and fixes, beside two masses in C."""
+    gain = Model("input u = 0, y, parameter k = 1, parameter c = 0", calc="y = k * u + c;", depends={"y": ("u",)})
+    mass = Model("input F = 0, x = 1, v = 0", "x' = v, v' = F - 10 * x", name="mass")
+    components = {
+        "a": {"fmu": str(mass.fmu())},
+        "b": {"fmu": str(mass.fmu(3))},
+        "g": {"fmu": str(gain.fmu()), "start": {"k": 0.5, "c": 1}},
+        "h": {"fmu": str(gain.fmu()), "start": {"k": 0.4}},
+        "exchange": {"fmu": str(mass.fmu(2, "me"))},
+        "old": {"fmu": str(mass.fmu(1))},
+        "fix": {"block": "fix", "rate": 5, "latency": 0.1, "signals": {"x": {"unit": "", "noise": {"variance": 0.01}}}},
+    }
+    wires = ["a.x → b.F", "b.x → a.F", "g.y → h.u", "h.y → g.u", "g.y → old.F", "b.x → exchange.F", "a.x → fix.x"]
+    file = scenario(tmp_path, components, wires, faults=[{"on": "old.F", "kind": "delay", "delay": 0.2}])
+    found = []
+    for in_c in (True, False):
+        results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
+        found.append((results.values.tobytes(), results.details["loops"], results.notes))
+        if in_c:
+            in_python = results.details["in_python"]
+            assert results.loop.startswith("C, but in Python: ")
+            assert in_python["components"].keys() == {"g", "h", "exchange", "old", "fix"}
+            assert 0 < in_python["share"] <= 1
+    assert found[0] == found[1]
+    assert results["g.y"] == pytest.approx(1.25, rel=1e-7)

@@ -23,11 +23,11 @@
 typedef void (*Function)(void);
 
 enum { PUT, ADVANCE, GET };                                       /* what is called, as in isolation/rows.py */
-enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER }; /* why `run` returned */
+enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, ASKED }; /* why `run` returned */
 enum { DOUBLES, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, BOOL8, BITS64, TEXT };
 enum { TIMED = 4, MOST_TOGETHER = 64 };                           /* first steps to time; slots that step together */
 #define SLOW 50e-6                                                /* shortest step [s] that is worth a thread */
-enum { PREPARED };                                                /* version of slots that are no FMU */
+enum { IN_PYTHON = -1, PREPARED };                                                /* version of slots that are no FMU */
 enum { AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS };
 
 typedef struct {           /* what becomes of a value on its way, at points first..last or always */
@@ -465,8 +465,8 @@ static void step_together(Plan *p, Slot *first, int64_t k)
 {
     int64_t slow = 0;
     for (Slot *s = first; s < first + first->batch; s++) {
-        if (s->version != PREPARED && s->timed < TIMED) return;
-        slow += s->version != PREPARED && s->least >= SLOW;
+        if (s->version > PREPARED && s->timed < TIMED) return;
+        slow += s->version > PREPARED && s->least >= SLOW;
     }
     if (slow < 2) return;
     if (!p->pool) p->pool = make_pool(p->threads);
@@ -474,7 +474,7 @@ static void step_together(Plan *p, Slot *first, int64_t k)
     Pool *pool = p->pool;
     int count = 0;
     for (Slot *s = first; s < first + first->batch && count < MOST_TOGETHER; s++) {
-        if (s->version == PREPARED || s->least < SLOW || k % s->every) continue;
+        if (s->version <= PREPARED || s->least < SLOW || k % s->every) continue;
         s->why = go_on(p, s, k, true);
         if (s->why == FINISHED) pool->slot[count++] = s;
     }
@@ -528,6 +528,7 @@ static int make_round(Plan *p, int64_t k)
         if (s->batch > 1 && s->phase == PULLS && p->threads) step_together(p, s, k);
 #endif
         if (s->every != 1 && k % s->every) continue;
+        if (s->version == IN_PYTHON) return ASKED;
         why = s->why;
         s->why = FINISHED;
         if (why != FINISHED || (why = go_on(p, s, k, false)) != FINISHED) return why;

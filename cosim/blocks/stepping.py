@@ -21,6 +21,7 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 SOURCE = Path(__file__).with_name("stepping.c")
 NEVER = -1
+IN_PYTHON = -1  # version of a slot
 C_TYPES = {
     **{name: getattr(ctypes, f"c_{name}") for name in ("double", "int32", "int64", "uint64", "bool")},
     "size": ctypes.c_size_t,
@@ -36,10 +37,11 @@ class StopReason(IntEnum):
 
     STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input does not fit
     its type; NO_ITEM: a value is no item of the target enumeration; TERMINATED: an FMU ended the simulation; PAUSED:
-    the row of a point is complete but not stored; LATER: a second has passed, or Python is asked for
+    the row of a point is complete but not stored; LATER: a second has passed, or Python is asked for; ASKED: Python
+    steps the present component
     """
 
-    FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER = range(8)
+    FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, ASKED = range(9)
 
 
 class LinkKind(IntEnum):
@@ -107,7 +109,8 @@ class Slot(ctypes.Structure):
     """Data of one stepped component for the loop in C.
 
     The component is an FMU of FMI `version` 2 or 3; without `step` its outputs are read again. With version 0 it is a
-    source with `scalars` values prepared for each point, beginning at point `since`.
+    source with `scalars` values prepared for each point, beginning at point `since`. Python steps one with version
+    `IN_PYTHON`.
     """
 
     keeping: Any

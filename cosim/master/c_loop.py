@@ -7,6 +7,7 @@ the operating system. Python then acts as in its own loop, so the rows have the 
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from types import MappingProxyType
@@ -14,8 +15,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.blocks.stepping import Cell, ConvertedLink, NotCompiled, Plan, Slot, StopReason, address_of, cores, library
+from cosim.blocks.stepping import (
+    IN_PYTHON,
+    Cell,
+    ConvertedLink,
+    NotCompiled,
+    Plan,
+    Slot,
+    StopReason,
+    address_of,
+    cores,
+    library,
+)
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
 from cosim.fmi.fmi_types import FMI3
@@ -52,12 +65,12 @@ class CompiledSteps:
         self.master, system = master, master.system
         if not master.in_c:
             raise NotCompiled("asked for")
-        if master.solvers:
-            raise NotCompiled("algebraic loops are solved")
         if stages is not None and system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
         self._types = [FMI3[system.signals[name].kind] for name in system.beside]
         self._cells = (Cell * len(self._types))(*((not kind.is_whole,) for kind in self._types))
+        self.in_python: dict[str, str] = {}  # component → why Python steps it
+        self._begin, self._spent_in_python = time.perf_counter(), 0.0  # [s]
         slots: list[Slot] = []
         names = {stage.component.name for stage in stages or system.stages}
         # Steps of any length need values of sources one by one.
@@ -67,22 +80,22 @@ class CompiledSteps:
         self.stages = stages = [*made, *closing]
         self.components: list[Any] = [stage.component for stage in stages]
         for stage, component in zip(stages, self.components, strict=True):
-            slot = (
-                component.slot(self._cells)
-                if hasattr(component, "slot")
-                else f"{component.name} has a process of its own"
-            )
-            if not isinstance(slot, Slot):
-                raise NotCompiled(slot)
+            slot = self._slot(component)
             slot.every, slot.doing = stage.every, master.numbers[component.name]
             slots.append(slot)
         for slot in slots[len(made) :]:
             slot.step = None
+        if not any(slot.version > 0 for slot in slots):
+            raise NotCompiled(next(iter(self.in_python.values()), "no FMU"))
+        if self.in_python and system.beside:
+            raise NotCompiled(f"{system.beside[0]} is no number that a double holds, and Python steps a component")
         if any(system.courses):
             self._add_courses(slots)
         self._library = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
         for slot, stage in zip(slots, stages, strict=True):
+            if slot.version == IN_PYTHON:
+                continue
             (slot.pulls, slot.pull), (slot.lates, slot.late) = map(self._transfers, (stage.pulls, stage.late))
         together, first = [len(batch) for batch in batches(stages)], 0
         for count in together:
@@ -99,6 +112,34 @@ class CompiledSteps:
         plan.counter, plan.doing, plan.asked = map(address_of, (master.row_count, master.doing, master.asked))
         self._give_exact()
         master.together.append(self)
+
+    def _slot(self, component: Any) -> Slot:
+        """Return the slot of a component; raise NotCompiled where Python steps all components."""
+        name = component.name
+        if not hasattr(component, "slot"):
+            raise NotCompiled(f"{name} has a process of its own")
+        slot: Slot | str = component.slot(self._cells)
+        if any(name in solver.names for solver in self.master.solvers):
+            slot = "algebraic loops are solved"
+        if isinstance(slot, Slot):
+            return slot
+        if getattr(component, "is_apart", False) or (isinstance(component, FmuBlock) and component.nominal_step):
+            raise NotCompiled(slot)
+        self.in_python[name] = slot
+        return Slot(IN_PYTHON)
+
+    def _step_in_python(self) -> None:
+        """Step the component at which C has returned."""
+        master, plan = self.master, self.plan
+        stage, k, start = self.stages[plan.place], plan.next, master.system.start
+        actives = master.actives if plan.place < self._count else master.closing
+        active, t, until = actives[stage.component.name], start + (k - 1) * master.h, start + k * master.h
+        if plan.length:
+            active, t, until = active._replace(length=0.0), plan.since, self._until
+        begin = time.perf_counter()
+        master.advance((active,), k, t, until)
+        self._spent_in_python += time.perf_counter() - begin
+        plan.place += 1
 
     def _take_exact(self) -> None:
         """Take the values beside the row from C."""
@@ -118,7 +159,8 @@ class CompiledSteps:
                 continue
             courses = step.in_c()
             if isinstance(courses, str):
-                raise NotCompiled(courses)
+                self.in_python[name], slot.version = courses, IN_PYTHON
+                continue
             slot.past, slot.course = (ctypes.addressof(course) if course.inputs else None for course in courses)
             slot.again, slot.courses = step.answers, courses
 
@@ -147,6 +189,16 @@ class CompiledSteps:
         self._keeping.append(array)
         return len(made), ctypes.addressof(array)
 
+    @property
+    def described(self) -> str:
+        """Return the kind of loop, with the components that Python steps."""
+        reasons = "; ".join(dict.fromkeys(self.in_python.values()))
+        return f"C, but in Python: {reasons}" if reasons else "C"
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry of the manifest: the components that Python has stepped, and their share of the time."""
+        return {"components": self.in_python, "share": self._spent_in_python / (time.perf_counter() - self._begin)}
+
     def close(self) -> None:
         """End the threads that have stepped slow FMUs, and free the texts."""
         self._library.finish(ctypes.byref(self.plan))
@@ -154,12 +206,12 @@ class CompiledSteps:
     def advance(self, k: int, t: float, until: float) -> None:
         """Step once from t to `until` [s], towards point k."""
         plan = self.plan
-        plan.next, plan.since, plan.length = k, t, until - t
+        plan.next, plan.since, plan.length, self._until = k, t, until - t, until
         for source in self._sources:
             source.advance(t, until - t)
             source.get()
         while (why := self._call(self._library.step_once)) != StopReason.FINISHED:
-            self._raise(why)
+            self._react(why)
 
     def _call(self, function: Any) -> StopReason:
         """Call the library; return why it returned."""
@@ -167,11 +219,15 @@ class CompiledSteps:
             return StopReason(function(ctypes.byref(self.plan)))
         finally:
             for component, slot in zip(self.components[: self._count], self.slots, strict=False):
-                component.set_time(slot.time)
+                if slot.version != IN_PYTHON:
+                    component.set_time(slot.time)
 
-    def _raise(self, why: StopReason) -> None:
-        """Raise the error behind a return; a warning of an FMU is only logged."""
+    def _react(self, why: StopReason) -> None:
+        """Do what C cannot; raise the error behind a return. A warning of an FMU is only logged."""
         plan, place = self.plan, self.plan.place
+        if why == StopReason.ASKED:
+            self._step_in_python()
+            return
         if why != StopReason.NO_ITEM:
             self.components[place].raise_error(why, self.slots[place])
             return
@@ -215,4 +271,4 @@ class CompiledSteps:
                         master.keeper.look(master, plan.next - 1)
                     plan.pause = master.next_call(plan.next)  # Steps may have become slower.
                 else:
-                    self._raise(why)
+                    self._react(why)

@@ -112,6 +112,8 @@ class Master:
     """
 
     failure: SimulationError | None = None
+    is_compiled = False  # whether C makes all steps
+    in_python: dict[str, Any] | None = None  # record of the components that Python has stepped beside C
 
     def __init__(
         self,
@@ -239,7 +241,8 @@ class Master:
                 policy = CompiledSteps(self)
             except NotCompiled as reason:
                 policy = EqualSteps(self, str(reason))
-        self.loop = "C" if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
+        self.is_compiled = isinstance(policy, CompiledSteps)
+        self.loop = policy.described if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
         self.rows.tell_loop(self.loop)
         if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
             self.pacer.begin = self.pacer.clock()
@@ -269,6 +272,8 @@ class Master:
             self.done = self.row_count[0]
             if isinstance(policy, Policy):
                 policy.finish()
+            elif policy.in_python:
+                self.in_python = policy.record()
             if self.beside:
                 self._repeat_exact(self.done)
         if self.done <= self.steps:
@@ -306,7 +311,7 @@ class Master:
 
     def next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.pacer is not None or (self.beside and self.loop != "C"):  # C returns when such values change.
+        if self.pacer is not None or (self.beside and not self.is_compiled):  # C returns when such values change.
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
@@ -336,7 +341,7 @@ class Master:
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
             held = [t for name in due for t in self.system.held_of[name]]
             # C makes its transfers within the row again.
-            self.copying.of(t for t in held if self.loop != "C" or any(t.beside))(k)
+            self.copying.of(t for t in held if not self.is_compiled or any(t.beside))(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
@@ -454,6 +459,8 @@ class Master:
             details["loops"] = [solver.record() for solver in self.solvers]
         if self.controlled is not None:
             details["steps"] = self.controlled.record()
+        if self.in_python is not None:
+            details["in_python"] = self.in_python
         if self.pacer is not None:
             notes += self.pacer.notes(self.system.start)
             details["pacing"] = self.pacer.record(self.system.start)
