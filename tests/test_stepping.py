@@ -19,7 +19,9 @@ from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
 from tests.conftest import ROOT
+from tests.coupled import CHASSIS, TRUCK, WHEEL, coupled_fmu
 from tests.deeds import deeds_fmu, deeds_scenario
+from tests.known.kit import Model
 from tests.lag import lag_fmu
 from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.test_event_mode import scenario
@@ -47,7 +49,7 @@ def stopped(file: ScenarioFile) -> tuple[str, Results, list[str]]:
             results, how = end.results, f"{type(end.error).__name__} {end.error}"
         assert results.loop == ("C" if in_c else "Python: asked for")
         said = [text for stage in system.stages for text in getattr(stage.component, "log", ())]
-        found.append((how, results.columns, results.time.tobytes(), results.values.tobytes(), said))
+        found.append((how, results.columns, results.time.tobytes(), results.values.tobytes(), results.exact, said))
     assert found[0] == found[1]
     return how, results, said
 
@@ -113,6 +115,34 @@ def test_integers_booleans_and_enumerations_are_the_same_bytes(
         assert results["c.e_out"].tolist() == [1, 1, 1, 1, 2, 2, 1, 1, 1, 1, 1]
 
 
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+def test_text_and_integers_of_64_bits_are_the_same(tmp_path: Path, algorithm: str) -> None:
+    """Recorded, connected, and changed by an event between two changes of their own."""
+    source = Model(
+        "input u = 0, discrete String mode = start, discrete Int64 n = 9007199254740993, "
+        "discrete UInt64 big = 18446744073709551615",
+        step='if (t > 0.45) strcpy(mode, u > 0 ? "é \\"zwei\\"" : "drei"); n += t > 0.25; big -= 1 * (t > 0.75);',
+        name="source",
+    )
+    sink = Model(
+        "input String s = x, input Int64 i = 1, input String free = own, String so = q, Int64 io = 3",
+        calc="strcpy(so, s); io = i + 1;",
+        depends={"so": ("s",), "io": ("i",)},
+        name="sink",
+    )
+    components = {"source": {"fmu": str(source.fmu(3))}, "sink": {"fmu": str(sink.fmu(3))}}
+    events = [{"at": 0.6, "set": {"source.u": 1, "sink.free": "new"}}]
+    wires = ["source.mode → sink.s", "source.n → sink.i"]
+    exact = same(tmp_path, components, wires, algorithm=algorithm, events=events).exact
+    assert exact["source.mode"] == ["start"] * 6 + ["drei"] + ['é "zwei"'] * 4
+    assert exact["sink.s"] == exact["source.mode"]
+    assert exact["source.n"][-1] == 9007199254740993 + 7
+    assert exact["sink.free"] == ["own"] * 6 + ["new"] * 5
+    assert exact["source.big"][-3:] == [18446744073709551615, 18446744073709551614, 18446744073709551613]
+    late = 1 if algorithm == "jacobi" else 0
+    assert exact["sink.io"][late:] == [n + 1 for n in exact["source.n"]][: 11 - late]
+
+
 @pytest.mark.parametrize(("call", "at"), [("SetReal", 9), ("DoStep", 5), ("GetReal", 9)])
 @pytest.mark.parametrize("deed", ["warning", "discard", "end", "error", "fatal", "nan"])
 def test_what_an_fmu_does_is_told_in_the_same_words_with_the_same_rows(
@@ -139,3 +169,82 @@ def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: 
     assert isinstance(end.value.error, Interrupted)
     assert end.value.results.loop == "C"
     assert 1 < len(end.value.results.time) < steps
+
+
+def truck(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Write the FMUs of a quarter truck; return components and connections."""
+    laws = {"chassis": CHASSIS, "wheel": WHEEL}
+    for name, law in laws.items():
+        coupled_fmu(folder / f"{name}.fmu", law)
+    components = {name: {"fmu": f"{name}.fmu", "start": TRUCK[law]} for name, law in laws.items()}
+    return components, ["chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "extrapolate", "interpolate"),
+    [
+        ("jacobi", "linear", "hold"),
+        ("jacobi", "quadratic", "hold"),
+        ("gauss-seidel", "linear", "linear"),
+        ("gauss-seidel", "quadratic", "linear"),
+        ("gauss-seidel", "hold", "quadratic"),
+    ],
+)
+def test_courses_of_inputs_are_the_same_bytes(
+    tmp_path: Path, algorithm: str, extrapolate: str, interpolate: str
+) -> None:
+    """The force of the wheel is that of its inputs at the end of each step, under Jacobi too."""
+    components, wires = truck(tmp_path)
+    more = {"duration": 1.2, "step": 0.005, "algorithm": algorithm, "record": ["wheel.x*"]}
+    held = same(tmp_path, components, wires, **more)
+    results = same(tmp_path, components, wires, **more, extrapolate=extrapolate, interpolate=interpolate)
+    assert not np.array_equal(results["chassis.y1"], held["chassis.y1"])
+    speed, height, foot, seen = (results[f"wheel.{name}"] for name in ("x0", "x1", "x2", "u0"))
+    force = 15e3 * (height - foot) + 1e3 * (speed - seen)  # law of coupled.c
+    assert results["wheel.y0"] == pytest.approx(force, abs=1e-9)
+
+
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize("course", ["hold", "linear", "quadratic"])
+@pytest.mark.parametrize("estimator", ["halving", "residual", "energy"])
+def test_controlled_steps_are_the_same_bytes(tmp_path: Path, estimator: str, course: str, algorithm: str) -> None:
+    """Steps in C of any length, which are taken back, too."""
+    components, wires = truck(tmp_path)
+    step = {"max": 0.02, "min": 0.002, "tolerance": 1e-3, "estimator": estimator}
+    step |= {"bonds": [{"effort": "wheel.y0", "flow": "chassis.y0"}]} if estimator == "energy" else {}
+    more = {"algorithm": algorithm, "extrapolate": course, "interpolate": course}
+    file = scenario(tmp_path, components, wires, duration=1.2, step=step, **more)
+    found = []
+    for in_c in (True, False):
+        results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
+        found.append((results.values.tobytes(), results.details, results.notes))
+    assert found[0] == found[1]
+    assert found[0][1]["steps"]["accepted"] > 60
+
+
+def test_python_steps_only_what_c_cannot(tmp_path: Path) -> None:
+    """An algebraic loop of y = 0.5·(0.4·y) + 1, model exchange, FMI 1.0 and fixes, beside two masses in C."""
+    gain = Model("input u = 0, y, parameter k = 1, parameter c = 0", calc="y = k * u + c;", depends={"y": ("u",)})
+    mass = Model("input F = 0, x = 1, v = 0", "x' = v, v' = F - 10 * x", name="mass")
+    components = {
+        "a": {"fmu": str(mass.fmu())},
+        "b": {"fmu": str(mass.fmu(3))},
+        "g": {"fmu": str(gain.fmu()), "start": {"k": 0.5, "c": 1}},
+        "h": {"fmu": str(gain.fmu()), "start": {"k": 0.4}},
+        "exchange": {"fmu": str(mass.fmu(2, "me"))},
+        "old": {"fmu": str(mass.fmu(1))},
+        "fix": {"block": "fix", "rate": 5, "latency": 0.1, "signals": {"x": {"unit": "", "noise": {"variance": 0.01}}}},
+    }
+    wires = ["a.x → b.F", "b.x → a.F", "g.y → h.u", "h.y → g.u", "g.y → old.F", "b.x → exchange.F", "a.x → fix.x"]
+    file = scenario(tmp_path, components, wires, faults=[{"on": "old.F", "kind": "delay", "delay": 0.2}])
+    found = []
+    for in_c in (True, False):
+        results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
+        found.append((results.values.tobytes(), results.details["loops"], results.notes))
+        if in_c:
+            in_python = results.details["in_python"]
+            assert results.loop.startswith("C, but in Python: ")
+            assert in_python["components"].keys() == {"g", "h", "exchange", "old", "fix"}
+            assert 0 < in_python["share"] <= 1
+    assert found[0] == found[1]
+    assert results["g.y"] == pytest.approx(1.25, rel=1e-7)

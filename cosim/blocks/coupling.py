@@ -169,7 +169,7 @@ class GaussSeidel(Algorithm):
             direct -= removed
         if not loops:
             raise AlgebraicLoop(cycle)
-        groups = _sort_groups(list(components), ends)
+        groups = sort_groups(list(components), ends)
         selfish = {source for source, target in ends if source == target}
         found = tuple(group for group in groups if len(group) > 1 or group[0] in selfish)
         return Plan(tuple(name for group in groups for name in group), immediate, tuple(notes), found)
@@ -230,7 +230,7 @@ def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:
     return tuple(sorter.static_order())
 
 
-def _sort_groups(names: Sequence[str], ends: Sequence[tuple[str, str]]) -> list[tuple[str, ...]]:
+def sort_groups(names: Sequence[str], ends: Sequence[tuple[str, str]]) -> list[tuple[str, ...]]:
     """Return the groups of names that reach each other, in the order of their connections.
 
     Within a group, few connections lead back.

@@ -18,7 +18,7 @@ from cosim.blocks.component import ADVANCE, in_turn
 from cosim.blocks.instance import Instance, end_of
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
-from cosim.blocks.stepping import Move, Plan, Slot, StopReason
+from cosim.blocks.stepping import Move, Slot, StopReason
 from cosim.blocks.values import FmuVariables
 from cosim.core.errors import FmuError
 from cosim.fmi.description import Way, declares_slopes, slips_of, ways
@@ -26,11 +26,15 @@ from cosim.fmi.fmi_types import element_names
 from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
+POINTER, SIZE = ctypes.c_void_p, ctypes.c_size_t
+SET_DERIVATIVES = ctypes.CFUNCTYPE(ctypes.c_int, POINTER, POINTER, SIZE, POINTER, POINTER)
+
 
 class FmuBlock(FmuVariables):
     """An FMU instance as a component.
 
     Attributes:
+        is_apart: Whether the FMU has a process of its own.
         clock_types: Types of variables that are neither set nor read like others, but known.
         instance: Instance of the FMU, by its interface.
         log: Messages of the FMU.
@@ -48,6 +52,7 @@ class FmuBlock(FmuVariables):
         compiles: Whether sources may be compiled for a missing library; None for the current permission.
     """
 
+    is_apart = False
     clock_types: frozenset[str] = frozenset()
     _refuses = False  # to serialize its state, though it declares that it can
     _arguments: tuple[Any, ...]
@@ -256,6 +261,31 @@ class FmuBlock(FmuVariables):
             instance.judge(instance.step_name, status)
         instance.time = t + h
 
+    @property
+    def interpolates_inputs(self) -> bool:
+        """Return whether the FMU declares that it takes derivatives of its inputs."""
+        instance = self.instance
+        return bool(instance.version == 2 and instance.way == "co-simulation" and instance.about.canInterpolateInputs)
+
+    def step_by_derivatives(self, names: Sequence[str], orders: Sequence[Sequence[float]], t: float, h: float) -> None:
+        """Put the inputs and their derivatives, from the first order on, advance by `h` and get the outputs."""
+        self.put()
+        references, numbers, values = zip(
+            *(
+                (self.variables[name].valueReference, number, value)
+                for number, derivatives in enumerate(orders, 1)
+                for name, value in zip(names, derivatives, strict=True)
+            ),
+            strict=True,
+        )
+        count, name = len(references), "SetRealInputDerivatives"
+        call = self.instance.bare(SET_DERIVATIVES, name)
+        arrays = (ctypes.c_int * count)(*numbers), (ctypes.c_double * count)(*values)
+        if status := call(self.instance.component, (ctypes.c_uint * count)(*references), count, *arrays):
+            self.instance.judge(f"{self.instance.prefix}{name}", status)
+        self.advance(t, h)
+        self.get()
+
     def await_inputs(self, times: Collection[float] = (), *, always: bool = False) -> None:
         """Let model exchange handle an event at the end of a step together with the inputs that change there.
 
@@ -358,15 +388,19 @@ class FmuBlock(FmuVariables):
 
     # -- stepped by C -------------------------------------------------------------------------
 
-    def slot(self) -> Slot | str:
-        """Return the slot for the C loop, or the reason for none."""
+    def slot(self, cells: Any) -> Slot | str:
+        """Return the slot for the C loop, or the reason for none.
+
+        Args:
+            cells: Values beside the row.
+        """
         instance = self.instance
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
         if type(instance) is not Instance or instance.version == 1:
             return f"{self.name} is of FMI {self.description.fmiVersion} {instance.way}"
-        if (moves := self.moves()) is None:
-            return f"{self.name} has values that no double holds"
+        if (moves := self.moves(cells)) is None:
+            return f"{self.name} has binary values"
         (puts, gets), step = moves, instance.step_function()
         put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
         slot = Slot(instance.version, ctypes.cast(step, ctypes.c_void_p), instance.component, time=instance.time)
@@ -379,7 +413,7 @@ class FmuBlock(FmuVariables):
         self.instance.time = t
         self.instance.raise_stop()
 
-    def raise_error(self, reason: StopReason, plan: Plan, slot: Slot) -> None:
+    def raise_error(self, reason: StopReason, slot: Slot) -> None:
         """Raise the error behind the C loop's return.
 
         Warnings are only logged.
@@ -390,10 +424,10 @@ class FmuBlock(FmuVariables):
         """
         if reason == StopReason.TERMINATED:
             raise end_of(self.name, slot.reached)
-        if plan.called == ADVANCE and reason not in (StopReason.NOT_FINITE, StopReason.UNFIT):
-            self.instance.judge(self.instance.step_name, plan.status)
+        if slot.called == ADVANCE and reason not in (StopReason.NOT_FINITE, StopReason.UNFIT):
+            self.instance.judge(self.instance.step_name, slot.status)
         else:
-            self.raise_error_of_move(reason, plan)
+            self.raise_error_of_move(reason, slot)
 
 
 class RestartableFmu(FmuBlock):

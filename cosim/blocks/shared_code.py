@@ -99,6 +99,7 @@ IDENTIFIER = re.compile(rb'modelIdentifier\s*=\s*"([^"]*)"')
 CODE = (".py", ".pyc", ".pyd", ".so")
 NAME_OF_SLAVE = "slavemodule.txt"  # of pythonfmu, no data of a module
 OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ library, equal in all of its builds
+OF_SYSTEM = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s|stdc\+\+|atomic)|ld-linux[\w-]*)\.so")  # without data of FMUs
 VERSION = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # which the library of an FMU exports
 ALLOCATORS = {"malloc", "calloc", "realloc", "free"}
 
@@ -247,6 +248,13 @@ def _soname_and_digest(file: str) -> tuple[str, str]:
     except OSError:
         return "", ""
     return read_elf(content, symbols=False).soname or Path(file).name, f"{crc32(content):08x}-{len(content)}"
+
+
+def may_share_data(one: Path, other: Path) -> bool:
+    """Return whether two FMUs of a process may have common global data: by a library, a symbol of C++ or a module."""
+    code, others = code_of(one), code_of(other)
+    libraries = {name for name in code.needed & others.needed if not OF_SYSTEM.match(name)}
+    return bool(libraries or code.wanted.keys() & others.wanted.keys())
 
 
 def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[str]]:

@@ -14,7 +14,7 @@ from typing import Any
 
 from cosim.blocks.component import PUT, Component, Row, Signal
 from cosim.blocks.instance import Instance
-from cosim.blocks.stepping import Move, Plan, StopReason, move
+from cosim.blocks.stepping import Move, Slot, StopReason, move
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.fmi.description import enumeration_items, is_difference, unit_definition, unit_of
 from cosim.fmi.fmi_types import Exchange, element_names, elements, input_aliases, is_negated, kinds_of, negative
@@ -282,20 +282,24 @@ class FmuVariables(Component):
 
     # -- moved by C ---------------------------------------------------------------------------
 
-    def moves(self) -> tuple[list[Move], list[Move]] | None:
-        """Return C's calls to put and get values; None if values beside the row exist."""
-        if any(exchange.kind.beside for exchange in (*self.fed, *self.read)):
+    def moves(self, cells: Any) -> tuple[list[Move], list[Move]] | None:
+        """Return C's calls to put and get values; None if there are binary values.
+
+        Args:
+            cells: Values beside the row.
+        """
+        if any(exchange.kind.ctype is None for exchange in (*self.fed, *self.read)):
             return None
-        puts = [move(e.set.func, e, self._row) for e in self.fed]
-        gets = [move(e.get.func, e, self._row) for e in self.read]
+        puts = [move(e.set.func, e, self._row, cells) for e in self.fed]
+        gets = [move(e.get.func, e, self._row, cells) for e in self.read]
         return puts, gets
 
-    def raise_error_of_move(self, reason: StopReason, plan: Plan) -> None:
+    def raise_error_of_move(self, reason: StopReason, slot: Slot) -> None:
         """Raise the error of a transfer by C; warnings are only logged."""
         if reason == StopReason.NOT_FINITE:
-            self._raise_not_finite(self.read[plan.moving])
+            self._raise_not_finite(self.read[slot.moving])
         elif reason == StopReason.UNFIT:
-            self.put_in(self.fed[plan.moving])
+            self.put_in(self.fed[slot.moving])
         else:
-            verb, exchanges = ("Set", self.fed) if plan.called == PUT else ("Get", self.read)
-            self._judge(verb, exchanges[plan.moving], plan.status)
+            verb, exchanges = ("Set", self.fed) if slot.called == PUT else ("Get", self.read)
+            self._judge(verb, exchanges[slot.moving], slot.status)

@@ -48,7 +48,7 @@ class ExactFile:
 
 
 def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
-    """Return the values of the first complete rows."""
+    """Return the values of the first complete rows; those without a line have the values of the last line."""
     values: list[tuple[Any, ...]] = []
     with suppress(FileNotFoundError), path.open("rb") as stream:
         for line in stream:
@@ -57,7 +57,7 @@ def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
             with suppress(ValueError):  # cut, or written by an FMU
                 if isinstance(row := json.loads(line), list):
                     values.append(tuple(bytes.fromhex(v["hex"]) if isinstance(v, dict) else v for v in row))
-    return values
+    return values + values[-1:] * (rows - len(values))
 
 
 def exact_line(row: Sequence[Any]) -> bytes:

@@ -2,24 +2,31 @@
 
 A held input, and one fed by a known signal that is held, has its value of the step's start until the step ends. A
 polynomial of degree d passes through the last d + 1 values: up to the start of the step for inputs whose new value is
-not available yet (extrapolation), up to its end for inputs that have it already (interpolation). The FMU gets the mean
-of the polynomial over the step, by Simpson's rule:
-
-    ū = (p(t) + 4·p(t + h/2) + p(t + h)) / 6
+not available yet (extrapolation), up to its end for inputs that have it already (interpolation). An FMU of FMI 2.0 that
+interpolates its inputs gets the value and the derivatives of the polynomial at the start of the step, any other one its
+mean over the step.
 """
 
 from __future__ import annotations
 
+import ctypes
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.blocks.component import Row
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.stepping import Course as CCourse
 from cosim.core.arrays import Array
+from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
+from cosim.isolation.rows import ADVANCE
 from cosim.system.schedule import Stage
-from cosim.system.system import System
-from cosim.system.wiring import Transfer
+
+if TYPE_CHECKING:
+    from cosim.master.master import Master
 
 DISPLACEMENT = 1e-3  # of an input, relative to its magnitude, to see whether outputs follow it
 TAIL = 1e-3  # share of a step with the inputs of its end
@@ -28,7 +35,7 @@ StepFunction = Callable[[float, float], None]  # of the start and the length of 
 
 
 class Polynomial:
-    """Polynomials of one degree through the last values of several signals.
+    """Polynomials of one degree through the last values of several signals, in Newton's form from the last point on.
 
     Points at or after a new one are dropped, because a step was taken back.
     """
@@ -43,78 +50,163 @@ class Polynomial:
             self._points.pop()
         self._points.append((t, values))
 
-    def __call__(self, t: float) -> Array:
-        """Return the values at a time, by Lagrange's formula."""
-        points = list(self._points)[-self.degree - 1 :]
-        total = np.zeros_like(points[-1][1])
-        for k, (at, values) in enumerate(points):
-            others = [other for j, (other, _) in enumerate(points) if j != k]
-            total += np.prod([(t - other) / (at - other) for other in others]) * values
-        return total
+    def mean(self, t: float, h: float = 0.0) -> Array:
+        """Return the means over an interval from t of length h [s], or the values at t.
 
-    def mean(self, t: float, h: float) -> Array:
-        """Return the means over an interval."""
-        return (self(t) + 4.0 * self(t + 0.5 * h) + self(t + h)) / 6.0
+        The means of (s − t₀) and (s − t₀)·(s − t₁) are a and a·(a + t₀ − t₁) + h²/12, with a = t − t₀ + h/2.
+        """
+        last, values = self._points[-1]
+        ahead = (t - last) + 0.5 * h
+        slope, curvature, gap = self._differences()
+        if slope is not None:
+            values = values + ahead * slope
+        if curvature is not None:
+            values = values + (ahead * (ahead + gap) + h * h / 12.0) * curvature
+        return values
+
+    def derivatives(self, t: float) -> tuple[Array, Array]:
+        """Return the first and the second derivatives at a time."""
+        last, values = self._points[-1]
+        slope, curvature, gap = self._differences()
+        if slope is None or curvature is None:
+            nothing = np.zeros_like(values)
+            return nothing if slope is None else slope, nothing
+        return slope + (2.0 * (t - last) + gap) * curvature, 2.0 * curvature
+
+    def in_c(self, row: Row, places: Sequence[int], start: float) -> CCourse:
+        """Return the equivalent for the loop in C, with the points up to the start of the steps [s]."""
+        room, count = self.degree + 1 + SPARE, len(places)
+        points = [point for point in reversed(self._points) if point[0] <= start][:room] if count else []
+        place = (ctypes.c_void_p * count)(*(ctypes.addressof(row) + 8 * k for k in places))
+        times, values = (ctypes.c_double * room)(*(t for t, _ in points)), (ctypes.c_double * (room * count))()
+        values[: len(points) * count] = [value for _, row in points for value in row.tolist()]
+        buffers = place, times, values
+        course = CCourse(self.degree, count, len(points), room, *map(ctypes.addressof, buffers))
+        course.keeping = buffers
+        return course
+
+    def _differences(self) -> tuple[Array | None, Array | None, float]:
+        """Return the first two divided differences, as far as there are points, and the length of the last step."""
+        if not self.degree or len(self._points) < 2:
+            return None, None, 0.0
+        (before, old), (last, new) = self._points[-2], self._points[-1]
+        gap = last - before
+        slope = (new - old) / gap
+        if self.degree < 2 or len(self._points) < 3:
+            return slope, None, gap
+        first, oldest = self._points[-3]
+        return slope, (slope - (old - oldest) / (before - first)) / (last - first), gap
 
 
-def with_courses(step: StepFunction, system: System, stage: Stage, row: Array) -> StepFunction:
-    """Return a step in which real inputs follow polynomials, which are absent from the row.
+def read_again(component: Any) -> None:
+    """Put the inputs and get the outputs, without a step and without an event."""
+    getattr(component, "try_inputs", component.put)()
+    component.get()
+
+
+class CourseStep:
+    """A step in which real inputs follow polynomials, which are absent from the row.
 
     Those with the value of the step's start are extrapolated, those with the value of its end interpolated. Afterwards
     the inputs of the step's end are put, and the outputs that depend directly on them are read. A component that
     answers only after a step makes a last part of the step with these inputs instead.
+
+    Attributes:
+        old, new: Places of the extrapolated and of the interpolated inputs.
+        past, course: Their polynomials.
+        answers: Whether outputs follow an interpolated input without a step.
+        follows: Whether the component gets derivatives in place of means.
+        tail: Length of the last part, relative to that of the step.
     """
-    component, (old_degree, new_degree) = stage.component, system.courses
 
-    def real_targets(transfers: Iterable[Transfer], degree: int) -> list[int]:
-        real = (t.target for t in transfers if not (any(t.beside) or system.signals[t.name].is_whole))
-        return list(real) if degree else []
-
-    def read_again() -> None:
-        """Put the inputs and get the outputs, without a step."""
-        getattr(component, "try_inputs", component.put)()
-        component.get()
-
-    held = (t for t in system.held if t.name.partition(".")[0] == component.name)
-    old = real_targets((t for t in held if t.origin.partition(".")[0] not in system.known), old_degree)
-    new, answers = real_targets(stage.pulls, new_degree), False
-    if new:  # Does an output follow an input without a step?
+    def __init__(self, step: StepFunction, master: Master, stage: Stage) -> None:
+        self._step, self._master, self._row, system = step, master, master.values, master.system
+        self.component = component = stage.component
+        old_degree, new_degree = system.courses
+        self.old = [t.target for t in system.extrapolated(component.name)]
+        self.new = [t.target for t in stage.pulls if system.is_real(t)] if new_degree else []
+        self._names = [system.columns[place].partition(".")[2] for place in (*self.old, *self.new)]
         own = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
         outputs = own[len(component.inputs) :]
-        before = row.copy()
-        for place in new:
-            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
-            read_again()
-            answers |= bool((row[outputs] != before[outputs]).any())
-            row[place] = before[place]
-        read_again()
+        self.answers = bool(self.new) and self._answers(outputs)
         description = getattr(component, "description", None)
-        if not answers and description is not None and not takes_any_step(description):
-            new = []
-    if not old + new:
-        return step
-    past, course, is_first = Polynomial(old_degree), Polynomial(new_degree), True
-    start = row[new]
+        if not self.answers and description is not None and not takes_any_step(description):
+            self.new = []
+        self.past, self.course = Polynomial(old_degree), Polynomial(new_degree)
+        self._start: Array | None = self._row[self.new]  # Before the first step, only its end's values are in the row.
+        self.follows = max(system.courses) > 1 and _follows_derivatives(master, stage, self._names, outputs)
+        self.tail = TAIL if self.new and not (self.answers or self.follows) else 0.0
 
-    def stepped(t: float, h: float) -> None:
-        nonlocal is_first
+    def __call__(self, t: float, h: float) -> None:
+        """Step from t to t + h [s]."""
+        row, old, new, past, course = self._row, self.old, self.new, self.past, self.course
         held, given = row[old], row[new]
-        if is_first:  # Before the first step, only the values of its end are in the row.
-            course.add(t, start)
-            is_first = False
+        if self._start is not None:
+            course.add(t, self._start)
+            self._start = None
         past.add(t, held)
         course.add(t + h, given)
-        tail = TAIL * h if new and not answers else 0.0
-        mean = (course.mean(t, h) - tail / h * given) / (1.0 - tail / h)
-        row[old], row[new] = past.mean(t, h), mean
+        tail = self.tail * h
         try:
-            step(t, h - tail)
-            if tail:
-                row[new] = given
-                step(t + h - tail, tail)
+            if self.follows:
+                row[old], row[new] = past.mean(t), course.mean(t)
+                orders = zip(past.derivatives(t), course.derivatives(t), strict=True)
+                derivatives = [[*of_old.tolist(), *of_new.tolist()] for of_old, of_new in orders]
+                component: Any = self._master.announce(self.component, ADVANCE)
+                component.step_by_derivatives(self._names, derivatives, t, h)
+            else:
+                mean = course.mean(t, h)
+                row[old], row[new] = past.mean(t, h), (mean - tail / h * given) / (1.0 - tail / h) if tail else mean
+                self._step(t, h - tail)
+                if tail:
+                    row[new] = given
+                    self._step(t + h - tail, tail)
         finally:
             row[old], row[new] = held, given
-        if answers:
-            read_again()
+        if self.answers:
+            read_again(self.component)
 
-    return stepped
+    def in_c(self) -> str | tuple[CCourse, CCourse]:
+        """Return both courses for the loop in C, or the reason against it."""
+        if self.tail:
+            return f"{self.component.name} answers interpolated inputs only after a step"
+        if self.follows:
+            return f"{self.component.name} takes derivatives of its inputs"
+        row, start = self._master.row, self._master.system.start
+        return self.past.in_c(row, self.old, start), self.course.in_c(row, self.new, start)
+
+    def _answers(self, outputs: Sequence[int]) -> bool:
+        """Return whether an output follows an interpolated input without a step."""
+        row, answers = self._row, False
+        before = row.copy()
+        for place in self.new:
+            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
+            read_again(self.component)
+            answers |= bool((row[outputs] != before[outputs]).any())
+            row[place] = before[place]
+        read_again(self.component)
+        return answers
+
+
+def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], outputs: Sequence[int]) -> bool:
+    """Return whether an FMU follows second derivatives of its inputs, seen in two steps that are taken back.
+
+    Some FMUs that declare so ignore them. The means of a polynomial make a coupling of second order with any FMU.
+    """
+    component: Any = stage.component
+    if not (isinstance(component, FmuBlock) and component.interpolates_inputs and component.rolls_back):
+        return False
+    h, before, answers = stage.every * master.h, master.values.copy(), []
+    state = component.save_state()
+    try:
+        for size in (0.0, 2.0 * DISPLACEMENT / h**2):
+            orders = [0.0] * len(names), [size] * len(names)
+            component.step_by_derivatives(names, orders, master.system.start, h)
+            answers.append(master.values[outputs])
+            component.restore_state(state, keep=True)
+            master.values[:] = before
+    except SimulationError:
+        return False
+    finally:
+        component.free_state(state)
+    return bool((answers[0] != answers[1]).any())

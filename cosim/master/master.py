@@ -27,7 +27,7 @@ import numpy as np
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.stepping import NEVER, NotCompiled
+from cosim.blocks.stepping import NEVER, NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.drafts import is_full
 from cosim.core.errors import CallFailed, DiskFull, NotFinite, SimulationError, Terminated, stop_error
@@ -38,16 +38,25 @@ from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying
-from cosim.master.extrapolation import with_courses
+from cosim.master.extrapolation import CourseStep, read_again
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import LoopSolver
 from cosim.master.observer import Inbox
 from cosim.master.pacing import Pacer
-from cosim.master.policies import Active, ControlledSteps, EqualSteps, HalvedSteps, Policy, Round
-from cosim.system.schedule import Stage
+from cosim.master.policies import (
+    Active,
+    ControlledSteps,
+    EqualSteps,
+    HalvedSteps,
+    Policy,
+    Round,
+    SavedPoint,
+    Together,
+)
+from cosim.system.control import rollback_obstacle
+from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
-from cosim.system.wiring import Transfer
 
 Progress = Callable[[int], None]  # receives the current communication point
 PROGRESS_EVERY = 50
@@ -103,6 +112,8 @@ class Master:
     """
 
     failure: SimulationError | None = None
+    is_compiled = False  # whether C makes all steps
+    in_python: dict[str, Any] | None = None  # record of the components that Python has stepped beside C
 
     def __init__(
         self,
@@ -132,6 +143,10 @@ class Master:
         self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
+        self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
+        self.together: list[Together | CompiledSteps] = []  # which may have threads
+        self._exact: tuple[Any, ...] = ()
+        self._exact_rows = rows.given if system.beside else 0
         self._rounds: dict[tuple[Any, ...], Round] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
@@ -141,9 +156,6 @@ class Master:
                 points = [k for k, changes in system.events.items() if stage.component.name in changes]
                 stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
         self.copying = Copying(system, self.row, self.beside, steps, h)
-        self.held: dict[str, list[Transfer]] = {name: [] for name in system.names}
-        for transfer in system.held:
-            self.held[transfer.name.partition(".")[0]].append(transfer)
         self.solvers = [LoopSolver(loop, self) for loop in system.loops]
 
     # -- call sequence -----------------------------------------------------------------------------
@@ -200,6 +212,8 @@ class Master:
         finally:
             if self.keeper is not None:
                 self.keeper.is_over.set()
+            for together in self.together:
+                together.close()
             for component in self.components:
                 self.announce(component).close()
         return self._rows_so_far()
@@ -214,20 +228,25 @@ class Master:
 
     def _step_on(self) -> None:
         """Make all steps, in C if possible, otherwise in Python."""
-        if self.system.control is not None:
-            self.controlled = ControlledSteps(self, self.system.control)
+        system = self.system
+        if system.control is not None:
+            self.controlled = ControlledSteps(self, system.control)
         policy: Policy | CompiledSteps | None = self.instants or self.controlled
-        if self.system.halved:
+        if system.halved:
             policy = HalvedSteps(self)
         if policy is None:
+            if system.courses[0] > 1:
+                self._estimate_slopes()
             try:
                 policy = CompiledSteps(self)
             except NotCompiled as reason:
                 policy = EqualSteps(self, str(reason))
-        self.loop = "C" if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
+        self.is_compiled = isinstance(policy, CompiledSteps)
+        self.loop = policy.described if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
         self.rows.tell_loop(self.loop)
         if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
             self.pacer.begin = self.pacer.clock()
+        self._exact = tuple(self.beside)
         try:
             if isinstance(policy, CompiledSteps):
                 policy.make_all()
@@ -253,6 +272,10 @@ class Master:
             self.done = self.row_count[0]
             if isinstance(policy, Policy):
                 policy.finish()
+            elif policy.in_python:
+                self.in_python = policy.record()
+            if self.beside:
+                self._repeat_exact(self.done)
         if self.done <= self.steps:
             raise OSError(errno.ENOSPC, "no room for further rows")
 
@@ -288,7 +311,7 @@ class Master:
 
     def next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.beside or self.pacer is not None:
+        if self.pacer is not None or (self.beside and not self.is_compiled):  # C returns when such values change.
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
@@ -314,18 +337,28 @@ class Master:
             component.change(changes[component.name])
             if not isinstance(component, EventFmu):  # It is read at the instant.
                 self.announce(component, GET).get()
-        if changed and self.loop != "C":  # C makes its held transfers again.
+        if changed:
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
-            self.copying.of(t for name in due for t in self.held[name])(k)
+            held = [t for name in due for t in self.system.held_of[name]]
+            # C makes its transfers within the row again.
+            self.copying.of(t for t in held if not self.is_compiled or any(t.beside))(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
         if self.beside and k >= self.rows.given:
-            self.rows.beside.append(tuple(self.beside))
+            self._repeat_exact(k)
+            self._exact = tuple(self.beside)
+            self._repeat_exact(k + 1)
         if self.keeper is not None:
             self.keeper.compare_rows(self, k)
         if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY == 0):
             self.progress(k)
+
+    def _repeat_exact(self, rows: int) -> None:
+        """Record the exact values of the last row that has others than the one before, up to a number of rows."""
+        for _ in range(self._exact_rows, rows):
+            self.rows.beside.append(self._exact)
+        self._exact_rows = max(self._exact_rows, rows)
 
     # -- parts --------------------------------------------------------------------------------
 
@@ -344,15 +377,60 @@ class Master:
         due = tuple(stage.component.name for stage in stages if k % stage.every == 0)
         key = nominal, tuple(held), due
         if key not in self._rounds:
-            copies = self.copying.of(t for name in (*due, *held) for t in self.held[name])
-            actives = [self.actives[n] if nominal else self.actives[n]._replace(length=0.0) for n in due]
-            self._rounds[key] = (*actives, Active(copies, lambda t, h: None))
+            copies = self.copying.of(t for name in (*due, *held) for t in self.system.held_of[name])
+            actives = list[Active]()
+            for batch in batches([stage for stage in stages if stage.component.name in due]):
+                some = [self.actives[stage.component.name] for stage in batch]
+                some = some if nominal else [active._replace(length=0.0) for active in some]
+                in_threads = [self._steps_in_threads(stage) for stage in batch]
+                if sum(in_threads) > 1 and cores() > 1 and all(stage.every == 1 for stage in batch):
+                    self.together.append(Together(some, in_threads))
+                    some = [self.together[-1].active()]
+                actives += some
+            closing = [active for name, active in self.closing.items() if name in due]
+            self._rounds[key] = (*actives, *closing, Active(copies, lambda t, h: None))
         return self._rounds[key]
 
     @cached_property
     def actives(self) -> dict[str, Active]:
         """Return the step of each component with the copies around it, once all have started."""
         return {stage.component.name: self._active(stage) for stage in self.system.stages}
+
+    def _steps_in_threads(self, stage: Stage) -> bool:
+        """Return whether a step needs no Python while it lasts: in another process, or in the library of an FMU."""
+        component: Any = stage.component
+        if any(component.name in solver.names for solver in self.solvers):
+            return False
+        is_library = isinstance(component, FmuBlock) and not (component.changes_by_events or component.nominal_step)
+        return is_library or getattr(component, "is_apart", False)
+
+    @cached_property
+    def closing(self) -> dict[str, Active]:
+        """Return the stages in which outputs are read again at the end of a step."""
+
+        def reading(component: Any) -> Callable[[float, float], None]:
+            return lambda t, h: read_again(self.announce(component, GET))
+
+        return {
+            stage.component.name: Active(self.copying.of(stage.pulls), reading(stage.component))
+            for stage in self.system.closing
+        }
+
+    def _estimate_slopes(self) -> None:
+        """Extrapolate the first step by slopes of a step that is taken back, as a coupling of third order needs.
+
+        A held input would make an error of second order in the first step.
+        """
+        stages = self.system.stages
+        if any(stage.every > 1 for stage in stages) or rollback_obstacle({c.name: c for c in self.components}):
+            return
+        start, values = self.system.start, self.values.copy()
+        point = SavedPoint(self, [c for c in self.components if isinstance(c, FmuBlock)])
+        self.advance(self.round(stages, 1), 1, start, start + self.h)
+        before = 2.0 * values - self.values
+        point.restore()
+        for course in self.courses.values():
+            course.past.add(start - self.h, before[course.old])
 
     def _active(self, stage: Stage) -> Active:
         component, name, pulls = stage.component, stage.component.name, self.copying.of(stage.pulls)
@@ -361,7 +439,9 @@ class Master:
             return Active(pulls, solver.step if name == solver.last else lambda t, h: None)
         step, late = component.stepping(self.doing, self.numbers[name]), None
         if any(self.system.courses):
-            step = with_courses(step, self.system, stage, self.values)
+            course = CourseStep(step, self, stage)
+            if course.old or course.new:
+                self.courses[name] = step = course
         if stage.late:
             copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
 
@@ -379,6 +459,8 @@ class Master:
             details["loops"] = [solver.record() for solver in self.solvers]
         if self.controlled is not None:
             details["steps"] = self.controlled.record()
+        if self.in_python is not None:
+            details["in_python"] = self.in_python
         if self.pacer is not None:
             notes += self.pacer.notes(self.system.start)
             details["pacing"] = self.pacer.record(self.system.start)

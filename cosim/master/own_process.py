@@ -84,6 +84,7 @@ class OwnProcess:
 
     start, change, checkpoint, restore = map(_there, ("start", "change", "checkpoint", "restore"))
     put, get = _there("put", PUT), _there("get", GET)
+    is_apart = True
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
         self._component, self._limits = component, limits
@@ -133,7 +134,7 @@ class OwnProcess:
         finally:
             self._remote.worker.end()
 
-    def slot(self) -> str:
+    def slot(self, cells: Any) -> str:
         """Return the reason against the C loop."""
         return f"{self.name} has a process of its own"
 
@@ -157,6 +158,10 @@ class OwnFmu(OwnProcess, FmuBlock):
         self.__dict__ |= component.__dict__
         OwnProcess.__init__(self, component, limits)
         self.instance.fmu = self  # a crash loses the FMU, and ends the run
+
+    def step_by_derivatives(self, names: Any, orders: Any, t: float, h: float) -> None:
+        """Put inputs with derivatives, advance and get there."""
+        self._step(t, h, ("step_by_derivatives", names, orders, t, h))
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
         """Restore a saved state there, and free the state unless `keep` is set."""

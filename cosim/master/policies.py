@@ -12,31 +12,37 @@ one from the errors ε of the last two, relative to the tolerance:
 Estimators of ε, docs/coupling.md has their sources:
 
 halving   Each step is made whole (y₁) and in two halves (y₂), and taken back if ε > 1:
-          ε = max |y₁ − y₂| / ((2^p − 1)·τ·s),  q = p + 1
+          ε = max |y₁ − y₂| / ((2^p − 1)·τ·s),  q = p + 1, or this error per second, q = p
 residual  Received inputs u against those of the step's course ũ: ε = max |u − ũ| / (τ·s),  q = p
 energy    Power bonds of an effort e and a flow f: ε = max |e·f̃ − ẽ·f| / (τ·P),  q = p
 
+The first step is judged by halving and begins with the longest one, if all FMUs save and restore their state.
 p is one more than the degree of the inputs' courses; s and P are the largest magnitudes so far, or the nominal ones.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.stepping import NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.isolation.rows import GET
+from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
 from cosim.master.copying import Copies
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
+from cosim.system.schedule import Stage
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
@@ -44,6 +50,7 @@ if TYPE_CHECKING:
 SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
 SMALLEST, LARGEST = 0.2, 4.0  # change of a step
 MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
+TIMED, SLOW = 4, 50e-6  # first steps that are timed; shortest step [s] that is worth a thread, as in stepping.c
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
 ROUNDING = 1e-9  # relative
 Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
@@ -68,6 +75,61 @@ class Active(NamedTuple):
 
 
 Round = tuple[Active, ...]  # the last one makes no step: its copies are those at the end of the step
+
+
+class Together:
+    """Steps of components that need no output of each other, made at the same time if at least two are slow.
+
+    The first steps follow each other, to measure them.
+
+    Args:
+        in_threads: Whether each step may be made in a thread.
+    """
+
+    def __init__(self, actives: Sequence[Active], in_threads: Sequence[bool]) -> None:
+        self._actives, self._timed, self._pool = actives, 0, ThreadPoolExecutor(min(cores(), len(actives)))
+        self._least = [math.inf if each else 0.0 for each in in_threads]  # time [s] of the fastest of the first steps
+        self._others: list[int] = []  # steps that are not made by the caller's thread
+
+    def active(self) -> Active:
+        """Return the steps as a single one, with the copies around all of them."""
+        copies, lates = [a.copy for a in self._actives], [a.late for a in self._actives if a.late is not None]
+
+        def copy(k: int) -> None:
+            for each in copies:
+                each(k)
+
+        def late(k: int) -> None:
+            for each in lates:
+                each(k)
+
+        return Active(copy, self, late=late if lates else None)
+
+    def __call__(self, t: float, h: float) -> None:
+        """Step all components by h [s]; raise the error of the first one that fails."""
+        if self._timed < TIMED:
+            for k, active in enumerate(self._actives):
+                begin = time.perf_counter()
+                active.step(t, active.length or h)
+                self._least[k] = min(self._least[k], time.perf_counter() - begin)
+            self._timed += 1
+            if self._timed == TIMED:
+                self._others = [k for k, least in enumerate(self._least) if least >= SLOW][1:]
+            return
+        others = self._others
+        tasks = [self._pool.submit(self._actives[k].step, t, self._actives[k].length or h) for k in others]
+        try:
+            for k, active in enumerate(self._actives):
+                if k not in others:
+                    active.step(t, active.length or h)
+        finally:
+            wait(tasks)
+        for task in tasks:
+            task.result()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
 
 
 class Policy:
@@ -130,6 +192,15 @@ class SavedPoint:
         self.restore_signals()
 
 
+def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float, float], None]:
+    """Return a function of point, start and end [s] of a step of any length, in C if possible."""
+    try:
+        return CompiledSteps(master, stages).advance
+    except NotCompiled:
+        actives = master.round(stages, 1, nominal=False)
+        return partial(master.advance, actives)
+
+
 class HalvedSteps(Policy):
     """Equal steps, each made once whole and once in halves, to estimate the coupling error.
 
@@ -141,7 +212,7 @@ class HalvedSteps(Policy):
     reason = "steps are halved"
 
     def __init__(self, master: Master) -> None:
-        self.master, self._round = master, master.round(master.system.stages, 1, nominal=False)
+        self.master, self._advance = master, advance_of(master, master.system.stages)
         self._fmus = [c for c in master.components if isinstance(c, FmuBlock)]
         self._whole: SavedPoint | None = None
         master.table[0] = 0.0
@@ -153,12 +224,12 @@ class HalvedSteps(Policy):
             self._whole.restore_signals()
         t, end = (master.system.start + j * master.h for j in (k - 1, k))
         before, middle = SavedPoint(master, self._fmus), 0.5 * (t + end)
-        master.advance(self._round, k, t, end)
+        self._advance(k, t, end)
         values, self._whole = master.values.copy(), SavedPoint(master, self._fmus)
         before.restore()
         before.check_outputs(t)
         for since, until in ((t, middle), (middle, end)):
-            master.advance(self._round, k, since, until)
+            self._advance(k, since, until)
         differences = np.abs(values - master.values)
         self._whole.restore()
         master.values[:] = differences
@@ -182,7 +253,7 @@ class ControlledSteps(Policy):
         stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
         self._at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
         self._names = [stage.component.name for stage in stages]
-        self._round = master.round(stages, 1, nominal=False)
+        self._advance = advance_of(master, stages)
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
         held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}
@@ -192,8 +263,9 @@ class ControlledSteps(Policy):
         self.scale, self.power = np.array(control.nominal), [b.nominal for b in control.bonds]
         self.largest = np.zeros(len(control.nominal))  # magnitude of each judged signal
         self.p = 1 + min(system.courses)
-        self.q = self.p + (control.estimator == "halving")
-        self.wish, self.before, self._is_checked = control.shortest, 1.0, False
+        self.q = self.p + (control.estimator == "halving" and not control.is_per_second)
+        self.wish = control.longest if control.rolls_back else control.shortest
+        self.before, self._is_checked = 1.0, False
         self.sizes: list[float] = []
         self.made, self.rejected, self.worst = 0, 0, 0.0
         self.failed: list[tuple[float, float, str]] = []
@@ -206,12 +278,13 @@ class ControlledSteps(Policy):
         t = begin
         while t < end:
             until, is_shortest = self._next(t, end)
-            if self.control.estimator == "halving":
+            self.past.add(t, self.signals[self.sources])
+            # The first step has no earlier inputs by which to judge the extrapolated ones.
+            if self.control.estimator == "halving" or (self.control.rolls_back and not self.sizes):
                 error, name = self._halve(k, t, until, final=is_shortest)
                 if math.isnan(error):  # taken back
                     continue
             else:
-                self.past.add(t, self.signals[self.sources])
                 self._step(k, t, until)
                 error, name = self._judge_inputs(until)
             self._accept(t, until - t, error, name, final=is_shortest)
@@ -266,6 +339,7 @@ class ControlledSteps(Policy):
         return {
             "estimator": self.control.estimator,
             "tolerance": tolerance,
+            "per": "second" if self.control.is_per_second else "step",
             "order": self.p,
             "accepted": len(self.sizes),
             "rejected": self.rejected,
@@ -334,7 +408,7 @@ class ControlledSteps(Policy):
         for since, to in ((t, middle), (middle, until)):
             self._step(k, since, to)
         error, name = self._judge(outputs, whole)
-        error /= 2.0**self.p - 1.0
+        error /= (2.0**self.p - 1.0) * (until - t if self.control.is_per_second else 1.0)
         if error <= 1.0 or final:
             for fmu, state in before.states:
                 self.master.announce(fmu).free_state(state)
@@ -347,7 +421,7 @@ class ControlledSteps(Policy):
 
     def _judge_inputs(self, t: float) -> Judged:
         """Return the error of inputs or of the power of bonds at the end of a step [s]."""
-        expected, row, worst = self.past(t), self.master.row, (0.0, "")
+        expected, row, worst = self.past.mean(t), self.master.row, (0.0, "")
         if self.control.estimator != "energy":
             return self._judge(self.sources, expected)
         for number, bond in enumerate(self.control.bonds):
@@ -373,5 +447,5 @@ class ControlledSteps(Policy):
 
     def _step(self, k: int, t: float, until: float) -> None:
         """Step all controlled components."""
-        self.master.advance(self._round, k, t, until)
+        self._advance(k, t, until)
         self.made += 1

@@ -256,6 +256,7 @@ class StepControl(Part):
     max:       longest step [s]
     min:       shortest step [s]
     tolerance: largest error of a step, relative to a signal's magnitude or its nominal value, whichever is larger
+    per:       step, or second for the largest error per second of simulated time, with estimator halving
     rows:      time between rows of the results [s]; a step never crosses one; by default `max`
     estimator: halving, residual or energy; by default energy with bonds, halving if all FMUs save and restore their
         state, otherwise residual
@@ -265,6 +266,7 @@ class StepControl(Part):
     max: PositiveSeconds
     min: PositiveSeconds
     tolerance: Positive = 1e-4
+    per: Literal["step", "second"] = "step"
     rows: PositiveSeconds | None = None
     estimator: Literal["halving", "residual", "energy"] | None = None
     bonds: list[Bond] = Field(default_factory=list)

@@ -34,17 +34,21 @@ class Control:
         shortest, longest: Limits of a step [s].
         nominal: Column → nominal value, 1 by default.
         outputs: Places of the real outputs of all FMUs that step under control.
+        is_per_second: Whether the tolerance is an error per second of simulated time.
         at_rows: Components that step only at rows.
+        rolls_back: Whether steps can be repeated.
     """
 
     estimator: str
     tolerance: float
+    is_per_second: bool
     shortest: float
     longest: float
     nominal: tuple[float, ...] = ()
     outputs: tuple[int, ...] = ()
     bonds: tuple[PowerBond, ...] = ()
     at_rows: frozenset[str] = frozenset()
+    rolls_back: bool = False
 
 
 def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | None:
@@ -108,8 +112,14 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
             power = nominal[ends[0][0]] * nominal[ends[1][0]]
             bonds.append(PowerBond(ends[0], ends[1], f"{bond.effort}·{bond.flow}", power))
     estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
-    limits = settings.tolerance, settings.min, settings.max
-    return Control(estimator, *limits, tuple(nominal), tuple(outputs), tuple(bonds), at_rows)
+    is_per_second = settings.per == "second"
+    if is_per_second and estimator != "halving":
+        message = (
+            f"an error per second needs estimator: halving; {obstacle or f'here it is {estimator}'}; leave per out"
+        )
+        building.note(("step", "per"), message)
+    limits = settings.tolerance, is_per_second, settings.min, settings.max
+    return Control(estimator, *limits, tuple(nominal), tuple(outputs), tuple(bonds), at_rows, not obstacle)
 
 
 def rollback_obstacle(components: Components) -> str:

@@ -11,6 +11,7 @@ from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Assumpt
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.shared_code import may_share_data
 from cosim.blocks.sources import SourceBlock
 from cosim.core.messages import CheckNote, Note
 from cosim.core.text import did_you_mean, join_names
@@ -306,3 +307,29 @@ def _every(building: Building, name: str) -> int:
         )
         building.warnings.append(message)
     return every
+
+
+def batches(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
+    """Yield stages that follow each other and may step at the same time.
+
+    None of them needs an output of another one in the same step, and FMUs of one process share no data.
+    """
+    batch: list[Stage] = []
+    for stage in stages:
+        origins = {t.origin.partition(".")[0] for t in stage.pulls}
+        if any(other.component.name in origins or _may_share_data(other, stage) for other in batch):
+            yield batch
+            batch = []
+        batch.append(stage)
+    if batch:
+        yield batch
+
+
+def _may_share_data(*stages: Stage) -> bool:
+    """Return whether two FMUs of a process may have global data or a tool in common."""
+    one, other = (stage.component for stage in stages)
+    if not (isinstance(one, FmuBlock) and isinstance(other, FmuBlock)) or one.is_apart or other.is_apart:
+        return False
+    is_single = any(f.instance.about.canBeInstantiatedOnlyOncePerProcess for f in (one, other))
+    has_tool = any(f.instance.about.needsExecutionTool for f in (one, other))
+    return is_single or has_tool or may_share_data(one.path, other.path)

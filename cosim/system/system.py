@@ -6,13 +6,14 @@ All checks that need model descriptions are made here, and all faults are report
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from cosim.blocks.component import Signal
+from cosim.blocks.coupling import sort_groups
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
@@ -30,8 +31,8 @@ from cosim.system.components import build_components
 from cosim.system.control import Control, control_of
 from cosim.system.events import Events, changes_of, check_events
 from cosim.system.recording import RecordedPart, recorded_part
-from cosim.system.schedule import Schedule, schedule
-from cosim.system.wiring import Building, alias_transfers, connect, connection_warnings
+from cosim.system.schedule import Schedule, Stage, schedule
+from cosim.system.wiring import Building, Transfer, alias_transfers, connect, connection_warnings
 
 ROUNDING = 1e-6  # fraction of a step, the tolerance of sampled FMUs
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -77,6 +78,39 @@ class System(Schedule):
     def names(self) -> list[str]:
         """Return the names of the components in stepping order."""
         return [stage.component.name for stage in self.stages]
+
+    def is_real(self, transfer: Transfer) -> bool:
+        """Return whether a transfer has values between any two others, unlike whole numbers and text."""
+        return not (any(transfer.beside) or self.signals[transfer.name].is_whole)
+
+    @cached_property
+    def held_of(self) -> dict[str, tuple[Transfer, ...]]:
+        """Return component → the transfers to it at the end of a step."""
+        owners = [(t.name.partition(".")[0], t) for t in self.held]
+        return {name: tuple(t for owner, t in owners if owner == name) for name in self.names}
+
+    def extrapolated(self, component: str) -> list[Transfer]:
+        """Return the transfers to inputs of a component that are extrapolated during a step."""
+        held = self.held_of[component] if self.courses[0] else ()
+        return [t for t in held if self.is_real(t) and t.origin.partition(".")[0] not in self.known]
+
+    @cached_property
+    def closing(self) -> tuple[Stage, ...]:
+        """Return the stages, without a step, in which outputs are read again at the end of a step.
+
+        They are those of components whose outputs depend directly on extrapolated inputs. Each one comes after those on
+        which its inputs depend.
+        """
+        solved = {name for loop in self.loops for name in loop.members}
+        stages, ends = dict[str, Stage](), list[tuple[str, str]]()
+        for stage in self.stages:
+            name, component = stage.component.name, stage.component
+            direct = [t for t in self.extrapolated(name) if component.depends_on(t.name.partition(".")[2]) is not False]
+            if direct and name not in solved:
+                stages[name] = replace(stage, pulls=self.held_of[name], late=())
+                ends += [(t.origin.partition(".")[0], name) for t in direct]
+        ordered = sort_groups([*stages], [end for end in ends if end[0] in stages]) if stages else []
+        return tuple(stages[name] for group in ordered for name in group)
 
     @property
     def reruns(self) -> bool:

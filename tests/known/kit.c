@@ -104,7 +104,29 @@ static int fmi3SetWhole(C c, const VR *v, size_t n, const int64_t *x) {
 }
 FEW(Integer, int, Whole, int64_t) FEW(Boolean, int, Boolean, bool)
 int fmi2GetReal(C c, const VR *v, size_t n, double *x) { return fmi3GetFloat64(c, v, n, x); }
-int fmi2SetReal(C c, const VR *v, size_t n, const double *x) { return fmi3SetFloat64(c, v, n, x); }
+/* Derivatives of inputs are those at the start of the next step; a new value ends them. */
+int fmi2SetReal(C c, const VR *v, size_t n, const double *x) {
+    for (size_t i = 0; i < n && v[i] < 64; i++) memset(((M *)c)->input_slopes[v[i]], 0, 3 * sizeof(double));
+    return fmi3SetFloat64(c, v, n, x);
+}
+int fmi2SetRealInputDerivatives(C c, const VR *v, size_t n, const int *order, const double *x) {
+    for (size_t i = 0; i < n; i++) {
+        if (v[i] > 63 || order[i] > 2) return ERROR;
+        double *slopes = ((M *)c)->input_slopes[v[i]];
+        fmi3GetFloat64(c, v + i, 1, slopes);
+        slopes[order[i]] = x[i];
+    }
+    return OK;
+}
+static void follow_slopes(M *m, double since) {
+#ifndef IGNORES_SLOPES
+    for (VR v = 0; v < 64; v++) {
+        const double *s = m->input_slopes[v];
+        const double u = s[0] + since * (s[1] + 0.5 * since * s[2]);
+        if (s[1] != 0 || s[2] != 0) fmi3SetFloat64(m, &v, 1, &u);
+    }
+#endif
+}
 int fmi2GetString(C c, const VR *v, size_t n, const char **x) { return fmi3GetString(c, v, n, x); }
 int fmi2SetString(C c, const VR *v, size_t n, const char *const *x) { return fmi3SetString(c, v, n, x); }
 
@@ -125,6 +147,7 @@ static void advance(M *m, double t, double h) {
             for (int i = 0; i < NX; i++) y[i] = x[i] + (s ? part[s] * d * k[s - 1][i] : 0);
             set_states(m, y);
             m->time = t + (q + part[s]) * d;
+            follow_slopes(m, (q + part[s]) * d);
             rates(m, k[s]);
         }
         for (int i = 0; i < NX; i++) y[i] = x[i] + d / 6 * (k[0][i] + 2 * k[1][i] + 2 * k[2][i] + k[3][i]);
@@ -209,7 +232,7 @@ int fmi2GetFMUstate(C c, void **s) { return fmi3GetFMUState(c, s); }
 int fmi2SetFMUstate(C c, void *s) { return fmi3SetFMUState(c, s); }
 int fmi2FreeFMUstate(C c, void **s) { return fmi3FreeFMUState(c, s); }
 NONE(fmi2SerializedFMUstateSize) NONE(fmi2SerializeFMUstate) NONE(fmi2DeSerializeFMUstate)
-NONE(fmi2GetDirectionalDerivative) NONE(fmi2SetRealInputDerivatives) NONE(fmi2GetRealOutputDerivatives)
+NONE(fmi2GetDirectionalDerivative) NONE(fmi2GetRealOutputDerivatives)
 NONE(fmi3SerializedFMUStateSize) NONE(fmi3SerializeFMUState) NONE(fmi3DeserializeFMUState)
 NONE(fmi3GetDirectionalDerivative) NONE(fmi3GetAdjointDerivative) NONE(fmi3GetOutputDerivatives)
 NONE(fmi3InstantiateScheduledExecution) NONE(fmi3GetClock) NONE(fmi3SetClock)

@@ -130,6 +130,7 @@ class Model:
     types: str = ""
     functions: str = ""
     any_step: bool = True
+    interpolates: bool = False
     name: str = "m"
 
     @property
@@ -184,7 +185,8 @@ class Model:
         zeros = "".join(f"z[{k}] = {body(zero)};" for k, zero in enumerate(self.zeros))
         return (
             f"{self.functions}\n#define NAME {self.name}\n#define NX {len(self.rates)}\n#define NZ {len(self.zeros)}\n"
-            "typedef struct { double time, next, memory[400]; bool changed, more, end, ask, initializing;\n"
+            "typedef struct { double time, next, memory[400], input_slopes[64][3];\n"
+            "bool changed, more, end, ask, initializing;\n"
             f"{' '.join(map(declare, own))} }} M;\n"
             f"static const Row ROWS[] = {{{rows}{{899, F64, offsetof(M, time), 1, 1}}}};\n"
             f"static const size_t STATES[] = {{{states}0}}; static const VR STATE_VRS[] = {{{references}0}};\n"
@@ -217,6 +219,8 @@ class Model:
         if version < 3:
             head["numberOfEventIndicators"] = len(self.zeros)
         flags: dict[str, Any] = {"canHandleVariableCommunicationStepSize": self.any_step} if way == "cs" else {}
+        if self.interpolates:
+            flags["canInterpolateInputs"] = True
         if version == 1:
             head |= {"modelIdentifier": self.name, "numberOfContinuousStates": len(self.rates)}
             kind = tag("CoSimulation_StandAlone", tag("Capabilities", **flags))
