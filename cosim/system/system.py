@@ -22,6 +22,7 @@ from cosim.core.errors import refuse
 from cosim.core.messages import Note
 from cosim.core.text import DisplayUnits, did_you_mean
 from cosim.core.units import alternatives, conversion
+from cosim.credibility.record import read_credibility
 from cosim.fmi.description import display_units
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings
@@ -144,6 +145,13 @@ def build_system(file: ScenarioFile) -> System:
                 if signal not in layout.columns:
                     message = f'no signal "{signal}"{did_you_mean(signal, layout.columns)}'
                 building.note((*where, key), message)
+    for kind, k, goal in scenario.valid_goals:
+        place: Place = ("criteria", kind, *(() if k is None else (k,)), "of")
+        if goal.of not in scenario.components:
+            building.note(place, f'no component "{goal.of}"{did_you_mean(goal.of, scenario.components)}')
+        elif goal.of in components and (goal.of not in blocks or read_credibility(blocks[goal.of].path).record is None):
+            message = f"{goal.of} has no record of the logs that its FMU rests on; name an FMU of cosim refine or fit"
+            building.note(place, message)
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())
     courses = (0, 0) if has_events else scenario.courses  # With event mode, inputs are held.
