@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.text import join_names, percent
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 LEVEL = 0.9  # of the bands
@@ -185,6 +186,13 @@ class Coverage(BaseModel):
     outputs: dict[str, Finite]
     rows: int
     inside: Finite
+
+    @property
+    def sentence(self) -> str:
+        """Return the coverage in words."""
+        shares = join_names([f"{percent(share)} of {name}" for name, share in self.outputs.items()])
+        inside = f"{percent(self.inside)} of the sealed rows lie in the region of the logs"
+        return f"{inside}. There, the {100 * LEVEL:g} % error bands of the FMU hold {shares}."
 
 
 def coverage_of(bands: Bands, tracks: Mapping[float, Sequence[Track]]) -> Coverage | None:

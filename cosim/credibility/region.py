@@ -213,12 +213,12 @@ def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]
 
 
 def distances(region: Region, stretch: Stretch) -> Distances:
-    """Return the distance of signals from a region, at rows that are about one step of the logs apart."""
+    """Return the distance of signals from a region, at rows about one step of the logs apart, or MOST_ROWS of them."""
     from scipy.spatial import cKDTree
 
-    usual = float(np.median(np.diff(stretch.time))) if stretch.time.size > 1 else 0.0
-    rows = slice(None, None, max(1, round(region.step / usual)) if usual > 0.0 else 1)
-
+    size = stretch.time.size
+    usual = float(np.median(np.diff(stretch.time))) if size > 1 else 0.0
+    rows = slice(None, None, max(1, -(-size // MOST_ROWS), round(region.step / usual) if usual > 0.0 else 1))
     known = [j for j, c in enumerate(region.coordinates) if c.signal in stretch.signals]
     missing = [c.name for c in region.coordinates if c.signal not in stretch.signals]
     coordinates = [region.coordinates[j] for j in known]
