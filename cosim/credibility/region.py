@@ -77,12 +77,12 @@ class Region(BaseModel):
 
 
 class Stretch(NamedTuple):
-    """Signals over a time without gaps; rows after a restart of the model have no rate.
+    """Signals over a time without gaps; a row with a restart of the model has no rate.
 
     Attributes:
         time: Increasing times [s].
         signals: Name → (rows,), NaN without a value.
-        restarts: Rows after which the model starts anew.
+        restarts: Rows at which the model starts anew.
     """
 
     time: Array
@@ -175,17 +175,20 @@ def region_of(
 
 
 def _table(stretch: Stretch, coordinates: Sequence[tuple[str, Any]], step: float) -> Array:
-    """Return the values of coordinates, shape (rows, coordinates); a rate looks back over one step."""
+    """Return the values of coordinates, shape (rows, coordinates).
+
+    A rate looks ahead over one step, as the command of a row acts until the next one.
+    """
     time, columns, missing = stretch.time, [], np.full(stretch.time.size, np.nan)
+    is_last = time + step > time[-1] + 1e-6 * step
     for signal, kind in coordinates:
         values = stretch.signals.get(signal, missing)
         if kind == "rate":
             good = np.isfinite(values)
-            ago = np.interp(time - step, time[good], values[good]) if good.any() else missing
-            began = time - step < time[0] - 1e-6 * step
-            values = np.where(began, np.nan, (values - ago) / step)
-            values[began] = values[~began][:1] if not began.all() else 0.0  # the first rate holds from the start
-            values[[k + 1 for k in stretch.restarts if k + 1 < time.size]] = np.nan
+            ahead = np.interp(time + step, time[good], values[good]) if good.any() else missing
+            values = (ahead - values) / step
+            values[is_last] = 0.0 if is_last.all() else values[~is_last][-1]
+            values[[*stretch.restarts]] = np.nan
         columns.append(values)
     return np.column_stack(columns)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array
-from cosim.core.text import displayed, percent, plain
+from cosim.core.text import displayed, percent
 from cosim.credibility.record import read_credibility
 from cosim.credibility.region import Stretch, distances
 from cosim.files.results import Results
@@ -43,14 +43,14 @@ def validity_of(fmu: Path, time: Array, signals: Mapping[str, Array]) -> dict[st
         signals: Inputs and outputs of the FMU, shape (rows,).
 
     Returns:
-        `share`: share of the time within the region; `outside`: times of leaving and of coming back [s]; `by`: the
-        coordinate that leaves first; `missing`: coordinates that were not recorded; `bands`: error bands; `problem`:
-        what is wrong with the record.
+        `share`: share of the time within the region; `outside`: times of leaving and of coming back [s]; `leaves`: time
+        of the first leaving for more than one row, `by` its coordinate; `missing`: coordinates that were not recorded;
+        `bands`: error bands; `problem`: what is wrong with the record.
     """
     record, problem = read_credibility(fmu)
     if record is None:
         return {"problem": problem} if problem else {}
-    entry: dict[str, Any] = {"share": None, "outside": [], "by": "", "missing": [], "problem": problem}
+    entry: dict[str, Any] = {"share": None, "outside": [], "by": "", "leaves": None, "missing": [], "problem": problem}
     entry["bands"] = record.bands.model_dump(mode="json", include={"level", "horizons", "widths", "units", "reason"})
     if record.region.reason or not time.size:
         return entry | {"reason": record.region.reason}
@@ -61,8 +61,11 @@ def validity_of(fmu: Path, time: Array, signals: Mapping[str, Array]) -> dict[st
     edges = np.flatnonzero(np.diff(np.concatenate([[True], inside, [True]]).astype(int)))
     bounds = np.append(away.time, time[-1])[edges].tolist()
     entry["outside"] = [list(pair) for pair in zip(bounds[::2], bounds[1::2], strict=True)]
-    if not inside.all():
-        entry["by"] = record.region.coordinates[int(away.farthest[int(np.argmin(inside))])].name
+    if not inside.all():  # a single row may be a false alarm
+        lasting = [begin for begin, end in entry["outside"] if end - begin > 1.5 * record.region.step]
+        entry["leaves"] = (lasting or bounds)[0]
+        row = int(np.searchsorted(away.time, entry["leaves"]))
+        entry["by"] = record.region.coordinates[int(away.farthest[min(row, inside.size - 1)])].name
     return entry | {"missing": [*away.missing]}
 
 
@@ -71,7 +74,7 @@ def validity_sentence(name: str, entry: Validity) -> str:
     share = entry.get("share")
     if share is None:
         return f"{name}: no region to be valid in: {entry['reason']}" if entry.get("reason") else ""
-    leaves = f"; leaves the data at {plain(entry['outside'][0][0], 4)} s by {entry['by']}" if entry["by"] else ""
+    leaves = f"; leaves the data at {entry['leaves']:.4g} s by {entry['by']}" if entry["by"] else ""
     partly = f" (not judged: {', '.join(entry['missing'])})" if entry["missing"] else ""
     return f"{name}: valid for {percent(share)} of the run{leaves}{partly}"
 
