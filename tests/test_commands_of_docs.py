@@ -90,7 +90,10 @@ def _refined_further(folder: Path) -> None:
 
 
 PYTHON = {"python": [], "pythonfmu": ["-c", "from pythonfmu.__main__ import cli_main; cli_main()"]}
-SAYS = {"docs/my_fmus.md": "1 of 1 criteria missed", "docs/my_log.md": "The model lacks leak (rate = 0.01"}
+SAYS = {
+    "docs/my_fmus.md": "1 of 1 criteria missed", "docs/trust.md": "1 of 1 criteria missed",
+    "docs/my_log.md": "The model lacks leak (rate = 0.01",
+}  # fmt: skip
 SHORT = {
     "run": ("--no-report", "--set", "duration=2", "--set", "criteria={}"),
     "replay": ("--no-report",), "sweep": ("--no-report", "--workers", "1"),
@@ -107,6 +110,7 @@ PREPARED = [
     ("docs/refined.md", _refined_further, LONGER),
     ("docs/my_fmus.md", _example("tanks"), LONGER),
     ("docs/my_log.md", _example("tanks"), LONGER),
+    ("docs/trust.md", _example("tanks"), LONGER),
 ]
 
 

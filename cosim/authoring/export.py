@@ -130,7 +130,7 @@ def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
     tolerances = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
     if any(tolerance is not None for tolerance in (scenario.tolerance, *tolerances)):
         yield Note("tolerance is left out: importers take that of each FMU's default experiment, or none")
-    if scenario.goals:
+    if scenario.every_goal:
         yield Note("criteria were not exported: SSP cannot store them")
     if scenario.algorithm != IMPORTERS.name:
         ours = algorithms()[scenario.algorithm].title

@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field
 
 from cosim.core.text import join_names
 from cosim.core.version import __version__
+from cosim.credibility.bands import Coverage
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Verdict = Literal["improved", "unchanged", "worse", "stopped"]
@@ -131,6 +132,9 @@ class Record(BaseModel):
     screening: list[ChoiceEntry]
     noise: dict[str, NoiseEntry]
     errors: dict[Literal["estimation", "sealed"], PartErrors]
+    coverage: Coverage | None = Field(
+        default=None, description="share of the errors of sealed logs in the error bands of fitted.fmu"
+    )
     simulations: int = Field(description="runs over a whole log until the estimate, failed ones included")
     failed_simulations: int
     seconds: Finite

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.compiling import compiling, permission
+from cosim.calibration.credibility import credibility_of
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_study import FitInput, Parameter, Request, read_input, request_of
 from cosim.calibration.fitted import Fitted
@@ -25,6 +26,7 @@ from cosim.core.errors import FmuError, InputError, SimulationError, Terminated,
 from cosim.core.messages import Note
 from cosim.core.settings import Files, Given, Names, column_names, texts
 from cosim.core.text import join_names, showing
+from cosim.credibility.record import attach
 from cosim.files.archive import DESCRIPTION, description_of
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
@@ -175,6 +177,15 @@ def fit(
                 words += [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
                 command = shlex.join([*words, *(["--compile"] if permission.get() else [])])
                 record.warnings.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command}` sets them")
+            if way and parts:
+                progress("measuring error bands", 0.0)
+                every = [likelihood.values(x, k) for k in range(len(opened))]
+                kept = [{n: v for n, v in each.items() if n in values} for each in every]
+                try:
+                    known, record.coverage = credibility_of(record, likelihood, opened, closed, kept)
+                    attach(place / "fitted.fmu", known)
+                except SimulationError as error:
+                    record.warnings.append(f"fitted.fmu has no record of credibility: {error}")
         content = record.model_dump(mode="json")
         write_json(place / "fit.json", content, allow_nan=False)
         if report and out is not None:

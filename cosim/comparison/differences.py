@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from cosim.blocks.component import Signal
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import InputError
-from cosim.core.text import amount, counted, plain, some
+from cosim.core.text import amount, counted, percent, plain, some
 from cosim.core.times import rounding
 from cosim.core.units import Conversion, conversion, definition_of
+from cosim.credibility.validity import bands_of_run
 from cosim.files.results import is_rounded
 from cosim.files.table import as_text
 from cosim.simulation.run_signals import RecordedRun
@@ -23,6 +24,7 @@ from cosim.simulation.run_signals import RecordedRun
 SAME_TIME = 1e-9  # fraction of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
 BETWEEN = "between rows of the baseline"
+BAND = "for {} of the time beyond the error band of the baseline"
 MAX_LISTED = 12  # signals in a short text
 
 
@@ -355,6 +357,10 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
         values[name] = first[rows], at_times
         found = compare_numbers(name, unit or other, time, values[name], by)
         found = replace(found, note=unit_note(unit, other, found, by))
+        if found.largest and (half := bands_of_run(a.manifest, name, time)) is not None:
+            gaps = np.abs(values[name][1] - values[name][0])[np.isfinite(half)]
+            beyond_band = float(np.mean(gaps > half[np.isfinite(half)])) if gaps.size else 0.0
+            found = replace(found, note="; ".join(filter(None, [found.note, BAND.format(percent(beyond_band))])))
         if around is not None:
             outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
             if outside > max(found.largest, ROUNDING * found.scale):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from cosim.comparison.several import ComparedRuns
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.text import amount, counted, display, displayed, is_difference, some
 from cosim.core.version import __version__
+from cosim.credibility.validity import bands_of_run
 from cosim.files.run_inputs import input_text
 from cosim.report.charts import Charts
-from cosim.report.panels import Panel, Trace, axis_unit
+from cosim.report.panels import Band, Panel, Trace, axis_unit
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
@@ -42,11 +44,16 @@ def panels_of(c: ComparedRuns, name: str, curves: Sequence[Array], *, on_page: b
     if name in c.equal:
         return [Panel(name, unit, [Trace("all runs", displayed(base, own), BASELINE)])]
     panels = [Panel(name, unit, [Trace(labels[k], displayed(v, own), styles[k]) for k, v in by_run.items()])]
+    half = bands_of_run(c.runs[c.baseline].manifest, name, c.time)
+    if half is not None:
+        edges = (displayed(edge, own) for edge in (base - half, base + half))
+        panels = [replace(panels[0], band=Band("error band of the baseline", *edges))]
     if on_page or len(by_run) == 2:
         with np.errstate(invalid="ignore"):
             differences = {k: (values - base) * factor for k, values in by_run.items() if k != c.baseline}
         traces = [Trace(labels[k], values, styles[k]) for k, values in differences.items()]
-        panels.append(Panel(f"{name} minus {c.shorts[c.baseline]}", fine or unit, traces))
+        band = None if half is None else Band("error band of the baseline", -half * factor, half * factor)
+        panels.append(Panel(f"{name} minus {c.shorts[c.baseline]}", fine or unit, traces, band))
     return panels
 
 

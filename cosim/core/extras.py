@@ -13,6 +13,7 @@ DISTRIBUTION = "fmu-cosim"
 EXTRAS = {  # library → extra that installs it
     "SALib": "sweep",
     "asammdf": "mdf",
+    "cryptography": "sign",
     "distributed": "dask",
     "h5py": "hdf5",
     "openpyxl": "excel",

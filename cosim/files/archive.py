@@ -81,6 +81,13 @@ def description_of(path: Path) -> bytes:
         return archive.read(DESCRIPTION)
 
 
+def member_of(path: Path, name: str) -> bytes | None:
+    """Check an FMU archive and return the bytes of one of its files; None for a missing or too large one."""
+    with _checked(path) as archive:
+        sizes = {member.filename: member.file_size for member in archive.infolist()}
+        return archive.read(name) if sizes.get(name, MOST_XML + 1) <= MOST_XML else None
+
+
 def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
     """Unpack an archive into a folder.
 

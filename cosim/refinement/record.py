@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from cosim.core.arrays import Array, NamedValues
 from cosim.core.text import percent
 from cosim.core.version import __version__
+from cosim.credibility.bands import Coverage
 from cosim.estimation.fit import Fit
 from cosim.estimation.per_log import expected_values, own
 from cosim.estimation.problem import Noise
@@ -232,6 +233,7 @@ class Record(BaseModel):
     noise_floor: on the validation logs where there are any
     noise_floors: error of the refined model against itself, simulated with its noise
     floor_scatters: standard deviation of the logarithm of each floor over the draws
+    coverage: share of the errors of sealed logs in the error bands of the delivered FMU
     seconds: time it took
     """
 
@@ -270,6 +272,7 @@ class Record(BaseModel):
     noise_floor: Channels
     noise_floors: Parts
     floor_scatters: Parts
+    coverage: Coverage | None = None
     seconds: Finite
 
 

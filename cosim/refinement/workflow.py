@@ -18,6 +18,7 @@ import numpy as np
 
 from cosim.core.errors import Fault, TimedOut, refuse
 from cosim.core.text import counted, join_names, plain, showing
+from cosim.credibility.record import attach
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, predictable_horizon, with_likely_starts
@@ -42,6 +43,7 @@ from cosim.isolation.limits import Limits
 from cosim.refinement.decision.bundle import fit_given_model
 from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
+from cosim.refinement.proof.credibility import credibility_of
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
     Floors,
@@ -69,6 +71,7 @@ from cosim.residuals.compare import horizon_name
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
 Progress = Callable[[str, float], None]
+FILES_OF = {"after": REFINED[1], "nearest": NEAREST[1]}  # FMU of a variant
 
 
 @one_stop()
@@ -150,6 +153,14 @@ def _refine(
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         ends = final_log_parameters(variants["after"], problem, sealed)
+        progress("measuring error bands", 0.0)
+        records = {}
+        for name, h in {"after": claims.claimed, "nearest": claims.nearest}.items():
+            file = scratch / FILES_OF[name]
+            if name in variants and file in files:
+                over = {part: by[subject.horizon] for part, by in played[name].items()}
+                of_file = search, h, variants[name], over, sets
+                records[file] = credibility_of(*of_file, place=place, fmu=file)
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
         study = replace(study, warnings=(*study.warnings, *warnings))
@@ -182,6 +193,10 @@ def _refine(
             ends=ends,
             seconds=time.perf_counter() - start,
         )
+        for file, (known, covered) in records.items():
+            attach(file, known.model_copy(update={"verdict": written.verdict, "sentence": text}))
+            if file == scratch / FILES_OF[delivered]:
+                written.coverage = covered
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():

@@ -149,6 +149,8 @@ class Charts:
             edges = [self.column(edge, common=band.x is None) for edge in (band.lower, band.upper)]
             chart["band"] = {"label": band.label, "edges": edges}
             chart["band"] |= {} if band.x is None else {"x": self.column(np.asarray(band.x), common=False)}
+        if panel.outside:
+            chart["outside"] = panel.outside
         self._charts.append(chart)
         return Plot(len(self._charts) - 1, chart, "; ".join(words))
 

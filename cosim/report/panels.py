@@ -70,7 +70,11 @@ class Band:
 
 @dataclass(frozen=True)
 class Panel:
-    """One set of axes with traces, band and limits."""
+    """One set of axes with traces, band and limits.
+
+    Attributes:
+        outside: Intervals of time [s] in which the model has left the region of its logs.
+    """
 
     title: str
     unit: str
@@ -79,6 +83,7 @@ class Panel:
     limits: tuple[float, ...] = ()
     limit_label: str = ""
     symbol: str = ""
+    outside: Sequence[tuple[float, float]] = ()
 
 
 def axis_unit(unit: str) -> str:

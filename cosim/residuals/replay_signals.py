@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.credibility.validity import validity_sentence
 from cosim.files.folders import replay_record
 from cosim.files.results import read_results, rows_in
 from cosim.simulation.run_signals import Signals
@@ -16,16 +18,18 @@ class Replay(Signals):
     """Signals of an FMU and a log, and `residual` for each horizon.
 
     Attributes:
+        validity: Validity of the free run in the region of the FMU's logs, empty for an FMU without a record of them.
         comparison: Errors of each channel; None if the result was read from a folder.
     """
 
     residual: Signals | None = None
     sentence: str = ""
     comparison: Any = None
+    validity: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def _sentences(self) -> list[str]:
-        return [self.sentence] if self.sentence else []
+        return [text for text in (self.sentence, validity_sentence("FMU", self.validity)) if text]
 
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
@@ -41,4 +45,5 @@ def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
     places = [file or folder / "results.csv" for file in files]
     rows, missed = (read_results(file, record.get("units")) for file in places)
     place = folder if kept else None
-    return Replay("replay", rows, place, Signals("residual", missed, place), record.get("sentence", ""))
+    residual, validity = Signals("residual", missed, place), record.get("validity") or {}
+    return Replay("replay", rows, place, residual, record.get("sentence", ""), validity=validity)

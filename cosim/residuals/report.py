@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from cosim.core.text import (
     split_sentence,
 )
 from cosim.core.version import __version__
+from cosim.credibility.validity import Validity, output_panels, outside_of, validity_sentence
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, held_panels
@@ -35,10 +37,11 @@ Cell = Callable[[ChannelSummary], str]  # of a table
 STEMS = 100  # about, lags of an autocorrelation
 
 
-def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
+def context(comparison: Comparison, validity: Validity, *, passing: bool = False) -> Mapping[str, Any]:
     """Return the values of the template.
 
     Args:
+        validity: Validity of the free run in the region of the FMU's logs, empty without one.
         passing: True if the FMU was built for this replay only.
     """
     log, drive, findings = comparison.log, comparison.drive, comparison.findings
@@ -97,7 +100,8 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
         "measure": measure,
         "skipped": SKIPPED * log.slowness,
         "within": drawing.plots(_pair_panels(comparison, measure)) if measure in replays else [],
-        "free": drawing.plots(_pair_panels(comparison, FREE_RUN)),
+        "free": drawing.plots(_trusted(_pair_panels(comparison, FREE_RUN), comparison, validity)),
+        "trust": validity_sentence("FMU", validity).partition(": ")[2],
         "residual": drawing.plots(residuals),
         "commands": drawing.plots(held_panels(log.inputs, log.units)),
         "autocorrelation": _autocorrelation(comparison, charts),
@@ -136,6 +140,16 @@ def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
         traces = [Trace(text, displayed(values, unit), style) for text, values, style in pairs]
         panels.append(Panel(name, shown_unit(unit) or "1", traces))
     return panels
+
+
+def _trusted(panels: Sequence[Panel], comparison: Comparison, validity: Validity) -> list[Panel]:
+    """Return the panels of the free run with error bands about the model, and the time outside the region of logs."""
+    free, time = comparison.replays[FREE_RUN].outputs, comparison.log.time
+    drawn = {p.title: p for p in output_panels("", validity, time, {p.title: free[p.title] for p in panels})}
+    drawn = {title.removeprefix("."): panel for title, panel in drawn.items()}
+    return [
+        replace(p, band=drawn[p.title].band if p.title in drawn else None, outside=outside_of(validity)) for p in panels
+    ]
 
 
 def neighbours(test: Whiteness) -> str:

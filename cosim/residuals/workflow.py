@@ -19,6 +19,7 @@ from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, column_names, texts
 from cosim.core.text import as_yaml, join_names, showing
+from cosim.credibility.validity import validity_of
 from cosim.files.artefact import LOG
 from cosim.files.files import (
     FilePath,
@@ -54,6 +55,7 @@ from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, steps_of, verdict
 from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, log_of_fmu, start_values
+from cosim.residuals.evidence import signals_along
 from cosim.residuals.replay_signals import Replay, read_replay
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -151,23 +153,27 @@ def replay(
         try:
             release_stops()
             findings += outliers(measured, find_spikes(measured, lambda _: free.outputs))
+            validity = validity_of(driven, measured.time, signals_along(drive, measured, free))
+            if problem := validity.get("problem"):
+                findings.append(Finding("warning", "credibility", "", problem))
             comparison = compare(drive, free, findings)
             errors = residuals(comparison)
             errors.write(residual_file)
             units = {**results(drive, free.outputs).units, **errors.units}
             content = {"schema_version": SCHEMA_VERSION, **sources, "sentence": verdict(comparison), "units": units}
+            content |= {"validity": validity} if validity else {}
             write_json(place / REPLAY, {**content, "display": display}, indent=1)
             if fmu and not claimed and not all(c.is_explained for c in comparison.channels):
                 write_text(place / NEXT_STUDY, _next_study(place, driven, path, names, values))
             if report and out is not None:
-                write_text(place / "report.html", render(TEMPLATE, context(comparison, passing=fmu is None)))
+                write_text(place / "report.html", render(TEMPLATE, context(comparison, validity, passing=fmu is None)))
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stop_error(stop, float(measured.time[-1]), "the comparison")
             ended.left = place
             raise ended from None
         result = read_replay(folder, kept=out is not None)
     assert result is not None  # else an error was raised
-    return replace(result, comparison=comparison)
+    return replace(result, comparison=comparison, validity=validity)
 
 
 def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:

@@ -327,13 +327,33 @@ class Criterion(Part):
     max: Amount
 
 
+class ValidCriterion(Part):
+    """Least share of the time in the region that the logs of an FMU cover.
+
+    of:  component whose FMU has a record of credibility
+    min: least share, 0 … 1
+    """
+
+    of: Name
+    min: Annotated[float, Field(strict=True, ge=0, le=1), Share]
+
+
+def _goal_of(criterion: Any) -> str:
+    """Return the tag of a criterion: one of a component, or one of a signal."""
+    keys = criterion if isinstance(criterion, dict) else vars(criterion) if isinstance(criterion, Part) else {}
+    return "«component»" if "min" in keys else "«signal»"
+
+
+Goal = Annotated[
+    Annotated[Criterion, Tag("«signal»")] | Annotated[ValidCriterion, Tag("«component»")], Discriminator(_goal_of)
+]
 Connections = Annotated[  # a key with all entries commented out has no value
     list[Connection],
     BeforeValidator(lambda value: [] if value is None else value),
     Field(json_schema_extra={"type": ["array", "null"]}),
 ]
 Criteria = dict[
-    Literal["settling_time", "overshoot", "rms_error", "final_error", "peak", "effort"], Criterion | list[Criterion]
+    Literal["settling_time", "overshoot", "rms_error", "final_error", "peak", "effort", "valid"], Goal | list[Goal]
 ]
 Component = Annotated[
     Annotated[FmuComponent, Tag("«fmu»")]
@@ -449,11 +469,20 @@ class Scenario(Part):
 
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:
+        """Return all criteria of signals as (kind, list index, criterion)."""
+        return [(kind, k, c) for kind, k, c in self.every_goal if isinstance(c, Criterion)]
+
+    @property
+    def valid_goals(self) -> list[tuple[str, int | None, ValidCriterion]]:
+        """Return all criteria of components as (kind, list index, criterion)."""
+        return [(kind, k, c) for kind, k, c in self.every_goal if isinstance(c, ValidCriterion)]
+
+    @property
+    def every_goal(self) -> list[tuple[str, int | None, Criterion | ValidCriterion]]:
         """Return all criteria as (kind, list index, criterion)."""
-        goals: list[tuple[str, int | None, Criterion]] = []
+        goals: list[tuple[str, int | None, Criterion | ValidCriterion]] = []
         for kind, entry in self.criteria.items():
-            criteria = [(None, entry)] if isinstance(entry, Criterion) else enumerate(entry)
-            goals += [(kind, k, criterion) for k, criterion in criteria]
+            goals += [(kind, k, c) for k, c in (enumerate(entry) if isinstance(entry, list) else [(None, entry)])]
         return goals
 
 

@@ -22,7 +22,7 @@ from cosim.files.folders import SCHEMA_VERSION, other_version
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, location_in, short
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
-from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario
+from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, ValidCriterion
 from cosim.scenario.start_values import STAND_IN, waiting_texts
 from cosim.ssp.read import read_parameter_set
 
@@ -233,6 +233,11 @@ class ScenarioFile:
             elif not _is_whole(steps):
                 near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
                 yield where, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}"
+        for kind, k, goal in s.every_goal:
+            if (kind == "valid") != isinstance(goal, ValidCriterion):
+                where = ("criteria", kind, *(() if k is None else (k,)))
+                of_region = "valid takes a component and its least share of time, as in {of: plant, min: 0.95}"
+                yield where, of_region if kind == "valid" else f"{kind} takes no min; give the largest value as max"
         for kind, k, criterion in s.goals:
             where = ("criteria", kind, *(() if k is None else (k,)))
             if kind == "settling_time" and criterion.band is None:

@@ -7,6 +7,7 @@ the signal's own unit, or in seconds.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,21 @@ import numpy as np
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.text import append_unit, display, displayed, is_difference, shown_unit
 from cosim.core.times import roundings
+from cosim.credibility.validity import Validity
 from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
 
+OUTSIDE = "time_outside_logs"  # of a component, the outcome of the criterion `valid`
 DIGITS, MOST_DIGITS = 4, 17  # of a value and its limit; more where they would look the same
 
 
 @far_beyond
-def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
-    """Return all criteria with value, limit, unit and outcome."""
+def evaluate(scenario: Scenario, results: Results, validity: Mapping[str, Validity]) -> list[dict[str, Any]]:
+    """Return all criteria with value, limit, unit and outcome.
+
+    Args:
+        validity: FMU with a record of credibility → its validity in this run.
+    """
     outcomes = []
     elapsed, close = results.time - results.time[0], roundings(results.time, scenario.step)
     for kind, _, criterion in scenario.goals:
@@ -53,6 +60,10 @@ def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
                 "met": bool(value <= criterion.max),
             }
         )
+    for _, _, goal in scenario.valid_goals:
+        share = validity.get(goal.of, {}).get("share") or 0.0
+        limits = {"value": 100.0 * (1.0 - share), "max": 100.0 * (1.0 - goal.min), "unit": "%"}
+        outcomes.append({"kind": OUTSIDE, "of": goal.of, **limits, "met": share >= goal.min})
     return outcomes
 
 

@@ -191,7 +191,15 @@ class Run(Signals):
     def _sentences(self) -> list[str]:
         from cosim.simulation.criteria import sentence
 
-        return [sentence(c) for c in self.criteria]
+        return [*self.validity, *(sentence(c) for c in self.criteria)]
+
+    @property
+    def validity(self) -> list[str]:
+        """Return a sentence on each FMU that knows the logs it rests on: for which time it is within them."""
+        from cosim.credibility.validity import validity_sentence
+
+        entries = self.manifest.get("validity") or {}
+        return [text for name, entry in entries.items() if (text := validity_sentence(name, entry))]
 
 
 def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> Run:

@@ -13,6 +13,7 @@ from cosim.core import errors
 from cosim.core.errors import FmuError, InputError
 from cosim.core.messages import CheckWarning, with_severity
 from cosim.core.scratch import temporary_folder
+from cosim.credibility.record import read_credibility
 from cosim.files.artefact import Checking
 from cosim.fmi.description import read_description, takes_any_step, validation
 from cosim.isolation.limits import Limits
@@ -63,6 +64,8 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
             raise InputError([replace(fault, file=path, line=0, column=0) for fault in error.faults]) from None
         notes += [with_severity(text.removeprefix("fmu: ")) for text in said if isinstance(text, CheckWarning)]
         notes += [f"warning: {sentence}" for sentence in misbehaviour(path)]
+    if problem := read_credibility(path).problem:
+        notes.append(f"warning: {problem}")
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
     return notes + [f"warning: {problem}" for problem in validation(path)]
 

@@ -18,6 +18,7 @@ from cosim.core.errors import DiskFull, InputError, SimulationError, Terminated,
 from cosim.core.messages import Note
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, Seconds, Seed, Values, texts
+from cosim.credibility.validity import validities, validity_warnings
 from cosim.files import artefact
 from cosim.files.files import (
     FilePath,
@@ -245,8 +246,11 @@ def run(
         record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed, **stepped.times}
         add_changes(record, scenario_, [*prepared.changes, *stepped.changes])
         record |= stepped.results.details
+        if validity := validities((stage.component for stage in system.stages), stepped.results):
+            record["validity"] = validity
+            record["warnings"] += validity_warnings(validity)
         if stepped.failure is None:
-            record["criteria"] = evaluate(scenario_, stepped.results)
+            record["criteria"] = evaluate(scenario_, stepped.results, validity)
             steps = stepped.results.details.get("steps", {})
             if missed := steps.get("missed"):  # the shortest of controlled steps have a larger error
                 limits = {"value": missed["error"], "max": steps["tolerance"], "unit": ""}

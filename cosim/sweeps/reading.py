@@ -14,7 +14,7 @@ from typing import Any
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import InputError, refuse
 from cosim.core.messages import with_severity
-from cosim.core.text import counted, plain
+from cosim.core.text import counted, percent, plain
 from cosim.core.version import __version__
 from cosim.files.artefact import SWEEP, Checking
 from cosim.files.kinds import check_given
@@ -129,7 +129,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         overrides,
         tuple(signals),
         file.samples,
-        len(scenario.goals),
+        len(scenario.every_goal),
         scenario.limits or Limits(),
         tuple(block.name for block in blocks),
         tuple(tuple(fmi_calls(getattr(block, "description", None))) for block in blocks),
@@ -185,6 +185,9 @@ class Swept(Runs):
             low, high = (plain(100.0 * end, 3) for end in c["ci95"])
             share = f"{plain(100.0 * c['met'] / c['of'], 3)} %, 95 % interval {low} … {high} %" if c["of"] else "no run"
             lines.append(f"{c['name']}: met by {c['met']} of {c['of']} ({share})")
+        for name, shares in r.get("valid", {}).items():
+            least, most = (percent(share) for share in shares)
+            lines.append(f"{name}: within the logs of its FMU for {least} … {most} of the time of a run")
         return lines
 
     def __repr__(self) -> str:

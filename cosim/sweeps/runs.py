@@ -19,6 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import SharedCode
 from cosim.core.errors import CosimError, InputError
 from cosim.core.scratch import process_folder
+from cosim.credibility.validity import validities
 from cosim.files.archive import unpack
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -85,6 +86,7 @@ class RunResult:
         values: Values of the criteria, NaN if undefined, e.g. for a settling time never reached.
         met: Outcomes of the criteria.
         signals: Samples of each signal, empty after a failure.
+        valid: Component → share of the time in the region of its logs, for FMUs with a record of credibility.
     """
 
     run: int
@@ -92,6 +94,7 @@ class RunResult:
     values: Sequence[float]
     met: Sequence[bool]
     signals: Sequence[Sequence[float]]
+    valid: Mapping[str, float] = field(default_factory=dict)
 
 
 _of_thread = threading.local()
@@ -152,11 +155,13 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
         return _failed(job, request, error)
     if len(results.time) <= scenario.steps:
         return _failed(job, request, f"it ended at t = {results.time[-1]:g} s")
-    criteria = evaluate(scenario, results)
+    validity = validities((stage.component for stage in system.stages), results)
+    criteria = evaluate(scenario, results, validity)
     values = [np.nan if c["value"] is None else float(c["value"]) for c in criteria]
     places = sampled_rows(scenario.steps, job.samples)
     signals = [results[name][places].tolist() for name in job.signals]
-    return RunResult(request.run, "ok", values, [bool(c["met"]) for c in criteria], signals)
+    shares = {name: entry["share"] for name, entry in validity.items() if entry.get("share") is not None}
+    return RunResult(request.run, "ok", values, [bool(c["met"]) for c in criteria], signals, shares)
 
 
 @lru_cache(maxsize=CACHED_SYSTEMS)

@@ -32,6 +32,7 @@ from cosim.files.files import (
     write_text,
 )
 from cosim.files.folders import SCHEMA_VERSION, content_of, new_run, newest_run, remove_earlier, runs_named
+from cosim.simulation.criteria import OUTSIDE
 from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, Swept, read_sweep
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
@@ -242,6 +243,8 @@ def _limits(study: Sweep) -> list[CriterionLimit]:
         unit = study.system.units.get(goal.of, "")
         unit = {"settling_time": "s", "effort": f"{unit}.s".lstrip(".")}.get(kind, unit)
         limits.append(CriterionLimit(f"{name} ({same + 1})" if same else name, goal.max, unit))
+    for _, _, goal in study.scenario.valid_goals:
+        limits.append(CriterionLimit(f"{OUTSIDE.replace('_', ' ')} of {goal.of}", 100.0 * (1.0 - goal.min), "%"))
     return limits
 
 
@@ -249,11 +252,13 @@ def _record(study: Sweep, limits: Sequence[CriterionLimit], runs: Iterable[RunRe
     """Return the content of sweep.json."""
     count = met_all = 0
     failures: list[dict[str, Any]] = []
-    met = np.zeros(len(limits), int)
+    met, shares = np.zeros(len(limits), int), dict[str, list[float]]()
     for run in runs:
         count += 1
         if run.status == "ok":
             met += np.array(run.met, int)
+            for name, share in run.valid.items():
+                shares.setdefault(name, []).append(share)
             met_all += all(run.met)
         else:
             failures.append({"run": run.run, "why": run.status})
@@ -271,6 +276,7 @@ def _record(study: Sweep, limits: Sequence[CriterionLimit], runs: Iterable[RunRe
         "met_all": met_all,
         "failures": failures[:MAX_LISTED_FAILURES],
         "warnings": list(study.warnings),
+        **({"valid": {name: [min(of), max(of)] for name, of in shares.items()}} if shares else {}),
         "times": [scenario.start_time + scenario.step * k for k in sampled_rows(scenario.steps, study.job.samples)],
         "units": {name: study.system.units.get(name, "") for name in study.job.signals},
         "display": {unit: [*shown] for unit, shown in study.system.display.items()},

@@ -23,6 +23,7 @@ from cosim.core.errors import refuse
 from cosim.core.messages import Note
 from cosim.core.text import DisplayUnits, did_you_mean
 from cosim.core.units import alternatives, conversion
+from cosim.credibility.record import Found, read_credibility
 from cosim.fmi.description import display_units
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.scenario import LoopSettings
@@ -178,6 +179,15 @@ def build_system(file: ScenarioFile) -> System:
                 if signal not in layout.columns:
                     message = f'no signal "{signal}"{did_you_mean(signal, layout.columns)}'
                 building.note((*where, key), message)
+    for kind, k, goal in scenario.valid_goals:
+        place: Place = ("criteria", kind, *(() if k is None else (k,)), "of")
+        if goal.of not in scenario.components:
+            building.note(place, f'no component "{goal.of}"{did_you_mean(goal.of, scenario.components)}')
+        elif goal.of in components:
+            found = read_credibility(blocks[goal.of].path) if goal.of in blocks else Found(None)
+            if found.record is None:
+                reason = found.problem or "it has no record of the logs that it rests on"
+                building.note(place, f"{goal.of}: {reason}; name an FMU of `cosim refine` or `cosim fit`")
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())
     courses = (0, 0) if has_events else scenario.courses  # With event mode, inputs are held.

@@ -60,6 +60,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 RESULT_SCHEMAS = {  # kind of result → class of its content
     "refine_result": "cosim.refinement.record:Record",
     "fit_result": "cosim.calibration.fit_record:Record",
+    "credibility": "cosim.credibility.record:Credibility",
 }
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
@@ -71,6 +72,7 @@ def check(
     load: bool = True,
     compile: bool = False,
     columns: Given | None = None,
+    signed_by: FilePath | None = None,
 ) -> list[str]:
     """Find every fault of files.
 
@@ -82,6 +84,7 @@ def check(
             nothing.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
         columns: Column of the logs → variable, or "time".
+        signed_by: File of an Ed25519 public key (PEM) whose owner must have signed every FMU.
 
     Returns:
         Notes and warnings, one line each.
@@ -90,6 +93,9 @@ def check(
         InputError: Every fault of all files.
     """
     from cosim.blocks.compiling import compiling, permission
+    from cosim.credibility.record import check_signature
+    from cosim.files.artefact import FMU
+    from cosim.files.kinds import kind_by_form
     from cosim.isolation.process import Worker
     from cosim.logs.log import read_column_names
     from cosim.master.remote import MODULES
@@ -107,6 +113,8 @@ def check(
             checking = Checking(model, dict(names), worker)
             for path in paths:
                 try:
+                    if signed_by is not None and kind_by_form(path) == FMU:
+                        check_signature(path, Path(signed_by))
                     lines += [with_prefix(f"{path}: ", line) for line in _check_isolated(path, checking)]
                 except InputError as error:
                     faults += error.faults
@@ -164,6 +172,7 @@ def check_command(*, json: bool = False, **given: Any) -> None:
         model (MODEL): Model of the logs: base, a model.yaml, or FILE.py:CLASS.
         load: Load the FMUs and make one step in a separate process, or do not.
         columns (--column COLUMN=VARIABLE): Name of a log's column in the model, or time.
+        signed_by (KEY): File of an Ed25519 public key whose owner must have signed every FMU.
 
     Example: cosim check scenario.yaml build/*.fmu
     """
@@ -190,6 +199,7 @@ def info_command(
     fmus: list[Path],
     *,
     every: bool = False,
+    report: bool = False,
     places: bool = False,
     log: list[str] | None = None,
     compile: bool = False,
@@ -201,6 +211,7 @@ def info_command(
     Args:
         fmus (FMU): FMU to describe.
         every (--all): List local variables and every parameter too.
+        report: Write NAME-credibility.html, which draws the region of the logs and the error bands of an FMU of cosim.
         places: Execute each FMU to find the places where terms can act.
         log (LOG): Measured log that drives the inputs for --places.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
@@ -209,6 +220,7 @@ def info_command(
     Example: cosim info plant.fmu controller.fmu
     """
     from cosim.blocks.summary import summaries
+    from cosim.credibility.record import read_credibility
 
     if not places and (log or limits or compile):
         raise typer.BadParameter("--log, --limits and --compile need --places")
@@ -226,10 +238,19 @@ def info_command(
             read = [log_of_fmu(Path(name), fmu, alone=len(logs) == 1) for name in logs]
             with compiling(compile):
                 probed[fmu] = probe_places(fmu, read, limits=most)
+    pages: dict[Path, Path] = {}
+    if report:
+        from cosim.credibility.page import write_page
+
+        pages = {fmu: write_page(fmu) for fmu in fmus}
     contents, blank = [], [""]
     for fmu, summary in zip(fmus, descriptions, strict=True):
+        known, problem = read_credibility(fmu)
         contents.append(summary.as_json() | ({"places": probed[fmu].as_json()} if places else {}))
-        say(*(blank if len(contents) > 1 else []), *_overview(summary))
+        contents[-1] |= {"credibility": known.model_dump(mode="json", exclude={"region": {"points"}})} if known else {}
+        say(*(blank if len(contents) > 1 else []), *_overview(summary), *(known.lines() if known else []))
+        warn(*([f"{fmu}: {problem}"] if problem else []))
+        say(*([f"report: {pages[fmu]}"] if report else []))
         say(*(_places(probed[fmu]) if places else _variables(summary, every=every)))
     if json:
         say_json(contents if len(contents) > 1 else contents[0])

@@ -36,6 +36,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     Example: cosim replay log.csv --fmu motor.fmu --column speed=w
     """
     from cosim.core.text import plain, showing, size
+    from cosim.credibility.validity import validity_sentence
     from cosim.files.folders import replay_record
     from cosim.files.results import rows_in
     from cosim.residuals.compare import as_json, horizon_name, verdict
@@ -50,7 +51,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
             echo(finding.line, err=True)
     rows, record = [], replay_record(place)
     with showing(record):
-        say(verdict(comparison))
+        say(verdict(comparison), *filter(None, [validity_sentence("FMU", replayed.validity)]))
         for c in comparison.channels:  # the error of each, beside the noise of its sensor
             error = size(c.scores[c.measure].rmse, c.unit)
             rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
@@ -62,6 +63,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     if json:
         findings = [finding.line for finding in comparison.findings]
         content = {"sentence": verdict(comparison), "findings": findings, "channels": as_json(comparison)}
+        content |= {"validity": replayed.validity} if replayed.validity else {}
         files = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
         say_json({**content, **files_in(place, *files, NEXT_STUDY)})
     show(page, open)

@@ -87,6 +87,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
                 "exit_code": CriterionMissed.exit_code if run.missed else 0,
                 "met": not run.missed if run.criteria else None,  # nothing was asked for
                 "criteria": run.criteria,
+                **({"validity": run.manifest["validity"]} if "validity" in run.manifest else {}),
                 "warnings": warnings,
                 "rows": len(run),
                 "end": float(run.time[-1]) if len(run) else None,
@@ -95,7 +96,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
                 "report": str(run.report) if run.report else None,
             }
         )
-    say(*lines)
+    say(*lines, *run.validity)
     for text, met in sentences:
         say(text, met=met)
     if OUTPUT.verbose:

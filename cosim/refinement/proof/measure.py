@@ -101,7 +101,7 @@ def refined_variant(search: Search, h: Hypothesis) -> Variant:
     return variant_of(search, refined, h.fit)
 
 
-def _begun(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
+def begin_replays(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
     """Return a variant's fitting problem on other logs, of free runs with the variant's likely start states.
 
     The kernel of `problem` takes all parameters, including those of the variant.
@@ -116,7 +116,7 @@ def replay_logs(
 
     The subject's own horizon comes first. On further horizons, a log on which an unstable FMU stops is skipped.
     """
-    problem = _begun(variant, problem, logs)
+    problem = begin_replays(variant, problem, logs)
     judged = variant.subject.horizon
     played: dict[float, ReplayedLogs] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
@@ -218,7 +218,7 @@ def predicted_errors(variants: Sequence[Variant], problem: Problem, logs: Sequen
         variants: One for each log.
     """
     errors = [
-        _KernelReplays(variant, _begun(variant, problem, logs), log, k).errors()
+        KernelReplays(variant, begin_replays(variant, problem, logs), log, k).errors()
         for k, (variant, log) in enumerate(zip(variants, logs, strict=True))
     ]
     diverged = {n for of in errors for n, e in of.items() if np.isinf(e).any()}
@@ -247,10 +247,10 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     Each simulation starts near the filtered state of a replay's first row, at a random deviation with the filter's
     covariance, and so stays near the motion of the log. A floor above the standard deviation of its channel is omitted.
     """
-    problem = _begun(variant, problem, logs)
+    problem = begin_replays(variant, problem, logs)
     draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
-        replays = _KernelReplays(variant, problem, log, index)
+        replays = KernelReplays(variant, problem, log, index)
         for draw in draws:
             draw.append(replays.random_errors(rng))
     each = [*map(pool_errors, draws)]
@@ -279,7 +279,7 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
     return ends
 
 
-class _KernelReplays(_Starts):
+class KernelReplays(_Starts):
     """Kernel replays of a log over the model's horizon."""
 
     def __init__(self, variant: Variant, problem: Problem, log: Log, index: int) -> None:

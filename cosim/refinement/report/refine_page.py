@@ -27,6 +27,7 @@ from cosim.core.text import (
     split_sentence,
 )
 from cosim.core.version import __version__
+from cosim.credibility.bands import Coverage
 from cosim.estimation.subject.candidates import Free
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
@@ -111,6 +112,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "sealed": sealed,
         "lead": lead,
         "horizons": horizon_table(r),
+        "coverage": Coverage.model_validate(record["coverage"]).sentence if record["coverage"] else "",
         "horizon": horizon(r),
         "terms": terms,
         "beside": join_names(r.verdict.best.names),

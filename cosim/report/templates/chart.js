@@ -332,10 +332,10 @@ class Linked {
 }
 
 class Chart {
-  // more: unit, over (label of the x axis), axes, levels, uprights, band, reach, kind
+  // more: unit, over (label of the x axis), axes, levels, uprights, outside, band, reach, kind
   constructor(host, figure, more = {}) {
     Object.assign(this, { host, figure, kind: "time", unit: "", axes: [{ curves: [], range: null }], levels: [] });
-    Object.assign(this, { uprights: [], band: null, reach: null, over: "time [s]" }, more);
+    Object.assign(this, { uprights: [], outside: [], band: null, reach: null, over: "time [s]" }, more);
     this.svg = make("svg", { preserveAspectRatio: "none", "aria-hidden": "true" });
     this.canvas = make("canvas", { "aria-hidden": "true", hidden: "" });
     this.ring = make("span", { class: "ring", "aria-hidden": "true", hidden: "" });
@@ -384,6 +384,7 @@ class Chart {
     this.grid.replaceChildren(...parts, this.box, this.xTicks, this.xLabel, this.tools);
     this.marks = {
       grid: make("g", { class: "grid" }),
+      outside: make("path", { class: "outside" }),
       span: make("path", { class: "span" }),
       zero: make("path", { class: "zero" }),
       band: make("path", { class: "band" }),
@@ -470,6 +471,7 @@ class Chart {
         round(top + height * (1 - Math.max(-9, Math.min(10, (value - y.low) / (y.high - y.low))))),
       v = along(ys[0]),
       upright = (value) => (value >= x.low && value <= x.high ? `M${u(value)} ${top}v${height}` : ""),
+      shade = ([from, to]) => `M${u(from)} ${top}H${u(to)}v${height}H${u(from)}z`,
       level = (value) => `M${left} ${v(value)}h${width}`;
     const { changes = [] } = this.host,
       marks = this.kind === "time" ? (this.host.marks ?? []) : [];
@@ -486,7 +488,8 @@ class Chart {
       band: this.band?.points ? bandPath(...this.band.points, u, v) : "",
       limit: this.levels.map(level).join("") + this.uprights.map(upright).join(""),
       event: this.kind !== "time" ? "" : changes.map(({ at }) => upright(at)).join(""),
-      span: marks.length === 2 ? `M${u(marks[0])} ${top}H${u(marks[1])}v${height}H${u(marks[0])}z` : "",
+      outside: this.outside.map(shade).join(""),
+      span: marks.length === 2 ? shade(marks) : "",
       pin: marks.map(upright).join(""),
       curves,
     };
@@ -579,7 +582,7 @@ class Chart {
       parts.push(words(at, top - 6, `${this.shown[k].head.textContent} ${y.factor}`.trim(), anchor));
     });
     const marks = ["zero", "limit", "event", "pin"].map((name) => stroke(paths[name], penOf(this.marks[name])));
-    const shades = ["span", "band"].map((name) =>
+    const shades = ["outside", "span", "band"].map((name) =>
       tag("path", { d: paths[name], ...style(this.marks[name], "fill", "fill-opacity") }),
     );
     const lines = this.lines.map((line, k) => stroke(paths.curves[k], penOf(line)));

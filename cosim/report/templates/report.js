@@ -206,8 +206,8 @@
 
   class ReportChart extends Chart {
     constructor(host, figure, spec) {
-      const { title, unit, traces, band, levels = [], uprights = [], reach, limit, also = [] } = spec;
-      super(host, figure, { unit, levels, uprights, reach, over: host.label });
+      const { title, unit, traces, band, levels = [], uprights = [], outside = [], reach, limit, also = [] } = spec;
+      super(host, figure, { unit, levels, uprights, outside, reach, over: host.label });
       this.title = title;
       const curve = ({ y, x, upper, ...more }) => ({
         ...more,
@@ -238,6 +238,7 @@
       }
       const note = (swatch, words) => this.legend.append(make("span", { class: "entry" }, swatch, words));
       if (band) note(make("span", { class: "swatch-band" }), band.label);
+      if (outside.length) note(make("span", { class: "swatch-outside" }), "outside the logs of the model");
       if (limit) {
         const swatch = make("svg", { class: "swatch", viewBox: "0 0 22 8", "aria-hidden": "true" });
         swatch.append(make("path", { class: "limit", d: "M0 4h22" }));

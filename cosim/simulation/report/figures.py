@@ -85,6 +85,9 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
     if panel.band is not None:
         band = panel.band
         ax.fill_between(time, band.lower, band.upper, color="#0072b2", alpha=0.16, linewidth=0, label=band.label)
+    for k, (begin, end) in enumerate(panel.outside):
+        label = "outside the logs of the model" if not k else None
+        ax.axvspan(begin, end, color="#eaae7f", alpha=0.3, linewidth=0, label=label)
     for trace in panel.traces:
         colour, dash, width = LINES[trace.style]
         shape = "steps-post" if trace.held else "default"

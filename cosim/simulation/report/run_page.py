@@ -19,6 +19,7 @@ from cosim.blocks.coupling import algorithms
 from cosim.core import registry
 from cosim.core.arrays import far_beyond
 from cosim.core.text import amount, counted, displayed, is_difference, join_names, plain, showing
+from cosim.credibility.validity import output_panels, validity_sentence
 from cosim.files.files import write_text
 from cosim.files.results import Results, is_rounded
 from cosim.files.yaml_file import short
@@ -98,6 +99,8 @@ def _page(run: Run) -> str:
         "others": drawing.plots(others),
         "spelled": spelled_values(run),
         "undrawn": undrawn,
+        "trust": [*trust_rows(run)] if run.time.size else [],
+        "bands": drawing.plots(trust_panels(run)) if run.time.size else [],
         "criteria": goals,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
@@ -227,6 +230,25 @@ def results_cell(results: Results, names: Sequence[str], title: str) -> str:
 
 def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+
+
+# -- region and error bands ---------------------------------------------------------------------------------
+
+
+def trust_rows(run: Run) -> Iterator[Row]:
+    """Yield a row for each FMU that knows its logs: the time within them, and what leaves them first."""
+    for name, entry in run.part("validity").items():
+        if text := validity_sentence(name, mapping(entry)):
+            yield Row(name, text.partition(": ")[2])
+
+
+def trust_panels(run: Run) -> list[Panel]:
+    """Return a panel for each output with an error band."""
+    panels = []
+    for name, entry in run.part("validity").items():
+        outputs = {v: run.results[c] for c in run.results.columns for n, _, v in [c.partition(".")] if n == name}
+        panels += output_panels(name, mapping(entry), run.time, outputs)
+    return panels
 
 
 # -- rows and sentences -----------------------------------------------------------------------------------

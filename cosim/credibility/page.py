@@ -1,0 +1,93 @@
+"""The page of the record of credibility of an FMU: region, error bands, parameters, logs."""
+
+from __future__ import annotations
+
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.core.errors import InputError
+from cosim.core.text import amount, counted, plain
+from cosim.core.version import __version__
+from cosim.credibility.record import Credibility, read_credibility
+from cosim.files.files import write_text
+from cosim.report.charts import Charts, Plot
+from cosim.report.html_tables import Badge, Row
+from cosim.report.panels import NO_UNIT_TEXT, Panel, Trace
+from cosim.report.template import render
+
+TEMPLATE = Path(__file__).with_name("templates") / "credibility.html.j2"
+MOST_PAIRS = 6  # pairs of coordinates with a chart
+
+
+def write_page(fmu: Path) -> Path:
+    """Write the page of an FMU's record into the current folder and return its path; raise InputError without one."""
+    record, problem = read_credibility(fmu)
+    if record is None:
+        cure = "`cosim refine` and `cosim fit` write one into the FMU that they deliver"
+        raise InputError.at(fmu, problem or f"has no record of credibility; {cure}")
+    charts, region, bands = Charts(), record.region, record.bands
+    logs = [
+        {"source": log.source, "use": use, "rows": f"{log.rows}", "time": f"{plain(log.duration)} s", "sha": log.sha256}
+        for use, of in (("estimate", record.logs), ("sealed", record.sealed))
+        for log in of
+    ]
+    rows = [
+        {"name": c.name, "kind": c.kind, "low": amount(c.low, c.unit, 4), "high": amount(c.high, c.unit, 4)}
+        for c in region.coordinates
+    ]
+    badges = [Badge(record.verdict), Badge(counted(len(record.logs), "log")), Badge(f"by {record.command}")]
+    values: dict[str, Any] = {
+        "name": f"{record.model} ({fmu.name})",
+        "record": record,
+        "problem": problem,
+        "badges": badges,
+        "bands": [_band_plot(record, name, charts) for name in bands.widths],
+        "pairs": _pair_plots(record, charts),
+        "coordinates": rows,
+        "left_out": [Row(name, reason) for name, reason in region.left_out.items()],
+        "parameters": [
+            {
+                "name": n,
+                "value": amount(p.value, p.unit, 5),
+                "interval": " … ".join(amount(e, p.unit, 4) for e in p.ci95 or ()),
+            }
+            for n, p in record.parameters.items()
+        ],
+        "logs": logs,
+        "data": charts.data(),  # after all drawings
+        "version": __version__,
+    }
+    path = Path(f"{fmu.stem}-credibility.html")
+    write_text(path, render(TEMPLATE, values))
+    return path
+
+
+def _band_plot(record: Credibility, name: str, charts: Charts) -> Plot:
+    """Draw the half-width of a band over the time since the start of a run."""
+    bands = record.bands
+    ends = np.array([0.0, *bands.horizons])
+    widths = np.array([np.nan if w is None else w for w in bands.widths[name]])
+    trace = Trace(
+        f"{100 * bands.level:g} % of the errors are smaller", np.append(widths, widths[-1:]), "true", held=True, x=ends
+    )
+    panel = Panel(f"Error of {name}", bands.units.get(name) or NO_UNIT_TEXT, [trace])
+    largest = 1.08 * float(np.nanmax(widths))
+    return charts.alone(panel, (0.0, float(ends[-1])), ("time since the start", "s"), reach=(0.0, largest))
+
+
+def _pair_plots(record: Credibility, charts: Charts) -> list[Plot]:
+    """Draw the points of the region over pairs of neighbouring coordinates."""
+    region, plots = record.region, []
+    moved = [k for k, c in enumerate(region.coordinates) if not c.is_constant]
+    points = np.array(region.points)
+    for a, b in islice(pairwise(moved), MOST_PAIRS):
+        x, y = (region.coordinates[k] for k in (a, b))
+        order = np.argsort(points[:, a], kind="stable")
+        along, up = (c.low + c.scale * points[order, k] for c, k in ((x, a), (y, b)))
+        trace = Trace("points of the logs", up, "s0 dots", x=along)
+        panel = Panel(f"{y.name} over {x.name}", y.unit or NO_UNIT_TEXT, [trace])
+        plots.append(charts.points(panel, (x.low, x.high), (x.name, x.unit), {}))
+    return plots

@@ -1,0 +1,238 @@
+"""The region that logs cover: points in scaled coordinates, and the usual distance of a new point to the nearest one.
+
+Coordinates are inputs, outputs, and rates of outputs. The distance of a point is the largest difference of a coordinate
+from the nearest point of the logs, so that one coordinate names the reason. The threshold is the distance that the rows
+of a part of the logs, left out with its neighbours, keep to the rest with 95 % probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel
+
+from cosim.core.arrays import Array, Flags, Rows
+from cosim.credibility.bands import Finite, conformal_quantile
+
+LEVEL = 0.95  # share of the rows of a left-out part within the threshold
+BLOCKS = 40  # parts of all logs
+FEWEST_ROWS = 4  # of a part
+MOST_POINTS, MOST_ROWS = 1000, 20_000  # of the region, and of the logs that it is made from
+CONSTANT = 1e-6  # of a signal's size: a smaller range is rounding, and a larger change leaves a constant signal
+REPEATS = 0.99  # correlation from which a coordinate repeats another one
+DECIMALS = 3  # of a stored point
+
+
+class Coordinate(BaseModel):
+    """A coordinate of the region.
+
+    signal: input or output of the FMU
+    low: least value in the logs
+    high: largest value in the logs
+    scale: standard deviation in the logs, the unit of distances
+    """
+
+    signal: str
+    kind: Literal["input", "output", "rate"]
+    unit: str
+    low: Finite
+    high: Finite
+    scale: Finite
+
+    @property
+    def name(self) -> str:
+        """Return the name: `level`, `rate of level`."""
+        return f"rate of {self.signal}" if self.kind == "rate" else self.signal
+
+    @property
+    def is_constant(self) -> bool:
+        """Return whether the logs never move the coordinate."""
+        return self.high - self.low <= CONSTANT * max(1.0, abs(self.low), abs(self.high))
+
+
+class Region(BaseModel):
+    """Region of inputs, outputs and rates that logs cover.
+
+    step: time over which a rate is taken, the step of the logs [s]
+    left_out: signal or rate that is no coordinate → reason
+    threshold: distance from which a point is outside, in scales
+    points: points of the logs, for each coordinate the distance from `low` in scales
+    reason: why there is no region, empty otherwise
+    """
+
+    step: Finite = 0.0
+    coordinates: list[Coordinate] = []
+    left_out: dict[str, str] = {}
+    threshold: Finite = 0.0
+    points: list[list[Finite]] = []
+    reason: str = ""
+
+    @property
+    def constant(self) -> list[str]:
+        """Return the coordinates that the logs never move."""
+        return [c.name for c in self.coordinates if c.is_constant]
+
+
+class Stretch(NamedTuple):
+    """Signals over a time without gaps; a row with a restart of the model has no rate.
+
+    Attributes:
+        time: Increasing times [s].
+        signals: Name → (rows,), NaN without a value.
+        restarts: Rows at which the model starts anew.
+    """
+
+    time: Array
+    signals: Mapping[str, Array]
+    restarts: Sequence[int] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """Distance from a region over time.
+
+    Attributes:
+        ratio: Distance relative to the threshold, shape (rows,); above 1 outside; NaN if a coordinate is missing.
+        farthest: Coordinate with the largest difference, shape (rows,).
+        missing: Coordinates without a signal, which are not judged.
+    """
+
+    time: Array
+    ratio: Array
+    farthest: Rows
+    missing: Sequence[str]
+
+    @property
+    def inside(self) -> Flags:
+        """Return the rows in the region."""
+        return ~(self.ratio > 1.0)
+
+
+def region_of(
+    stretches: Sequence[Stretch],
+    inputs: Sequence[str],
+    units: Mapping[str, str],
+    step: float,
+    free: Set[str] = frozenset(),
+) -> Region:
+    """Return the region of logs.
+
+    Args:
+        stretches: Inputs of the logs with the outputs that the model has there.
+        inputs: Names of the inputs; other signals are outputs.
+        step: Time between rows [s].
+        free: Outputs on whose level nothing depends, such as a position; only their rates are coordinates.
+    """
+    names = [n for n in stretches[0].signals if n in inputs] + [n for n in stretches[0].signals if n not in inputs]
+    every: list[tuple[str, Any]] = [(n, "input" if n in inputs else "output") for n in names]
+    every += [(n, "rate") for n in names if n not in inputs]
+    tables = [_table(stretch, every, step) for stretch in stretches]
+    tables = [table[np.isfinite(table).all(axis=1)] for table in tables]
+    rows = sum(map(len, tables))
+    if rows < BLOCKS * FEWEST_ROWS:
+        return Region(reason=f"too few data: the region needs {BLOCKS * FEWEST_ROWS} rows, and the logs have {rows}")
+    every_nth = max(1, rows // MOST_ROWS)
+    lengths = [max(FEWEST_ROWS, round(rows / BLOCKS / every_nth))] * len(tables)
+    blocks, first = [], 0  # numbers with a gap between logs, so that only parts of one log are neighbours
+    for k, table in enumerate(tables):
+        tables[k] = table = table[::every_nth]
+        blocks.append(first + np.arange(len(table)) // lengths[k])
+        first = int(blocks[-1][-1]) + 2 if len(table) else first
+    values, block = np.vstack(tables), np.concatenate(blocks)
+    low, high = values.min(axis=0), values.max(axis=0)
+    constant = high - low <= CONSTANT * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
+    spread = np.where(constant, CONSTANT * np.maximum(1.0, np.abs(low)), np.std(values, axis=0))
+    scaled, kept, left_out = (values - low) / spread, list[int](), dict[str, str]()
+    shapes = (values - values.mean(axis=0)) / np.where(constant, 1.0, np.std(values, axis=0))
+    for j, (signal, kind) in enumerate(every):
+        name = f"rate of {signal}" if kind == "rate" else signal
+        like = [i for i in kept if not constant[i] and abs(float(shapes[:, i] @ shapes[:, j])) > REPEATS * len(values)]
+        if kind == "output" and signal in free:
+            left_out[name] = "the model does not depend on its level"
+        elif kind == "rate" and constant[j]:
+            left_out[name] = "constant"
+        elif like:
+            left_out[name] = f"repeats {every[like[0]][0]}"
+        else:
+            kept.append(j)
+    scaled = scaled[:, kept]
+    chosen = _spread_out(scaled, MOST_POINTS)
+    threshold = conformal_quantile(_left_out_distances(scaled, block, chosen), LEVEL)
+    if not np.isfinite(threshold):
+        return Region(reason="too few data: no part of the logs can be left out")
+    coordinates = []
+    for j in kept:
+        signal, kind = every[j]
+        unit = units.get(signal, "")
+        shown = f"{unit}/s" if kind == "rate" and unit else "1/s" if kind == "rate" else unit
+        sizes = {"low": float(low[j]), "high": float(high[j]), "scale": float(spread[j])}
+        coordinates.append(Coordinate(signal=signal, kind=kind, unit=shown, **sizes))
+    points = np.round(scaled[chosen], DECIMALS).tolist()
+    return Region(step=step, coordinates=coordinates, left_out=left_out, threshold=threshold, points=points)
+
+
+def _table(stretch: Stretch, coordinates: Sequence[tuple[str, Any]], step: float) -> Array:
+    """Return the values of coordinates, shape (rows, coordinates).
+
+    A rate looks ahead over one step, as the command of a row acts until the next one.
+    """
+    time, columns, missing = stretch.time, [], np.full(stretch.time.size, np.nan)
+    is_last = time + step > time[-1] + 1e-6 * step
+    for signal, kind in coordinates:
+        values = stretch.signals.get(signal, missing)
+        if kind == "rate":
+            good = np.isfinite(values)
+            ahead = np.interp(time + step, time[good], values[good]) if good.any() else missing
+            values = (ahead - values) / step
+            values[is_last] = 0.0 if is_last.all() else values[~is_last][-1]
+            values[[*stretch.restarts]] = np.nan
+        columns.append(values)
+    return np.column_stack(columns)
+
+
+def _spread_out(points: Array, most: int) -> Rows:
+    """Return the rows of points that cover all of them best: each next one is the farthest from those before."""
+    chosen = [0]
+    apart = np.abs(points - points[0]).max(axis=1)
+    while len(chosen) < min(most, len(points)) and apart.max() > 0.0:
+        chosen.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, np.abs(points - points[chosen[-1]]).max(axis=1))
+    return np.array(chosen)
+
+
+def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]:
+    """Return the distances of the points of each block to chosen points outside the block and its neighbours."""
+    from scipy.spatial import cKDTree
+
+    found = []
+    for number in np.unique(block):
+        others = chosen[np.abs(block[chosen] - number) > 1]
+        if others.size:
+            found.append(cKDTree(points[others]).query(points[block == number], p=np.inf)[0])
+    return found
+
+
+def distances(region: Region, stretch: Stretch) -> Distances:
+    """Return the distance of signals from a region, at rows about one step of the logs apart, or MOST_ROWS of them."""
+    from scipy.spatial import cKDTree
+
+    size = stretch.time.size
+    usual = float(np.median(np.diff(stretch.time))) if size > 1 else 0.0
+    rows = slice(None, None, max(1, -(-size // MOST_ROWS), round(region.step / usual) if usual > 0.0 else 1))
+    known = [j for j, c in enumerate(region.coordinates) if c.signal in stretch.signals]
+    missing = [c.name for c in region.coordinates if c.signal not in stretch.signals]
+    coordinates = [region.coordinates[j] for j in known]
+    values = _table(stretch, [(c.signal, c.kind) for c in coordinates], region.step)[rows]
+    low, scale = (np.array([getattr(c, key) for c in coordinates]) for key in ("low", "scale"))
+    points = np.array(region.points)[:, known]
+    good = np.isfinite(values).all(axis=1)
+    ratio, farthest = np.full(len(values), np.nan), np.zeros(len(values), np.intp)
+    if good.any() and known:
+        asked = (values[good] - low) / scale
+        apart, nearest = cKDTree(points).query(asked, p=np.inf)
+        ratio[good] = apart / max(region.threshold, 1e-300)
+        farthest[good] = np.array(known)[np.argmax(np.abs(asked - points[nearest]), axis=1)]
+    return Distances(stretch.time[rows], ratio, farthest, missing)

@@ -1,0 +1,78 @@
+"""The logs behind an FMU, for its record of credibility: provenance, and the region that they cover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cosim.core.arrays import Array, Flags
+from cosim.core.errors import SimulationError
+from cosim.credibility.record import LogRecord, log_record
+from cosim.credibility.region import Region, Stretch, distances, region_of
+from cosim.logs.log import Log
+from cosim.residuals.drive import Drive
+from cosim.residuals.windows import Replay, start_parameters
+
+MOST_ROWS = 400  # of the runs that show on which levels nothing depends
+EQUAL = 1e-6  # of a difference, relative to its size
+
+ReplayedLog = tuple[Log, Replay]
+
+
+def log_records(logs: Sequence[Log]) -> list[LogRecord]:
+    """Return the records of logs."""
+    return [log_record(log.path, log.rows, float(log.time[-1] - log.time[0]), log.step) for log in logs]
+
+
+def region_of_logs(drive: Drive, replayed: Sequence[ReplayedLog]) -> Region:
+    """Return the region of inputs, outputs and rates that logs cover.
+
+    Args:
+        drive: Drive of the FMU along one of the logs.
+        replayed: Logs with replays that stay near the measurements, whose outputs have no noise.
+    """
+    units = {s.name: s.unit for s in (*drive.block.inputs, *drive.block.outputs)}
+    stretches = [_stretch(drive, log, replay) for log, replay in replayed]
+    step = float(np.median([log.step for log, _ in replayed]))
+    return region_of(stretches, [s.name for s in drive.block.inputs], units, step, _free_levels(drive))
+
+
+def rows_inside(region: Region, drive: Drive, replayed: Sequence[ReplayedLog]) -> list[Flags]:
+    """Return the rows of each log that lie in a region; all rows without a region."""
+    found = []
+    for log, replay in replayed:
+        rows = np.ones(log.rows, bool)
+        if not region.reason:
+            away = distances(region, _stretch(drive, log, replay))
+            rows = away.inside[np.searchsorted(away.time, log.time, side="right") - 1]
+        found.append(rows)
+    return found
+
+
+def signals_along(drive: Drive, log: Log, replay: Replay) -> dict[str, Array]:
+    """Return the inputs of a log, inputs that keep their start value, and the replayed outputs, shape (rows,)."""
+    declared = {v.name: v.start for v in drive.description.modelVariables}
+    held = {n: np.full(log.rows, float(drive.given.get(n, declared.get(n)) or 0.0)) for n in drive.free_inputs}
+    return {**held, **log.inputs, **replay.outputs}
+
+
+def _stretch(drive: Drive, log: Log, replay: Replay) -> Stretch:
+    return Stretch(log.time, signals_along(drive, log, replay), sorted(replay.starts))
+
+
+def _free_levels(drive: Drive) -> set[str]:
+    """Return the outputs on whose level nothing depends: another start value shifts them, and changes nothing else."""
+    found = set[str]()
+    last = min(drive.log.rows - 1, MOST_ROWS)
+    try:
+        for parameter in start_parameters(drive).values():
+            one, two = (drive.run(0, last, {parameter.name: value}) for value in parameter.tried)
+            change = two - one
+            size = np.abs(change).max(axis=0)
+            moved = size > EQUAL * np.maximum(1.0, np.abs(one).max(axis=0))
+            if np.all(np.ptp(change, axis=0)[moved] <= EQUAL * size[moved] * last):
+                found |= {name for name, is_moved in zip(drive.outputs, moved, strict=True) if is_moved}
+    except SimulationError:
+        return set()
+    return found
