@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from cosim.model.delay import Delay
+from cosim.model.effects import Delay
 from cosim.model.model import Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Quantity, parameter
@@ -409,7 +409,5 @@ def sensor_errors(
     )
     for base, kind, unit, neutral, typical, bounds, doc in errors:
         value = parameter(neutral, unit=unit, bounds=bounds, neutral=neutral, typical=typical, doc=doc)
-        of = {"output": output.name, "outputs": (output.name,)}
-        name = f"{kind}_at_{output.name}"
-        namespace = {"name": name, **of, "value": value, "__annotations__": {"value": "float"}, "__module__": __name__}
-        yield dataclass(frozen=True, kw_only=True)(type(name, (base,), namespace))
+        of = {"output": output.name, "outputs": (output.name,), "value": value}
+        yield base.named(f"{kind}_at_{output.name}", **of)
