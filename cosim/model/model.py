@@ -91,7 +91,8 @@ class Effect(Parametric):
         caller = sys._getframe(1)
         own = {"__doc__": cls.__doc__, "__module__": caller.f_globals["__name__"], "line": caller.f_lineno}
         own["__annotations__"] = {n: "float" for n, v in members.items() if isinstance(v, Field)}
-        return dataclass(frozen=True, kw_only=True)(type(name, (cls,), own | {"name": name} | members))
+        made = type(name, (cls,), own | {"name": name} | members)
+        return made if "__dataclass_fields__" in vars(made) else dataclass(frozen=True, kw_only=True)(made)
 
 
 class LocalEffect(Effect):

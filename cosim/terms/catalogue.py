@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from cosim.model.effects import Delay
@@ -374,18 +373,11 @@ def _fits(kind: type[Any], place: Place) -> bool:
 
 def delay_of(inputs: Sequence[Quantity], longest: float) -> type[Delay]:
     """Return the delay of all inputs up to `longest`."""
-
-    @dataclass(frozen=True, kw_only=True)
-    class InputDelay(Delay):
-        name = "delay"
-        memory = tuple(Quantity(q.name, q.unit, f"late {q.name}") for q in inputs)
-
-        time: float = parameter(
-            0.0, unit="s", bounds=(0.0, longest), neutral=0.0, typical=0.1 * longest, doc="delay T of all inputs"
-        )
-
-    InputDelay.longest = longest
-    return InputDelay
+    memory = tuple(Quantity(q.name, q.unit, f"late {q.name}") for q in inputs)
+    time = parameter(
+        0.0, unit="s", bounds=(0.0, longest), neutral=0.0, typical=0.1 * longest, doc="delay T of all inputs"
+    )
+    return Delay.named("delay", memory=memory, longest=longest, time=time)
 
 
 def sensor_errors(
