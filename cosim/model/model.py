@@ -89,7 +89,8 @@ class Effect(Parametric):
     def named(cls, name: str, **members: Any) -> type[Any]:
         """Return a subclass with a name, parameters and other members; its `line` is that of the caller."""
         caller = sys._getframe(1)
-        own = {"__doc__": cls.__doc__, "__module__": caller.f_globals["__name__"], "line": caller.f_lineno}
+        module = caller.f_globals.get("__name__", cls.__module__)
+        own = {"__doc__": cls.__doc__, "__module__": module, "line": caller.f_lineno}
         own["__annotations__"] = {n: "float" for n, v in members.items() if isinstance(v, Field)}
         made = type(name, (cls,), own | {"name": name} | members)
         return made if "__dataclass_fields__" in vars(made) else dataclass(frozen=True, kw_only=True)(made)
