@@ -63,12 +63,16 @@ def test_a_general_effect_changes_the_quantity_of_its_place_alone(
 
 
 def test_a_lag_puts_its_states_in_place_of_the_quantities_it_follows() -> None:
-    states = (Quantity("left", "V", ""), Quantity("right", "V", ""))
-    lag = FirstOrderLag.named("slow", place="pumps", shortest=0.5, states=states, time=LAW)
-    model = type("Pumps", (Model,), {"base_states": (), "catalogue": (lag,), "places": ("pumps",)})()
-    slow = model.with_values({"slow.time": 2.0})
-    assert [q.name for q in slow.states] == ["slow.left", "slow.right"]
-    assert slow.lag_at(SCALAR, "pumps", (4.0, 1.0), (3.0, 5.0)) == ((3.0, 5.0), (0.5, -2.0))
+    pair = (Quantity("left", "V", ""), Quantity("right", "V", ""))
+    lags = (
+        FirstOrderLag.named("late", place="valve", shortest=0.1, states=pair[:1], time=LAW),
+        FirstOrderLag.named("slow", place="pumps", shortest=0.5, states=pair, time=LAW),
+    )
+    model = type("Pumps", (Model,), {"base_states": (), "catalogue": lags, "places": ("pumps", "valve")})()
+    slow = model.with_values({"slow.time": 2.0, "late.time": 0.01})
+    assert [q.name for q in slow.states] == ["late.left", "slow.left", "slow.right"]
+    assert slow.lag_at(SCALAR, "pumps", (4.0, 1.0), (9.0, 3.0, 5.0)) == ((3.0, 5.0), (0.5, -2.0))
+    assert slow.lag_at(SCALAR, "valve", (8.0,), (9.0, 3.0, 5.0)) == ((9.0,), (pytest.approx(-10.0),))
     assert model.lag_at(SCALAR, "pumps", (4.0, 1.0), ()) == ((4.0, 1.0), ())
 
 

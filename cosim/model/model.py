@@ -229,9 +229,19 @@ class Model(Parametric):
         return changed
 
     def lag_at(self, m: Namespace, place: str, values: Values, states: Values) -> tuple[Values, Values]:
-        """Return the quantities of a place after its active lag, and the derivatives of the states of effects."""
-        lags = [e for e in self.awake if e.states and getattr(e, "place", None) == place]
-        return lags[0].follow(m, values, states) if lags else (values, ())
+        """Return the quantities of a place after its active lag, and the derivatives of the states of that lag.
+
+        Args:
+            states: States of all active effects.
+        """
+        begin = 0
+        for effect in self.awake:
+            end = begin + len(effect.states)
+            if end > begin and getattr(effect, "place", None) == place:
+                lagged: tuple[Values, Values] = effect.follow(m, values, states[begin:end])
+                return lagged
+            begin = end
+        return values, ()
 
     def acting(self, m: Namespace) -> Equations:
         """Return the equations with commands transmitted by effects."""
