@@ -61,20 +61,13 @@ OUTPUTS = (
 OWN = len(STATES)  # index of the state of an effect
 
 
-@frozen
-class BenchDelay(Delay):
-    """Delay of all commands of the bench by T, like the craft's effect `actuator_delay`."""
-
-    name = "actuator_delay"
-    memory = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
-
-
-@frozen
-class BenchSecondOrder(ActuatorSecondOrder):
-    """Overshoot of §4.5.4, as `actuator_second_order` of the craft: α̈ = ωₙ²·e − 2ζωₙ·α̇, e beyond the dead band."""
-
-    equation = "α̈ = ωₙ²·e − 2ζωₙ·α̇ in place of the first-order tilt lag, e the error beyond the dead band"
-    states = (Quantity("tilt_rate", "rad/s", "rate of the tilt"),)
+LATE = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
+BenchDelay = Delay.named("actuator_delay", memory=LATE)  # of all commands, like that of the craft
+BenchSecondOrder = ActuatorSecondOrder.named(  # §4.5.4, as of the craft
+    "actuator_second_order",
+    equation="α̈ = ωₙ²·e − 2ζωₙ·α̇ in place of the first-order tilt lag, e the error beyond the dead band",
+    states=(Quantity("tilt_rate", "rad/s", "rate of the tilt"),),
+)
 
 
 @frozen

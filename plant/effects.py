@@ -7,11 +7,10 @@ An effect overrides some hooks; the craft calls only overridden hooks of active 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
-from cosim.model import Delay, Effect, Namespace, Number, Quantity, Values, parameter
+from cosim.model import Delay, Effect, Namespace, Number, Quantity, Values, parameter, size
 from cosim.model.planar import local_vector
 from plant.powertrain import second_order
 
@@ -28,11 +27,6 @@ def frozen(kind: type[Any]) -> type[Any]:
 def bounded(default: float, unit: str, bounds: tuple[float, float], doc: str) -> Any:
     """Return a parameter by its default, unit, bounds and meaning."""
     return parameter(default, unit=unit, bounds=bounds, doc=doc)
-
-
-def off_at_zero(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> Any:
-    """Return a parameter with the default 0, at which its effect is dormant."""
-    return parameter(0.0, unit=unit, bounds=bounds, neutral=0.0, typical=typical, doc=doc)
 
 
 class Motion(NamedTuple):
@@ -101,7 +95,7 @@ class ServoBacklash(HovercraftEffect):
         Quantity("play_left", "rad", "left tilt command after the play"),
     )
 
-    width: float = off_at_zero("rad", (0, 0.5), 0.02, "total width w of the play")
+    width: float = size("rad", (0, 0.5), 0.02, "total width w of the play")
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
         half = 0.5 * self.width
@@ -109,34 +103,20 @@ class ServoBacklash(HovercraftEffect):
         return (*command[:2], *play), play
 
 
-@frozen
-class TiltOffset(HovercraftEffect):
-    """Offset of misaligned servo horns: α_cmd,R + r, α_cmd,L + l."""
-
-    name = "tilt_offset"
-    equation = "α_cmd,R + r, α_cmd,L + l"
-
-    right: float = off_at_zero("rad", (-0.2, 0.2), 0.01, "offset r of the right tilt")
-    left: float = off_at_zero("rad", (-0.2, 0.2), 0.01, "offset l of the left tilt")
-
-    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        duty_right, duty_left, tilt_right, tilt_left = command
-        return (duty_right, duty_left, tilt_right + self.right, tilt_left + self.left), memory
-
-
-@frozen
-class ServoDeadBand(HovercraftEffect):
-    """Dead band around neutral: α_cmd − w·sign(α_cmd), 0 inside ±w."""
-
-    name = "servo_dead_band"
-    equation = "α_cmd − w·sign(α_cmd), 0 inside ±w"
-
-    width: float = off_at_zero("rad", (0, 0.3), 0.02, "half width w of the band")
-
-    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        w = self.width
-        # α − clip(α, ±w) is the equation without a branch
-        return (*command[:2], *(a - clip(m, a, -w, w) for a in command[2:])), memory
+TiltOffset = HovercraftEffect.named(
+    "tilt_offset",  # of misaligned servo horns
+    equation="α_cmd,R + r, α_cmd,L + l",
+    right=size("rad", (-0.2, 0.2), 0.01, "offset r of the right tilt"),
+    left=size("rad", (-0.2, 0.2), 0.01, "offset l of the left tilt"),
+    shape=lambda e, m, t, h, u, memory: ((u[0], u[1], u[2] + e.right, u[3] + e.left), memory),
+)
+# α − clip(α, ±w) is the equation without a branch
+ServoDeadBand = HovercraftEffect.named(
+    "servo_dead_band",
+    equation="α_cmd − w·sign(α_cmd), 0 inside ±w",
+    width=size("rad", (0, 0.3), 0.02, "half width w of the band"),
+    shape=lambda e, m, t, h, u, memory: ((*u[:2], *(a - clip(m, a, -e.width, e.width) for a in u[2:])), memory),
+)
 
 
 @frozen
@@ -151,7 +131,7 @@ class ActuatorSecondOrder(HovercraftEffect):
     )
     starts = ({"natural_frequency": 25.0, "damping_ratio": 1.0},)  # fast and overdamped resembles slow and underdamped
 
-    natural_frequency: float = off_at_zero("rad/s", (0, 100), 15.0, "natural frequency ωₙ; 0 = off")
+    natural_frequency: float = size("rad/s", (0, 100), 15.0, "natural frequency ωₙ; 0 = off")
     damping_ratio: float = bounded(0.7, "1", (0.02, 2.5), "damping ratio ζ")
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
@@ -162,65 +142,38 @@ class ActuatorSecondOrder(HovercraftEffect):
         )
 
 
-@frozen
-class ServoRateLimit(HovercraftEffect):
-    """Slew limit after the lag: |α̇_i| ≤ r. Under load, r may be far below the 7.5 rad/s of the data sheet."""
-
-    name = "servo_rate_limit"
-    equation = "|α̇_i| ≤ r, after the lag"
-
-    rate: float = off_at_zero("rad/s", (0, 50), 1.0, "largest tilt rate r; 0 = off")
-
-    def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
-        r = self.rate
-        right, left = (m.where(r > 0.0, clip(m, rate_i, -r, r), rate_i) for rate_i in rate)
-        return (right, left), ()
-
+# after the lag; under load, r may be far below the 7.5 rad/s of the data sheet
+ServoRateLimit = HovercraftEffect.named(
+    "servo_rate_limit",
+    equation="|α̇_i| ≤ r, after the lag",
+    rate=size("rad/s", (0, 50), 1.0, "largest tilt rate r; 0 = off"),
+    tilt_rate=lambda e, m, rates, command, tilt, states: (
+        tuple(m.where(e.rate > 0.0, clip(m, rate, -e.rate, e.rate), rate) for rate in rates),
+        (),
+    ),
+)
 
 # -- thrust of the propellers
 
-
-@frozen
-class ThrustAsymmetry(HovercraftEffect):
-    """Unequal propellers: T_R·(1 + ε), T_L·(1 − ε)."""
-
-    name = "thrust_asymmetry"
-    equation = "T_R·(1 + ε), T_L·(1 − ε)"
-
-    ratio: float = off_at_zero("1", (-0.5, 0.5), 0.02, "asymmetry ε")
-
-    def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
-        return 1.0 + self.ratio, 1.0 - self.ratio
-
-
-@frozen
-class BatterySag(HovercraftEffect):
-    """Discharging battery: both thrusts × (1 − p·(1 − e^(−t/θ))), t the simulation time."""
-
-    name = "battery_sag"
-    equation = "both thrusts × (1 − p·(1 − e^(−t/θ)))"
-
-    drop: float = off_at_zero("1", (0, 0.9), 0.1, "share p of the thrust lost in the end")
-    time: float = bounded(15.0, "s", (0.5, 600), "time constant θ")
-
-    def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
-        factor = 1.0 - self.drop * (1.0 - m.exp(-t / self.time))
-        return factor, factor
-
-
-@frozen
-class InflowThrustLoss(HovercraftEffect):
-    """Thrust loss by air flow into the disc: both thrusts × (1 − κ·vx)."""
-
-    name = "inflow_thrust_loss"
-    equation = "both thrusts × (1 − κ·vx)"
-
-    coefficient: float = off_at_zero("s/m", (0, 2), 0.2, "loss κ per forward speed")
-
-    def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
-        factor = 1.0 - self.coefficient * vx
-        return factor, factor
-
+ThrustAsymmetry = HovercraftEffect.named(
+    "thrust_asymmetry",
+    equation="T_R·(1 + ε), T_L·(1 − ε)",
+    ratio=size("1", (-0.5, 0.5), 0.02, "asymmetry ε"),
+    thrust_factor=lambda e, m, t, vx: (1.0 + e.ratio, 1.0 - e.ratio),
+)
+BatterySag = HovercraftEffect.named(  # t is the simulation time
+    "battery_sag",
+    equation="both thrusts × (1 − p·(1 − e^(−t/θ)))",
+    drop=size("1", (0, 0.9), 0.1, "share p of the thrust lost in the end"),
+    time=bounded(15.0, "s", (0.5, 600), "time constant θ"),
+    thrust_factor=lambda e, m, t, vx: (1.0 - e.drop * (1.0 - m.exp(-t / e.time)),) * 2,
+)
+InflowThrustLoss = HovercraftEffect.named(  # by air flow into the disc
+    "inflow_thrust_loss",
+    equation="both thrusts × (1 − κ·vx)",
+    coefficient=size("s/m", (0, 2), 0.2, "loss κ per forward speed"),
+    thrust_factor=lambda e, m, t, vx: (1.0 - e.coefficient * vx,) * 2,
+)
 
 # -- forces and moments against the motion, with the speed over the table s = √(vx² + vy²)
 
@@ -240,119 +193,69 @@ def along(motion: Motion, gain: Number) -> Wrench:
     return gain * motion.vx, gain * motion.vy, 0.0, 0.0
 
 
-@frozen
-class CoulombFriction(HovercraftEffect):
-    """Dry friction on the table: −F·tanh(s/0.01)·(vx, vy)/s."""
-
-    name = "coulomb_friction"
-    equation = "force −F·tanh(s/0.01)·(vx, vy)/s"
-
-    force: float = off_at_zero("N", (0, 2), 0.05, "dry friction force F")
-
-    def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        s = speed(m, motion)
-        return along(motion, -self.force * m.tanh(s / STICTION_SPEED) / s)
+def dry(m: Namespace, motion: Motion, force: Number) -> Wrench:
+    """Return the dry friction −F·tanh(s/0.01)·(vx, vy)/s."""
+    s = speed(m, motion)
+    return along(motion, -force * m.tanh(s / STICTION_SPEED) / s)
 
 
-@frozen
-class StribeckFriction(HovercraftEffect):
-    """Friction that decreases with speed: −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s."""
-
-    name = "stribeck_friction"
-    equation = "force −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s"
-    at_least: ClassVar[Mapping[str, str]] = {"static_force": "force"}
-
-    force: float = off_at_zero("N", (0, 2), 0.05, "sliding friction force F")
-    static_force: float = off_at_zero("N", (0, 2), 0.08, "breakaway force F_s")
-    speed: float = bounded(0.05, "m/s", (0.005, 1), "Stribeck speed v_s")
-
-    def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        s = speed(m, motion)
-        force = self.force + (self.static_force - self.force) * m.exp(-((s / self.speed) ** 2))
-        return along(motion, -force * m.tanh(s / STICTION_SPEED) / s)
-
-
-@frozen
-class QuadraticDrag(HovercraftEffect):
-    """Aerodynamic drag: −k·s·(vx, vy)."""
-
-    name = "quadratic_drag"
-    equation = "force −k·s·(vx, vy)"
-
-    coefficient: float = off_at_zero("N.s2/m2", (0, 10), 0.3, "drag coefficient k")
-
-    def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        return along(motion, -self.coefficient * speed(m, motion))
-
-
-@frozen
-class YawDamping(HovercraftEffect):
-    """Viscous moment −d·ψ̇."""
-
-    name = "yaw_damping"
-    equation = "moment −d·ψ̇"
-
-    coefficient: float = off_at_zero("N.m.s/rad", (0, 0.5), 0.004, "damping coefficient d")
-
-    def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        return 0.0, 0.0, -self.coefficient * motion.psi_dot, 0.0
-
-
-@frozen
-class YawCoulombFriction(HovercraftEffect):
-    """Dry moment −M·tanh(ψ̇/0.02)."""
-
-    name = "yaw_coulomb_friction"
-    equation = "moment −M·tanh(ψ̇/0.02)"
-
-    moment: float = off_at_zero("N.m", (0, 0.1), 0.004, "dry friction moment M")
-
-    def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        return 0.0, 0.0, -self.moment * m.tanh(motion.psi_dot / STICTION_YAW_RATE), 0.0
-
+CoulombFriction = HovercraftEffect.named(
+    "coulomb_friction",
+    equation="force −F·tanh(s/0.01)·(vx, vy)/s",
+    force=size("N", (0, 2), 0.05, "dry friction force F"),
+    wrench=lambda e, m, motion: dry(m, motion, e.force),
+)
+StribeckFriction = HovercraftEffect.named(
+    "stribeck_friction",
+    equation="force −(F + (F_s − F)·e^(−(s/v_s)²))·tanh(s/0.01)·(vx, vy)/s",
+    at_least={"static_force": "force"},
+    force=size("N", (0, 2), 0.05, "sliding friction force F"),
+    static_force=size("N", (0, 2), 0.08, "breakaway force F_s"),
+    speed=bounded(0.05, "m/s", (0.005, 1), "Stribeck speed v_s"),
+    wrench=lambda e, m, motion: dry(
+        m, motion, e.force + (e.static_force - e.force) * m.exp(-((speed(m, motion) / e.speed) ** 2))
+    ),
+)
+QuadraticDrag = HovercraftEffect.named(  # aerodynamic
+    "quadratic_drag",
+    equation="force −k·s·(vx, vy)",
+    coefficient=size("N.s2/m2", (0, 10), 0.3, "drag coefficient k"),
+    wrench=lambda e, m, motion: along(motion, -e.coefficient * speed(m, motion)),
+)
+YawDamping = HovercraftEffect.named(
+    "yaw_damping",
+    equation="moment −d·ψ̇",
+    coefficient=size("N.m.s/rad", (0, 0.5), 0.004, "damping coefficient d"),
+    wrench=lambda e, m, motion: (0.0, 0.0, -e.coefficient * motion.psi_dot, 0.0),
+)
+YawCoulombFriction = HovercraftEffect.named(
+    "yaw_coulomb_friction",
+    equation="moment −M·tanh(ψ̇/0.02)",
+    moment=size("N.m", (0, 0.1), 0.004, "dry friction moment M"),
+    wrench=lambda e, m, motion: (0.0, 0.0, -e.moment * m.tanh(motion.psi_dot / STICTION_YAW_RATE), 0.0),
+)
 
 # -- rigid body and table
 
-
-@frozen
-class ComOffset(HovercraftEffect):
-    """CoM e to the right of the mid-line: yaw −e·(F_Rx + F_Lx), roll −e·(F_Rz + F_Lz)."""
-
-    name = "com_offset"
-    equation = "yaw moment −e·(F_Rx + F_Lx), roll moment −e·(F_Rz + F_Lz)"
-
-    right: float = off_at_zero("m", (-0.1, 0.1), 0.004, "offset e of the CoM to the right")
-
-    def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        return 0.0, 0.0, -self.right * motion.thrust_x, -self.right * motion.thrust_z
-
-
-@frozen
-class TableTilt(HovercraftEffect):
-    """Tilted table: force m·g·(sin θ_X, sin θ_Y) along world X, Y, not sensed by the accelerometer."""
-
-    name = "table_tilt"
-    equation = "force m·g·(sin θ_X, sin θ_Y) along world X, Y, not felt by the accelerometer"
-
-    x: float = off_at_zero("rad", (-0.1, 0.1), 0.003, "slope θ_X, downhill along world X")
-    y: float = off_at_zero("rad", (-0.1, 0.1), 0.003, "slope θ_Y, downhill along world Y")
-
-    def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
-        return local_vector(m, psi, gravity * m.sin(self.x), gravity * m.sin(self.y))
-
-
-@frozen
-class Coriolis(HovercraftEffect):
-    """Rotation of the body axes, neglected in the thesis: v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx."""
-
-    name = "coriolis"
-    equation = "v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx; κ = 1 is physics"
-
-    gain: float = off_at_zero("1", (-5, 5), 0.5, "gain κ; physics says 1")
-
-    def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
-        return -self.gain * psi_dot * vy, self.gain * psi_dot * vx
-
+ComOffset = HovercraftEffect.named(
+    "com_offset",
+    equation="yaw moment −e·(F_Rx + F_Lx), roll moment −e·(F_Rz + F_Lz)",
+    right=size("m", (-0.1, 0.1), 0.004, "offset e of the CoM to the right"),
+    wrench=lambda e, m, motion: (0.0, 0.0, -e.right * motion.thrust_x, -e.right * motion.thrust_z),
+)
+TableTilt = HovercraftEffect.named(
+    "table_tilt",
+    equation="force m·g·(sin θ_X, sin θ_Y) along world X, Y, not felt by the accelerometer",
+    x=size("rad", (-0.1, 0.1), 0.003, "slope θ_X, downhill along world X"),
+    y=size("rad", (-0.1, 0.1), 0.003, "slope θ_Y, downhill along world Y"),
+    acceleration=lambda e, m, g, psi, vx, vy, psi_dot: local_vector(m, psi, g * m.sin(e.x), g * m.sin(e.y)),
+)
+Coriolis = HovercraftEffect.named(  # rotation of the body axes, neglected in the thesis
+    "coriolis",
+    equation="v̇x −= κ·ψ̇·vy, v̇y += κ·ψ̇·vx; κ = 1 is physics",
+    gain=size("1", (-5, 5), 0.5, "gain κ; physics says 1"),
+    acceleration=lambda e, m, g, psi, vx, vy, psi_dot: (-e.gain * psi_dot * vy, e.gain * psi_dot * vx),
+)
 
 # in the order of their action on a command
 CATALOGUE = (

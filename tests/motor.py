@@ -12,27 +12,7 @@ MODEL = '''"""Winding and shaft of a DC motor."""
 
 from dataclasses import dataclass
 
-from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
-
-
-class MotorEffect(Effect):
-    """A torque that the base model lacks."""
-
-    def torque(self, m: Namespace, speed: Number) -> Number:
-        return 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class DryFriction(MotorEffect):
-    """Dry friction: -M tanh(w/2)."""
-
-    name = "dry_friction"
-    equation = "torque −M·tanh(ω/2)"
-
-    level: float = parameter(0.0, unit="N.m", bounds=(0, 1), neutral=0.0, typical=0.01, doc="dry torque M")
-
-    def torque(self, m: Namespace, speed: Number) -> Number:
-        return -self.level * m.tanh(speed / 2.0)
+from cosim.model import DryFriction, Equations, Model, Namespace, Number, Quantity, Values, parameter, size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +23,9 @@ class Motor(Model):
     base_states = (Quantity("current", "A", "winding current"), Quantity("speed", "rad/s", "shaft speed"))
     inputs = (Quantity("voltage", "V", "terminal voltage"),)
     outputs = base_states
-    catalogue = (DryFriction,)
+    catalogue, places = (
+        DryFriction.named("dry_friction", place="shaft", softness=2.0, level=size("N.m", (0, 1), 0.01, "dry torque")),
+    ), ("shaft",)
     sensor_variance = {"current": 1e-4, "speed": 1e-2}
     forced = ("current", "speed")
     calibrated = ("resistance", "inertia")
@@ -56,13 +38,11 @@ class Motor(Model):
 
     def equations(self, m: Namespace) -> Equations:
         """L·di/dt = u − R·i − k·ω, J·dω/dt = k·i − d·ω + torques of the effects."""
-        terms = overrides(self.awake, "torque", MotorEffect)
+        at = self.effects_at(m)
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             current, speed = state
-            total = self.constant * current - self.damping * speed
-            for term in terms:
-                total = total + term.torque(m, speed)
+            total = at("shaft", self.constant * current - self.damping * speed, speed)
             left = command[0] - self.resistance * current - self.constant * speed
             return left / self.inductance, total / self.inertia
 

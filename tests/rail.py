@@ -14,85 +14,40 @@ MODEL = '''"""A mass on a rail, between a spring and a motor."""
 
 from dataclasses import dataclass
 
-from cosim.model import Effect, Equations, Latency, Model, Quantity, overrides, parameter
+from cosim.model import DryFriction, Equations, Latency, LocalEffect, Model, Quantity, parameter, size
 
 
-class RailEffect(Effect):
-    """A force that the base model lacks."""
-
-    def force(self, m, x, v):
-        return 0.0
+def rubs(e, m, force, v, x):
+    level = e.sliding + (e.rest - e.sliding) * m.exp(-((v / e.speed) ** 2))
+    return force - level * m.tanh(v / 0.02)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Coulomb(RailEffect):
-    name = "coulomb"
-    equation = "force -F tanh(v/0.02)"
-    level: float = parameter(0.0, unit="N", bounds=(0, 5), neutral=0.0, typical=0.5, doc="dry friction F")
-
-    def force(self, m, x, v):
-        return -self.level * m.tanh(v / 0.02)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stribeck(RailEffect):
-    name = "stribeck"
-    equation = "force -(F + (S - F) exp(-(v/c)^2)) tanh(v/0.02)"
-    at_least = {"rest": "sliding"}
-    sliding: float = parameter(0.0, unit="N", bounds=(0, 5), neutral=0.0, typical=0.5, doc="F, in motion")
-    rest: float = parameter(0.0, unit="N", bounds=(0, 5), neutral=0.0, typical=1.0, doc="S, at rest")
-    speed: float = parameter(0.1, unit="m/s", bounds=(0.02, 1), doc="Stribeck speed c")
-
-    def force(self, m, x, v):
-        level = self.sliding + (self.rest - self.sliding) * m.exp(-((v / self.speed) ** 2))
-        return -level * m.tanh(v / 0.02)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drag(RailEffect):
-    name = "drag"
-    equation = "force -k |v| v"
-    factor: float = parameter(0.0, unit="N.s2/m2", bounds=(0, 50), neutral=0.0, typical=3.0, doc="k")
-
-    def force(self, m, x, v):
-        return -self.factor * m.where(v >= 0.0, v, -v) * v
-
-
-@dataclass(frozen=True, kw_only=True)
-class Hardening(RailEffect):
-    name = "hardening"
-    equation = "force -k x^3"
-    factor: float = parameter(0.0, unit="N/m3", bounds=(-1e4, 1e4), neutral=0.0, typical=200.0, doc="k")
-
-    def force(self, m, x, v):
-        return -self.factor * x * x * x
-
-
-@dataclass(frozen=True, kw_only=True)
-class Slope(RailEffect):
-    name = "slope"
-    equation = "force f"
-    pull: float = parameter(0.0, unit="N", bounds=(-5, 5), neutral=0.0, typical=0.3, doc="f")
-
-    def force(self, m, x, v):
-        return self.pull
-
-
-@dataclass(frozen=True, kw_only=True)
-class FarStop(RailEffect):
-    name = "far_stop"
-    equation = "force -k (x - 0.8) beyond 0.8 m"
-    stiffness: float = parameter(0.0, unit="N/m", bounds=(0, 1e4), neutral=0.0, typical=100.0, doc="k")
-
-    def force(self, m, x, v):
-        return -self.stiffness * m.maximum(0.0, x - 0.8)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraLate(Latency):
-    name = "camera_late"
-    output = "position"
-    outputs = ("position",)
+CATALOGUE = (
+    DryFriction.named("coulomb", place="rail", softness=0.02, level=size("N", (0, 5), 0.5, "dry friction")),
+    LocalEffect.named(
+        "stribeck", place="rail", equation="force -(F + (S - F) exp(-(v/c)^2)) tanh(v/0.02)", change=rubs,
+        at_least={"rest": "sliding"},
+        sliding=size("N", (0, 5), 0.5, "F, in motion"), rest=size("N", (0, 5), 1.0, "S, at rest"),
+        speed=parameter(0.1, unit="m/s", bounds=(0.02, 1), doc="Stribeck speed c"),
+    ),
+    LocalEffect.named(
+        "drag", place="rail", equation="force -k |v| v", factor=size("N.s2/m2", (0, 50), 3.0, "k"),
+        change=lambda e, m, force, v, x: force - e.factor * m.where(v >= 0.0, v, -v) * v,
+    ),
+    LocalEffect.named(
+        "hardening", place="rail", equation="force -k x^3", factor=size("N/m3", (-1e4, 1e4), 200.0, "k"),
+        change=lambda e, m, force, v, x: force - e.factor * x * x * x,
+    ),
+    LocalEffect.named(
+        "slope", place="rail", equation="force f", pull=size("N", (-5, 5), 0.3, "f"),
+        change=lambda e, m, force, v, x: force + e.pull,
+    ),
+    LocalEffect.named(
+        "far_stop", place="rail", equation="force -k (x - 0.8) beyond 0.8 m",
+        stiffness=size("N/m", (0, 1e4), 100.0, "k"),
+        change=lambda e, m, force, v, x: force - e.stiffness * m.maximum(0.0, x - 0.8),
+    ),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +58,8 @@ class Rail(Model):
     base_states = (Quantity("position", "m", "position"), Quantity("velocity", "m/s", "velocity"))
     inputs = (Quantity("force", "N", "force of the motor commanded"),)
     outputs = base_states
-    catalogue = (Coulomb, Stribeck, Drag, Hardening, Slope, FarStop)
-    sensors = (CameraLate,)
+    catalogue, places = CATALOGUE, ("rail",)
+    sensors = (Latency.named("camera_late", outputs=("position",)),)
     sensor_variance = {"position": 1e-6, "velocity": 1e-4}
     start_variance = {"position": 0.01, "velocity": 0.04}
     forced = ("velocity",)
@@ -115,14 +70,11 @@ class Rail(Model):
     spring: float = parameter(50.0, unit="N/m", bounds=(1, 1000), doc="k")
 
     def equations(self, m):
-        forces = overrides(self.awake, "force", RailEffect)
+        at = self.effects_at(m)
 
         def derivative(t, state, command):
             x, v = state
-            total = command[0] - self.viscous * v - self.spring * x
-            for term in forces:
-                total = total + term.force(m, x, v)
-            return v, total / self.mass
+            return v, at("rail", command[0] - self.viscous * v - self.spring * x, v, x) / self.mass
 
         return Equations(derivative, lambda t, state, command: tuple(state))
 '''

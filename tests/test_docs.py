@@ -51,11 +51,7 @@ def test_a_snippet_for_another_host_runs_and_the_craft_moves_forward(project: Pa
 def test_the_effect_of_contributing_works_as_shown() -> None:
     block = re.search(r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.DOTALL)
     assert block is not None
-    imports = (
-        "from dataclasses import dataclass\nfrom plant.effects import REST\n"
-        "from plant.effects import HovercraftEffect, Motion, Wrench\n"
-        "from cosim.model.namespaces import SCALAR, Namespace\nfrom cosim.model.quantities import parameter\n"
-    )
+    imports = "from plant.effects import REST, HovercraftEffect, Motion\nfrom cosim.model import SCALAR, size\n"
     scope: dict[str, object] = {}
     exec(imports + "\n".join(line.removeprefix("   ") for line in block[1].splitlines()), scope)
     kind = scope["SidewaysDrag"]

@@ -20,9 +20,7 @@ from cosim.model.namespaces import SCALAR
 from cosim.refinement.proof.measure import Variant
 from cosim.refinement.report.plots import compare_effects
 from cosim.refinement.study import read_study
-from plant.sensor_errors import (
-    MagnetometerDisturbance,
-)
+from plant.sensor_errors import MagnetometerDisturbance
 from tests.logs import times, write_log
 from tests.studies import holds, named, proven, replayed, study_of
 
@@ -30,51 +28,19 @@ STEP = 0.02
 ROVER = '''
 from dataclasses import dataclass
 
-from cosim.model import Bias, Drift, Equations, Gain, Latency, LeverArm, Model, Quantity, parameter
+from cosim.model import Bias, Drift, Equations, Gain, Latency, LeverArm, Model, Quantity, parameter, size
 
-
-@dataclass(frozen=True, kw_only=True)
-class MotorGain(Gain):
-    name = "motor_gain"
-    input = "force"
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarkerLeverArm(LeverArm):
-    name = "marker_lever_arm"
-    outputs, others = ("x", "y"), ("psi",)
-
-    def carried(self, m, psi):
-        return m.cos(psi), m.sin(psi)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AccelerometerLeverArm(LeverArm):
-    name = "accelerometer_lever_arm"
-    output, others = "ahead", ("rate",)
-
-    def carried(self, m, rate):
-        return (-rate * rate,)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GyroBias(Bias):
-    name = "gyro_bias"
-    output = "rate"
-    value: float = parameter(0.0, unit="rad/s", bounds=(-1, 1), neutral=0.0, typical=0.02, doc="bias b")
-
-
-@dataclass(frozen=True, kw_only=True)
-class GyroDrift(Drift):
-    name = "gyro_drift"
-    output = "rate"
-    value: float = parameter(0.0, unit="rad/s2", bounds=(-1, 1), neutral=0.0, typical=2e-3, doc="drift d")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraLatency(Latency):
-    name = "camera_latency"
-    outputs = ("x", "y")
+SENSORS = (
+    LeverArm.named(
+        "marker_lever_arm", outputs=("x", "y"), others=("psi",), carried=lambda e, m, psi: (m.cos(psi), m.sin(psi))
+    ),
+    LeverArm.named(
+        "accelerometer_lever_arm", output="ahead", others=("rate",), carried=lambda e, m, rate: (-rate * rate,)
+    ),
+    Bias.named("gyro_bias", output="rate", value=size("rad/s", (-1, 1), 0.02, "bias b")),
+    Drift.named("gyro_drift", output="rate", value=size("rad/s2", (-1, 1), 2e-3, "drift d")),
+    Latency.named("camera_latency", outputs=("x", "y")),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +53,7 @@ class Rover(Model):
     )
     inputs = (Quantity("force", "N", "forward"), Quantity("moment", "N.m", "to the left"))
     outputs = (*base_states[:3], base_states[4], Quantity("ahead", "m/s2", "acceleration along the heading"))
-    catalogue = (MotorGain,)
-    sensors = (MarkerLeverArm, AccelerometerLeverArm, GyroBias, GyroDrift, CameraLatency)
+    catalogue, sensors = (Gain.named("motor_gain", input="force"),), SENSORS
     sensor_variance = {"x": 1e-6, "y": 1e-6, "psi": 4e-6, "rate": 2.5e-5, "ahead": 4e-4}
     forced, calibrated = ("speed", "rate"), ("mass",)
     mass: float = parameter(2.0, unit="kg", bounds=(0.1, 50), doc="mass")
@@ -165,12 +130,12 @@ def test_the_motors_turn_the_heading_that_a_magnetometer_reads_by_their_thrust_a
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('outputs, others = ("x", "y"), ("psi",)', 'outputs, others = ("x", "z"), ("psi",)', 'no output "z"'),
-        ("return m.cos(psi), m.sin(psi)", "return (m.cos(psi),)", "`carried` of marker_lever_arm raises"),
-        ('input = "force"', 'input = "forse"', 'no input "forse"; did you mean "force"?'),
-        ('value: float = parameter(0.0, unit="rad/s",', 'more: float = parameter(0.0, unit="rad/s",', '"value"'),
-        ('output = "rate"\n    value: float = parameter(0.0, unit="rad/s2"',
-         'outputs = ("rate", "ahead")\n    value: float = parameter(0.0, unit="rad/s2"', "`read` returns one output"),
+        ('outputs=("x", "y"), others', 'outputs=("x", "z"), others', 'no output "z"'),
+        ("(m.cos(psi), m.sin(psi))", "(m.cos(psi),)", "`carried` of marker_lever_arm raises"),
+        ('input="force"', 'input="forse"', 'no input "forse"; did you mean "force"?'),
+        ('value=size("rad/s",', 'more=size("rad/s",', '"value"'),
+        ('output="rate", value=size("rad/s2"', 'outputs=("rate", "ahead"), value=size("rad/s2"',
+         "`read` returns one output"),
     ],
 )  # fmt: skip
 def test_a_sensor_or_a_gain_of_what_is_not_there_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -179,9 +144,7 @@ def test_a_sensor_or_a_gain_of_what_is_not_there_is_told(tmp_path: Path, old: st
     with pytest.raises(InputError) as error:
         own_model("rover.py:Rover", tmp_path)
     assert any(message in fault.message for fault in error.value.faults), error.value
-
-
-# -- gain of an input ---------------------------------------------------------------------------
+    assert all(fault.line for fault in error.value.faults)
 
 
 # -- studies ------------------------------------------------------------------------------------

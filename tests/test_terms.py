@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
 from cosim.fmi.building.file import own_terms
-from cosim.model.namespaces import SCALAR
+from cosim.model import (
+    SCALAR,
+    Asymmetry,
+    DryFriction,
+    FirstOrderLag,
+    Model,
+    Offset,
+    QuadraticDrag,
+    Quantity,
+    ViscousFriction,
+    parameter,
+)
 from cosim.terms.catalogue import (
     InputLag,
     Play,
@@ -25,6 +37,43 @@ INPUT = Place("voltage", {"u": "V", "T": "s"}, {"u": 4.0, "T": 0.1}, input=0)
 PAIR = Place(
     "speed", {"u": "V", "v": "rad/s", "q": "rad", "d": "rad"}, {"u": 4.0, "v": 10.0, "q": 3.0, "d": 9.0}, 0, 0, 1
 )
+
+
+LAW = parameter(0.0, unit="1", neutral=0.0, typical=1.0, doc="size")
+
+
+@pytest.mark.parametrize(
+    ("kind", "member", "more", "expected"),
+    [
+        (Offset, "value", {}, -1.0),
+        (Asymmetry, "ratio", {}, 3.0),
+        (DryFriction, "level", {"softness": 0.5}, -3.0 - 2.0 * math.tanh(-8.0)),
+        (ViscousFriction, "coefficient", {}, 5.0),
+        (QuadraticDrag, "coefficient", {}, 29.0),
+    ],
+)
+def test_a_general_effect_changes_the_quantity_of_its_place_alone(
+    kind: type[Any], member: str, more: dict[str, Any], expected: float
+) -> None:
+    effect = kind.named("rubs", place="axle", **more, **{member: LAW})
+    model = type("Shaft", (Model,), {"catalogue": (effect,), "places": ("axle", "hub")})()
+    at = model.with_values({f"rubs.{member}": 2.0}).effects_at(SCALAR)
+    assert (at("axle", -3.0, -4.0), at("hub", -3.0, -4.0)) == (pytest.approx(expected, rel=1e-12), -3.0)
+    assert model.effects_at(SCALAR)("axle", -3.0, -4.0) == -3.0
+
+
+def test_a_lag_puts_its_states_in_place_of_the_quantities_it_follows() -> None:
+    pair = (Quantity("left", "V", ""), Quantity("right", "V", ""))
+    lags = (
+        FirstOrderLag.named("late", place="valve", shortest=0.1, states=pair[:1], time=LAW),
+        FirstOrderLag.named("slow", place="pumps", shortest=0.5, states=pair, time=LAW),
+    )
+    model = type("Pumps", (Model,), {"base_states": (), "catalogue": lags, "places": ("pumps", "valve")})()
+    slow = model.with_values({"slow.time": 2.0, "late.time": 0.01})
+    assert [q.name for q in slow.states] == ["late.left", "slow.left", "slow.right"]
+    assert slow.lag_at(SCALAR, "pumps", (4.0, 1.0), (9.0, 3.0, 5.0)) == ((3.0, 5.0), (0.5, -2.0))
+    assert slow.lag_at(SCALAR, "valve", (8.0,), (9.0, 3.0, 5.0)) == ((9.0,), (pytest.approx(-10.0),))
+    assert model.lag_at(SCALAR, "pumps", (4.0, 1.0), ()) == ((4.0, 1.0), ())
 
 
 @pytest.mark.parametrize(

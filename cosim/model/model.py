@@ -6,8 +6,9 @@ value, an effect is dormant, left out of the equations and free of cost.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import Field, dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from cosim.model.namespaces import SCALAR, Namespace
@@ -84,6 +85,30 @@ class Effect(Parametric):
         """Return input → effective command in derivative and output."""
         return command
 
+    @classmethod
+    def named(cls, name: str, **members: Any) -> type[Any]:
+        """Return a subclass with a name, parameters and other members; its `line` is that of the caller."""
+        caller = sys._getframe(1)
+        module = caller.f_globals.get("__name__", cls.__module__)
+        own = {"__doc__": cls.__doc__, "__module__": module, "line": caller.f_lineno}
+        own["__annotations__"] = {n: "float" for n, v in members.items() if isinstance(v, Field)}
+        made = type(name, (cls,), own | {"name": name} | members)
+        return made if "__dataclass_fields__" in vars(made) else dataclass(frozen=True, kw_only=True)(made)
+
+
+class LocalEffect(Effect):
+    """An effect that changes one quantity of the equations, at a place that the model lists in `places`."""
+
+    place: ClassVar[str]
+
+    def change(self, m: Namespace, value: Number, *at: Number) -> Number:
+        """Return the quantity with the effect; `at` are further quantities of the place, such as a velocity."""
+        return value
+
+    def follow(self, m: Namespace, values: Values, states: Values) -> tuple[Values, Values]:
+        """Return the quantities that an effect with states puts in place of others, and the states' derivatives."""
+        raise NotImplementedError
+
 
 def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...]:
     """Return the effects whose class overrides `hook`, in order."""
@@ -125,6 +150,7 @@ class Model(Parametric):
     inputs: ClassVar[tuple[Quantity, ...]]
     outputs: ClassVar[tuple[Quantity, ...]]
     catalogue: ClassVar[tuple[type[Effect], ...]] = ()
+    places: ClassVar[tuple[str, ...]] = ()  # of local effects
     # Knowledge about a real plant, in order: possible sensor errors; variance of each measured output; variance of each
     # unmeasured state at the start of a log (default: squared range of the model's own run); states with possibly
     # deficient equations; parameters recalibrated in every fit; further suspect parameters.
@@ -189,6 +215,33 @@ class Model(Parametric):
         return {}
 
     # -- common to all models ----------------------------------------------------------------
+
+    def effects_at(self, m: Namespace) -> Callable[..., Number]:
+        """Return (place, value, further quantities) → the value with the active local effects of the place."""
+        local = overrides(tuple(e for e in self.awake if isinstance(e, LocalEffect)), "change", LocalEffect)
+        effects = {place: [e for e in local if e.place == place] for place in self.places}
+
+        def changed(place: str, value: Number, *at: Number) -> Number:
+            for effect in effects[place]:
+                value = effect.change(m, value, *at)
+            return value
+
+        return changed
+
+    def lag_at(self, m: Namespace, place: str, values: Values, states: Values) -> tuple[Values, Values]:
+        """Return the quantities of a place after its active lag, and the derivatives of the states of that lag.
+
+        Args:
+            states: States of all active effects.
+        """
+        begin = 0
+        for effect in self.awake:
+            end = begin + len(effect.states)
+            if end > begin and getattr(effect, "place", None) == place:
+                lagged: tuple[Values, Values] = effect.follow(m, values, states[begin:end])
+                return lagged
+            begin = end
+        return values, ()
 
     def acting(self, m: Namespace) -> Equations:
         """Return the equations with commands transmitted by effects."""

@@ -72,6 +72,11 @@ def parameter(
     return field(default=default, metadata={"parameter": declaration})
 
 
+def size(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> Any:
+    """Declare a parameter of an effect that is dormant at the default 0."""
+    return parameter(0.0, unit=unit, bounds=bounds, neutral=0.0, typical=typical, doc=doc)
+
+
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
     """Return a dataclass' declared parameters in order."""
     kind = owner if isinstance(owner, type) else type(owner)

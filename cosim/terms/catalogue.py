@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from cosim.model.delay import Delay
+from cosim.model.effects import Delay
 from cosim.model.model import Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Quantity, parameter
@@ -374,18 +373,11 @@ def _fits(kind: type[Any], place: Place) -> bool:
 
 def delay_of(inputs: Sequence[Quantity], longest: float) -> type[Delay]:
     """Return the delay of all inputs up to `longest`."""
-
-    @dataclass(frozen=True, kw_only=True)
-    class InputDelay(Delay):
-        name = "delay"
-        memory = tuple(Quantity(q.name, q.unit, f"late {q.name}") for q in inputs)
-
-        time: float = parameter(
-            0.0, unit="s", bounds=(0.0, longest), neutral=0.0, typical=0.1 * longest, doc="delay T of all inputs"
-        )
-
-    InputDelay.longest = longest
-    return InputDelay
+    memory = tuple(Quantity(q.name, q.unit, f"late {q.name}") for q in inputs)
+    time = parameter(
+        0.0, unit="s", bounds=(0.0, longest), neutral=0.0, typical=0.1 * longest, doc="delay T of all inputs"
+    )
+    return Delay.named("delay", memory=memory, longest=longest, time=time)
 
 
 def sensor_errors(
@@ -409,7 +401,5 @@ def sensor_errors(
     )
     for base, kind, unit, neutral, typical, bounds, doc in errors:
         value = parameter(neutral, unit=unit, bounds=bounds, neutral=neutral, typical=typical, doc=doc)
-        of = {"output": output.name, "outputs": (output.name,)}
-        name = f"{kind}_at_{output.name}"
-        namespace = {"name": name, **of, "value": value, "__annotations__": {"value": "float"}, "__module__": __name__}
-        yield dataclass(frozen=True, kw_only=True)(type(name, (base,), namespace))
+        of = {"output": output.name, "outputs": (output.name,), "value": value}
+        yield base.named(f"{kind}_at_{output.name}", **of)

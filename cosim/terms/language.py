@@ -237,16 +237,9 @@ def bind(kind: type[Any], place: Place) -> type[Any]:
             neutral=None if p.neutral is None else p.neutral * size,
             typical=None if p.typical is None else p.typical * size,
         )
-    namespace = {
-        "name": f"{kind.kind}_at_{place.name}",
-        "place": place,
-        "starts": tuple({n: middles[n] + v * sizes[n] for n, v in start.items()} for start in kind.starts),
-        "__annotations__": dict.fromkeys(own, "float"),
-        "__doc__": kind.__doc__,
-        "__module__": __name__,
-        **own,
-    }
-    return type(f"{kind.__name__}At{place.name}", (kind,), namespace)
+    starts = tuple({n: middles[n] + v * sizes[n] for n, v in start.items()} for start in kind.starts)
+    bound: type[Any] = kind.named(f"{kind.kind}_at_{place.name}", place=place, starts=starts, **own)
+    return bound
 
 
 def _factors(expression: str) -> list[tuple[str, int]]:

@@ -5,7 +5,21 @@ The position is positive at the end that goes down with a positive angle.
 
 from dataclasses import dataclass
 
-from cosim.model import Delay, Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
+from cosim.model import (
+    Delay,
+    DryFriction,
+    Effect,
+    Equations,
+    LocalEffect,
+    Model,
+    Namespace,
+    Number,
+    Offset,
+    Quantity,
+    Values,
+    parameter,
+    size,
+)
 
 CREEP = 5e-3  # [m/s] below which dry friction is smoothed
 TOLD_APART_BY = {
@@ -14,26 +28,8 @@ TOLD_APART_BY = {
 }
 
 
-class BeamEffect(Effect):
-    """An acceleration of the ball that the base model lacks."""
-
-    def acceleration(self, m: Namespace, angle: Number, position: Number, velocity: Number) -> Number:
-        """Acceleration [m/s²] of the ball."""
-        return 0.0
-
-
 @dataclass(frozen=True, kw_only=True)
-class AngleDelay(Delay, BeamEffect):
-    """The ball reacts to the angle T later: a late position reading, or a drive that gives."""
-
-    name = "angle_delay"
-    memory = (Quantity("angle", "rad", "angle that acts until the delay has passed"),)
-
-    time: float = parameter(0.0, unit="s", bounds=(0, 0.5), neutral=0.0, typical=0.1, doc="delay T")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Backlash(BeamEffect):
+class Backlash(Effect):
     """Play of total width w between the measured angle and the beam: p ← θ + clip(p − θ, ±w/2)."""
 
     name = "backlash"
@@ -49,60 +45,33 @@ class Backlash(BeamEffect):
         return play, play
 
 
-@dataclass(frozen=True, kw_only=True)
-class RollingFriction(BeamEffect):
-    """Dry rolling friction: −r·tanh(v/(5 mm/s))."""
-
-    name = "rolling_friction"
-    equation = "acceleration −r·tanh(v/0.005)"
-
-    level: float = parameter(0.0, unit="m/s2", bounds=(0, 0.2), neutral=0.0, typical=0.01, doc="dry deceleration r")
-
-    def acceleration(self, m: Namespace, angle: Number, position: Number, velocity: Number) -> Number:
-        """−r·tanh(v/0.005)."""
-        return -self.level * m.tanh(velocity / CREEP)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViscousFriction(BeamEffect):
-    """Friction in proportion to the velocity: −d·v."""
-
-    name = "viscous_friction"
-    equation = "acceleration −d·v"
-
-    damping: float = parameter(0.0, unit="1/s", bounds=(0, 5), neutral=0.0, typical=0.1, doc="damping d")
-
-    def acceleration(self, m: Namespace, angle: Number, position: Number, velocity: Number) -> Number:
-        """−d·v."""
-        return -self.damping * velocity
-
-
-@dataclass(frozen=True, kw_only=True)
-class LevelOffset(BeamEffect):
-    """The beam is not level at angle 0: k·θ₀."""
-
-    name = "level_offset"
-    equation = "acceleration o, of a beam that is not level at angle 0"
-
-    value: float = parameter(0.0, unit="m/s2", bounds=(-0.2, 0.2), neutral=0.0, typical=0.005, doc="acceleration o")
-
-    def acceleration(self, m: Namespace, angle: Number, position: Number, velocity: Number) -> Number:
-        """Acceleration o."""
-        return self.value
-
-
-@dataclass(frozen=True, kw_only=True)
-class BeamCurvature(BeamEffect):
-    """A beam that is higher in its middle than at its ends: c·x; negative if it sags."""
-
-    name = "beam_curvature"
-    equation = "acceleration c·x"
-
-    coefficient: float = parameter(0.0, unit="1/s2", bounds=(-2, 2), neutral=0.0, typical=0.1, doc="coefficient c")
-
-    def acceleration(self, m: Namespace, angle: Number, position: Number, velocity: Number) -> Number:
-        """c·x."""
-        return self.coefficient * position
+CATALOGUE = (
+    Delay.named(  # the ball reacts to the angle later: a late position reading, or a drive that gives
+        "angle_delay",
+        memory=(Quantity("angle", "rad", "angle that acts until the delay has passed"),),
+        time=size("s", (0, 0.5), 0.1, "delay T"),
+    ),
+    Backlash,
+    DryFriction.named(
+        "rolling_friction", place="ball", softness=CREEP, level=size("m/s2", (0, 0.2), 0.01, "dry deceleration")
+    ),
+    LocalEffect.named(
+        "viscous_friction",
+        place="ball",
+        equation="acceleration −d·v",
+        damping=size("1/s", (0, 5), 0.1, "damping d"),
+        change=lambda e, m, total, v, x: total - e.damping * v,
+    ),
+    # a beam that is not level at angle 0
+    Offset.named("level_offset", place="ball", value=size("m/s2", (-0.2, 0.2), 0.005, "acceleration")),
+    LocalEffect.named(  # a beam that is higher in its middle than at its ends; negative if it sags
+        "beam_curvature",
+        place="ball",
+        equation="acceleration c·x",
+        coefficient=size("1/s2", (-2, 2), 0.1, "coefficient c"),
+        change=lambda e, m, total, v, x: total + e.coefficient * x,
+    ),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +85,7 @@ class BallBeam(Model):
     )
     inputs = (Quantity("angle", "rad", "angle of the beam"),)
     outputs = base_states[:1]
-    catalogue = (AngleDelay, Backlash, RollingFriction, ViscousFriction, LevelOffset, BeamCurvature)
+    catalogue, places = CATALOGUE, ("ball",)
     sensor_variance = {"position": 1e-6}  # noqa: RUF012 - a ClassVar of the base; 1 mm
     start_variance = {"velocity": 0.01}  # noqa: RUF012 - likewise; 0.1 m/s
     forced = ("velocity",)
@@ -130,14 +99,11 @@ class BallBeam(Model):
 
     def equations(self, m: Namespace) -> Equations:
         """Bind the equations to a namespace: ẍ = k·θ + accelerations of the effects."""
-        terms = overrides(self.awake, "acceleration", BeamEffect)
+        at = self.effects_at(m)
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             position, velocity = state
-            total = self.incline * command[0]
-            for term in terms:
-                total = total + term.acceleration(m, command[0], position, velocity)
-            return velocity, total
+            return velocity, at("ball", self.incline * command[0], velocity, position)
 
         def output(t: Number, state: Values, command: Values) -> Values:
             return (state[0],)

@@ -6,7 +6,20 @@ inputs, outputs, parameters, effects and one body of equations.
 
 from dataclasses import dataclass
 
-from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
+from cosim.model import (
+    DryFriction,
+    Equations,
+    LocalEffect,
+    Model,
+    Namespace,
+    Number,
+    Offset,
+    QuadraticDrag,
+    Quantity,
+    Values,
+    parameter,
+    size,
+)
 
 REVERSAL_SPEED = 1e-3  # [m/s] below which dry friction is smoothed; the drive moves at up to 0.13 m/s
 TOLD_APART_BY = {
@@ -16,71 +29,22 @@ TOLD_APART_BY = {
 }
 
 
-class DriveEffect(Effect):
-    """A force on the carriage that the base model lacks."""
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Force [N] in the direction of travel."""
-        return 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class ForceOffset(DriveEffect):
-    """A constant force: a slope, a cable that pulls, an offset of the amplifier."""
-
-    name = "force_offset"
-    equation = "force f"
-
-    value: float = parameter(0.0, unit="N", bounds=(-100, 100), neutral=0.0, typical=2.0, doc="offset f")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Force f."""
-        return self.value
-
-
-@dataclass(frozen=True, kw_only=True)
-class CoulombFriction(DriveEffect):
-    """Dry friction: −F·tanh(v/0.001)."""
-
-    name = "coulomb_friction"
-    equation = "force −F·tanh(v/0.001)"
-
-    level: float = parameter(0.0, unit="N", bounds=(0, 200), neutral=0.0, typical=10.0, doc="dry friction force F")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Force −F·tanh(v/0.001)."""
-        return -self.level * m.tanh(velocity / REVERSAL_SPEED)
-
-
-@dataclass(frozen=True, kw_only=True)
-class StribeckFriction(DriveEffect):
-    """What dry friction is more at low speed, beside its level: −B·e^(−(v/v_s)²)·tanh(v/0.001), B ≥ 0."""
-
-    name = "stribeck_friction"
-    equation = "force −B·e^(−(v/v_s)²)·tanh(v/0.001)"
-
-    breakaway: float = parameter(0.0, unit="N", bounds=(0, 200), neutral=0.0, typical=5.0, doc="breakaway force B")
-    speed: float = parameter(0.02, unit="m/s", bounds=(0.01, 0.2), doc="Stribeck speed v_s, well above the smoothing")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Force −B·e^(−(v/v_s)²)·tanh(v/0.001)."""
-        return -self.breakaway * m.exp(-((velocity / self.speed) ** 2)) * m.tanh(velocity / REVERSAL_SPEED)
-
-
-@dataclass(frozen=True, kw_only=True)
-class QuadraticDrag(DriveEffect):
-    """Drag: −k·|v|·v."""
-
-    name = "quadratic_drag"
-    equation = "force −k·|v|·v"
-
-    coefficient: float = parameter(
-        0.0, unit="N.s2/m2", bounds=(0, 5000), neutral=0.0, typical=200.0, doc="drag coefficient k"
-    )
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Force −k·|v|·v."""
-        return -self.coefficient * m.where(velocity >= 0.0, velocity, -velocity) * velocity
+# a slope, a cable that pulls, an offset of the amplifier
+ForceOffset = Offset.named("force_offset", place="carriage", value=size("N", (-100, 100), 2.0, "offset f"))
+CoulombFriction = DryFriction.named(
+    "coulomb_friction", place="carriage", softness=REVERSAL_SPEED, level=size("N", (0, 200), 10.0, "dry friction force")
+)
+StribeckFriction = LocalEffect.named(  # what dry friction is more at low speed, beside its level
+    "stribeck_friction",
+    place="carriage",
+    equation="force −B·e^(−(v/v_s)²)·tanh(v/0.001)",
+    breakaway=size("N", (0, 200), 5.0, "breakaway force B"),
+    speed=parameter(0.02, unit="m/s", bounds=(0.01, 0.2), doc="Stribeck speed v_s, well above the smoothing"),
+    change=lambda e, m, force, v: force - e.breakaway * m.exp(-((v / e.speed) ** 2)) * m.tanh(v / REVERSAL_SPEED),
+)
+Drag = QuadraticDrag.named(
+    "quadratic_drag", place="carriage", coefficient=size("N.s2/m2", (0, 5000), 200.0, "drag coefficient")
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +55,7 @@ class Drive(Model):
     base_states = (Quantity("position", "m", "position of the carriage"), Quantity("velocity", "m/s", "its velocity"))
     inputs = (Quantity("force", "N", "motor force commanded"),)
     outputs = base_states
-    catalogue = (ForceOffset, CoulombFriction, StribeckFriction, QuadraticDrag)
+    catalogue, places = (ForceOffset, CoulombFriction, StribeckFriction, Drag), ("carriage",)
     sensor_variance = {"position": 1e-8}  # noqa: RUF012 - a ClassVar of the base; 0.1 mm, see README.md
     start_variance = {"velocity": 1e-8}  # noqa: RUF012 - logs begin at rest
     forced = ("velocity",)
@@ -109,15 +73,11 @@ class Drive(Model):
         ẋ = v
         m·v̇ = u − c·v + forces of the effects
         """
-        mass, c = self.mass, self.viscous
-        terms = overrides(self.awake, "force", DriveEffect)
+        at = self.effects_at(m)
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
-            position, velocity = state
-            total = command[0] - c * velocity
-            for term in terms:
-                total = total + term.force(m, position, velocity)
-            return velocity, total / mass
+            _, velocity = state
+            return velocity, at("carriage", command[0] - self.viscous * velocity, velocity) / self.mass
 
         def output(t: Number, state: Values, command: Values) -> Values:
             return state

@@ -6,9 +6,9 @@
     python -m tests.blind.baseline --confirmatory --revision SHA       the studies announced in docs/blind.md
     python -m tests.blind.baseline --confirmatory --revision SHA --against OLD      its table, new beside old
 
-This tree draws a study, the environment of the revision refines it, both in processes of their own. Ctrl-C loses the
-studies that are under way. Model files of plants are those of the revision, whose classes they use. A near-tie is a
-study that cannot be told from another: it stays, and figures are printed with and without such studies.
+This tree draws a study, the environment of the revision refines it. Ctrl-C loses the studies that are under way. Model
+files of plants are those of the revision, whose classes they use. A near-tie is a study that cannot be told from
+another: it stays, and figures are printed with and without such studies.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from functools import partial
 from pathlib import Path
 
 from tests.blind import harness, score
-from tests.blind.harness import Key, StudyFailed, read
+from tests.blind.harness import Key, read
 from tests.blind.score import ARM, FIELD, FMU, IN_PARTS, LABORATORY, MIXED, Line
 from tests.corpus import revisions
 
@@ -43,31 +43,30 @@ SUITES = {  # suite → first seed, number of studies; chosen before any of thes
 CONFIRMATORY = LINES.with_name("confirmatory.json")  # suite → seeds, chosen before any of them was refined
 TIMEOUT = 3600.0  # time limit of a study [s]
 ONE_SIDED = statistics.NormalDist().inv_cdf(0.95)
-ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 # -- studies -----------------------------------------------------------------------------------------------
 
 
-def conduct(suite: str, seed: int, python: str, revision: str, folder: Path, *, near_ties: bool = True) -> Line:
-    """Draw a study in a folder, refine it with the Python of an environment, and return its line.
+def conduct(suite: str, seed: int, python: str, revision: str, *, near_ties: bool = True) -> Line:
+    """Draw a study, refine it with the Python of an environment, and return its line.
 
     Args:
         suite: of the study.
         seed: of the study.
         python: of the environment.
         revision: whose model files of plants are used; one that ends in + is this tree.
-        folder: for the study and what is found.
         near_ties: whether the line says if the study is a near-tie; the confirmatory comparison does not ask.
     """
-    command = harness.command_refiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
+    command = harness.CommandRefiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
 
     def refiner(study: Path, out: Path) -> None:
         for path in study.parent.glob("*.py") if not revision.endswith("+") else ():
             path.write_bytes(revisions.git("show", f"{revision}:tests/blind/plants/{path.name}"))
         command(study, out)
 
-    _, line = harness.conduct(suite, seed, refiner, folder)
+    with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
+        _, line = harness.conduct(suite, seed, refiner, Path(folder))
     if near_ties:  # of the first revision, which was compared with the nearest other effect of each study
         line["near_tie"] = read(LINES).get((suite, seed), {}).get("near_tie", False)
     del line["seconds"]
@@ -82,23 +81,6 @@ def missing(path: Path, revision: str, suites: Sequence[str] = (), *, confirmato
         rows = json.loads(CONFIRMATORY.read_text())
     table = sorted((k / len(seeds), suite, seed) for suite, seeds in rows.items() for k, seed in enumerate(seeds))
     return [(suite, seed) for _, suite, seed in table if (suite, seed) not in have and (not suites or suite in suites)]
-
-
-def conduct_apart(suite: str, seed: int, words: Sequence[str], running: set[subprocess.Popen[str]]) -> Line:
-    """Return the line of a study from this command in a process of its own, which is in `running` meanwhile."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | ONE_THREAD
-    with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tests.blind.baseline", *words, "--study", suite, str(seed), folder],
-            cwd=revisions.ROOT, env=environment | {"TMPDIR": folder}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, start_new_session=True,
-        )  # fmt: skip
-        running.add(process)
-        told, why = process.communicate()
-        running.discard(process)
-    if process.returncode:
-        raise StudyFailed(why[-1000:])
-    return dict(json.loads(told))
 
 
 # -- the table ---------------------------------------------------------------------------------------------
@@ -194,17 +176,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--confirmatory", action="store_true", help="the studies that docs/blind.md announces")
     parser.add_argument("--against", metavar="SHA", help="print the figures beside those of this revision, run nothing")
     parser.add_argument("--summary", action="store_true", help="print the table, run nothing")
-    parser.add_argument("--study", nargs=3, metavar=("SUITE", "SEED", "FOLDER"), help="print the line of one study")
     options = parser.parse_args(arguments)
     if strangers := set(options.suites) - set(SUITES):
         parser.error(f"unknown suites {', '.join(sorted(strangers))}; there are {', '.join(SUITES)}")
     commit = commit_of(options.revision)
     revision = commit if commit.endswith("+") else commit[:12]
-    if options.study:
-        suite, seed, folder = options.study
-        line = conduct(suite, int(seed), options.python, revision, Path(folder), near_ties=not options.confirmatory)
-        print(json.dumps(line))
-        return 0
     lines = options.lines or (LINES.with_name("confirmatory.jsonl") if options.confirmatory else LINES)
     if options.against:
         print(comparison(read(lines, commit_of(options.against)[:12]), read(lines, revision)))
@@ -214,18 +190,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
             parser.error(f"{python} has no cosim and hovercraft")
         todo = missing(lines, revision, options.suites, confirmatory=options.confirmatory)
-        words = ["--python", python, "--revision", revision, *["--confirmatory"] * options.confirmatory]
-        running: set[subprocess.Popen[str]] = set()
+        one = partial(conduct, python=python, revision=revision, near_ties=not options.confirmatory)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
-            if harness.run(todo, partial(conduct_apart, words=words, running=running), lines, options.jobs):
+            if harness.run(todo, one, lines, options.jobs):
                 return 1
         except KeyboardInterrupt:
             print("stopped; the same command goes on", file=sys.stderr)
             return 130
-        finally:
-            for process in running:
-                os.killpg(process.pid, signal.SIGKILL)
     print(f"revision {revision}\n{table(list(read(lines, revision).values()))}")
     return 0
 

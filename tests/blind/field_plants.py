@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,17 @@ from tests.blind.field_rig import (
     Random,
     Rate,
     Rig,
+    hidden_in,
     manoeuvre,
     moving,
     rounded,
     sensor,
-    terms_in,
 )
+
+
+def now_and_then(f: Any, t: Any, period: Any, length: Any, value: Any) -> Any:
+    """Return a value for a length of each period, and 0 between."""
+    return f.where(t % period < length, value, 0.0)
 
 
 class DriveTrain(Rig):
@@ -70,41 +76,34 @@ class DriveTrain(Rig):
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return the equations, with torque u on the motor, belt torque s from motor to load, and pushes on both."""
-        stiffness, get = p["stiffness"], p.get
+        hidden, stiffness, get = hidden_in(p), p["stiffness"], p.get
         uneven, offset = get("torque_asymmetry.ratio", 0.0), get("torque_offset.value", 0.0)
-        hunting = {"amplifier_hunting": lambda t, depth, frequency: depth * f.sin(2.0 * math.pi * frequency * t)}
-        sine, cosine = get("cogging.sine"), get("cogging.cosine")
-        twists = {
-            "cubic_belt": lambda twist, stiffness: stiffness * twist**3,
-            "belt_play": lambda twist, width: -stiffness * width * f.tanh(twist / (width + 1e-3)),
-        }
-        rubs = {
-            "load_coulomb": lambda t, w, level: level,
-            "load_stribeck": lambda t, w, breakaway, speed: breakaway * f.exp(-((w / speed) ** 2)),
-            "dragging_brake": lambda t, w, level, period, length: f.where(t % period < length, level, 0.0),
-        }
-        slows = {
-            "fan_drag": lambda angle, w, coefficient: coefficient * w * f.absolute(w),
-            "load_imbalance": lambda angle, w, moment: moment * f.sin(angle),
-            "tight_spot": lambda angle, w, coefficient: coefficient * w * (1.0 + f.cos(angle)),
-        }
-        shown = {"eccentric_encoder": lambda angle, amplitude: amplitude * f.sin(angle)}
-        hunts, bends, dry, drags, off = (terms_in(p, x) for x in (hunting, twists, rubs, slows, shown))
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
-            angle, speed, load_angle, load_speed = x
-            torque = (u[0] + uneven * f.absolute(u[0]) + offset) * hunts(1.0, t)
-            if sine is not None:
-                torque = torque + sine * f.sin(4.0 * angle) + cosine * f.cos(4.0 * angle)
+            angle, speed, load_angle, w = x
+            torque = (u[0] + uneven * f.absolute(u[0]) + offset) * (
+                1.0 + hidden("amplifier_hunting", lambda depth, frequency: depth * f.sin(2.0 * math.pi * frequency * t))
+            )
+            torque = torque + hidden("cogging", lambda sine, cosine: sine * f.sin(4.0 * angle))
+            torque = torque + hidden("cogging", lambda sine, cosine: cosine * f.cos(4.0 * angle))
             twist = angle - load_angle
-            belt = bends(stiffness * twist + p["belt_damping"] * (speed - load_speed), twist)
-            brakes = p["load_damping"] * load_speed + dry(0.0, t, load_speed) * f.tanh(load_speed / 0.3)
-            brakes = drags(brakes, load_angle, load_speed)
+            belt = stiffness * twist + p["belt_damping"] * (speed - w)
+            belt = belt + hidden("cubic_belt", lambda stiffness: stiffness * twist**3)
+            belt = belt - hidden("belt_play", lambda width: stiffness * width * f.tanh(twist / (width + 1e-3)))
+            dry = hidden("load_coulomb", lambda level: level)
+            dry = dry + hidden("load_stribeck", lambda breakaway, speed: breakaway * f.exp(-((w / speed) ** 2)))
+            dry = dry + hidden(
+                "dragging_brake", lambda level, period, length: now_and_then(f, t, period, length, level)
+            )
+            brakes = p["load_damping"] * w + dry * f.tanh(w / 0.3)
+            brakes = brakes + hidden("fan_drag", lambda coefficient: coefficient * w * f.absolute(w))
+            brakes = brakes + hidden("load_imbalance", lambda moment: moment * f.sin(load_angle))
+            brakes = brakes + hidden("tight_spot", lambda coefficient: coefficient * w * (1.0 + f.cos(load_angle)))
             motor = torque + push[0] - p["motor_damping"] * speed - belt
-            return [speed, motor / p["motor_inertia"], load_speed, (belt + push[1] - brakes) / p["load_inertia"]]
+            return [speed, motor / p["motor_inertia"], w, (belt + push[1] - brakes) / p["load_inertia"]]
 
         def look(t: float, x: Any, push: Any) -> list[Any]:
-            return [x[0], x[1], off(x[2], x[2])]
+            return [x[0], x[1], x[2] + hidden("eccentric_encoder", lambda amplitude: amplitude * f.sin(x[2]))]
 
         return rate, look
 
@@ -169,26 +168,17 @@ class Tanks(Rig):
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return the equations: flows from the pumps, through the pipe and out of both tanks."""
-        get = p.get
+        hidden, get = hidden_in(p), p.get
         head, seep, draw = (get(n, 0.0) for n in ("head_loss.slope", "cross_flow.coefficient", "constant_draw.flow"))
         band, lag, curve = get("pump_dead_band.width"), get("pump_lag.time"), get("pump_curve.curvature", 0.0)
         cone, excess = get("conical_tank.slope", 0.0), get("outlet_exponent.excess")
 
-        def spilt(left: Any, u: Any, coefficient: Any) -> Any:
+        def spilt(left: Any, coefficient: Any) -> Any:
             above = f.maximum(left - 0.42, 0.0)
             return coefficient * above * f.sqrt(above + 1e-9)
 
-        def drained(left: Any, u: Any, coefficient: Any) -> Any:
+        def drained(left: Any, coefficient: Any) -> Any:
             return coefficient * f.sqrt(f.maximum(left, 1e-3))
-
-        def back(left: Any, u: Any, coefficient: Any) -> Any:
-            return drained(left, u, f.where(u[0] < 0.5, coefficient, 0.0))
-
-        lost = terms_in(p, {"left_leak": drained, "overflow": spilt, "backflow": back})
-        tap = {"tapping_consumer": lambda t, flow, period, length: f.where(t % period < length, flow, 0.0)}
-        tire = {"tiring_pump": lambda t, share, time: share * (1.0 - f.exp(-t / time))}
-        waves = {"sloshing_gauge": lambda t, amplitude, period: amplitude * f.sin(2.0 * math.pi * t / period)}
-        tapped, tired, slosh = terms_in(p, tap), terms_in(p, tire), terms_in(p, waves)
 
         def out(level: Any) -> Any:
             wet = f.maximum(level, 1e-3)
@@ -209,15 +199,22 @@ class Tanks(Rig):
             fall = left - right
             across = p["pipe"] * fall * (fall * fall + 1e-4) ** -0.25 + seep * fall
             surface = p["area_left"] * (1.0 + cone * (left - 0.3))
-            drawn = tapped(out(right) + draw, t)
+            drawn = out(right) + draw
+            drawn = drawn + hidden(
+                "tapping_consumer", lambda flow, period, length: now_and_then(f, t, period, length, flow)
+            )
+            lost = hidden("left_leak", partial(drained, left)) + hidden("overflow", partial(spilt, left))
+            lost = lost + hidden("backflow", lambda coefficient: drained(left, f.where(u[0] < 0.5, coefficient, 0.0)))
+            tired = hidden("tiring_pump", lambda share, time: share * (1.0 - f.exp(-t / time)))
             return [
-                (from_left + push[0] - across - lost(0.0, left, u)) / surface,
-                (from_right * (1.0 - tired(0.0, t)) + push[1] + across - drawn) / p["area_right"],
+                (from_left + push[0] - across - lost) / surface,
+                (from_right * (1.0 - tired) + push[1] + across - drawn) / p["area_right"],
                 *slopes,
             ]
 
         def look(t: float, x: Any, push: Any) -> list[Any]:
-            return [x[0], slosh(x[1], t), out(x[1])]
+            slosh = hidden("sloshing_gauge", lambda amplitude, period: amplitude * f.sin(2.0 * math.pi * t / period))
+            return [x[0], x[1] + slosh, out(x[1])]
 
         return rate, look
 
@@ -292,29 +289,13 @@ class Cart(Rig):
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return the equations; pushes are a force on the cart and a horizontal force on the bob."""
         cart, bob, length, g = p["cart_mass"], p["bob_mass"], p["length"], p["gravity"]
-        tilt = p.get("track_tilt.angle", 0.0)
+        hidden, tilt = hidden_in(p), p.get("track_tilt.angle", 0.0)
         tilt_sin, tilt_cos = f.sin(tilt), f.cos(tilt)
+        band, uneven = p.get("force_dead_band.width"), p.get("force_asymmetry.ratio", 0.0)
+        lag = p.get("motor_lag.time")
 
         def bell(away: Any, width: Any) -> Any:
             return f.exp(-((away / width) ** 2))
-
-        winds = terms_in(p, {"draught": lambda t, force, period, length: f.where(t % period < length, force, 0.0)})
-        wavy = terms_in(p, {"wavy_potentiometer": lambda phi, amplitude, waves: amplitude * f.sin(waves * phi)})
-        pulls = {
-            "cart_coulomb": lambda q, v, level: -level * f.tanh(v / 0.02),
-            "cart_drag": lambda q, v, coefficient: -coefficient * v * f.absolute(v),
-            "rubbing_side": lambda q, v, coefficient: -coefficient * f.minimum(v, 0.0),
-            "tight_zone": lambda q, v, coefficient, place, width: -coefficient * v * bell(q - place, width),
-            "cable_spring": lambda q, v, stiffness: -stiffness * q,
-        }
-        turns = {
-            "pivot_coulomb": lambda phi, w, level: -level * f.tanh(w / 0.1),
-            "bob_drag": lambda phi, w, coefficient: -coefficient * w * f.absolute(w),
-            "magnet": lambda phi, w, moment, width: -moment * phi / width * bell(phi, width),
-        }
-        on_cart, on_bob = terms_in(p, pulls), terms_in(p, turns)
-        band, uneven = p.get("force_dead_band.width"), p.get("force_asymmetry.ratio", 0.0)
-        lag, sine, cosine = (p.get(n) for n in ("motor_lag.time", "belt_ripple.sine", "belt_ripple.cosine"))
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             q, v, phi, w = x[:4]
@@ -323,12 +304,21 @@ class Cart(Rig):
             force = force + uneven * f.absolute(force)
             slopes = [] if lag is None else [(force - x[4]) / f.maximum(lag, 0.005)]
             pull = force if lag is None else f.where(lag > 0.0, x[4], force)
-            blown = winds(0.0, t)
+            blown = hidden("draught", lambda force, period, length: now_and_then(f, t, period, length, force))
             along = pull + push[0] + push[1] - p["cart_friction"] * v + blown
             about = length * cos * push[1] - p["pivot_friction"] * w + length * cos * blown
-            along, about = on_cart(along, q, v), on_bob(about, phi, w)
-            if sine is not None:
-                along = along + sine * f.sin(20.0 * math.pi * q) + cosine * f.cos(20.0 * math.pi * q)
+            along = along - hidden("cart_coulomb", lambda level: level * f.tanh(v / 0.02))
+            along = along - hidden("cart_drag", lambda coefficient: coefficient * v * f.absolute(v))
+            along = along - hidden("rubbing_side", lambda coefficient: coefficient * f.minimum(v, 0.0))
+            along = along - hidden(
+                "tight_zone", lambda coefficient, place, width: coefficient * v * bell(q - place, width)
+            )
+            along = along - hidden("cable_spring", lambda stiffness: stiffness * q)
+            along = along + hidden("belt_ripple", lambda sine, cosine: sine * f.sin(20.0 * math.pi * q))
+            along = along + hidden("belt_ripple", lambda sine, cosine: cosine * f.cos(20.0 * math.pi * q))
+            about = about - hidden("pivot_coulomb", lambda level: level * f.tanh(w / 0.1))
+            about = about - hidden("bob_drag", lambda coefficient: coefficient * w * f.absolute(w))
+            about = about - hidden("magnet", lambda moment, width: moment * phi / width * bell(phi, width))
             along = along - (cart + bob) * g * tilt_sin
             about = about - bob * g * length * (sin * tilt_cos + cos * tilt_sin)
             # [m11 m12; m12 m22]·(v̇, ẇ) = (along + centrifugal, about)
@@ -338,7 +328,8 @@ class Cart(Rig):
             return [v, (along * m22 - about * m12) / determinant, w, (about * m11 - along * m12) / determinant, *slopes]
 
         def look(t: float, x: Any, push: Any) -> list[Any]:
-            return [x[0], wavy(x[2], x[2]), x[3]]
+            wave = hidden("wavy_potentiometer", lambda amplitude, waves: amplitude * f.sin(waves * x[2]))
+            return [x[0], x[2] + wave, x[3]]
 
         return rate, look
 
@@ -416,41 +407,34 @@ class QuarterCar(Rig):
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return the equations; pushes are upward forces on body and wheel."""
-        stiff, get = p["spring"], p.get
+        hidden, stiff, get = hidden_in(p), p["spring"], p.get
         gain, load, rubber = (get(n, 0.0) for n in ("road_gain.gain", "preload.force", "tyre_damping.coefficient"))
         mount, slew, mass = get("damper_mount.time"), get("table_slew.speed"), get("passenger.mass")
-        softens = {"bypass_grooves": lambda z, depth, width: depth * f.exp(-((z / width) ** 2))}
-        fades = {"fading_damper": lambda t, share, time: share * (1.0 - f.exp(-t / time))}
-        brakes = {
-            "damper_asymmetry": lambda v, coefficient: -coefficient * f.absolute(v),
-            "damper_coulomb": lambda v, level: level * f.tanh(v / 0.02),
-            "damper_progression": lambda v, coefficient: coefficient * v * f.absolute(v),
-        }
-        bends = {
-            "cubic_spring": lambda z, stiffness: stiffness * z**3,
-            "bump_stop": lambda z, stiffness: stiffness * f.maximum(z - 0.025, 0.0) ** 2,
-            "spring_play": lambda z, width: -stiff * width * f.tanh(z / (width + 1e-5)),
-        }
-        hunts = {"hunting_table": lambda t, amplitude, frequency: amplitude * f.sin(2.0 * math.pi * frequency * t)}
 
         def carried(x: Any, mass: Any, frequency: Any) -> Any:
             stiffness, damping = mass * (2.0 * math.pi * frequency) ** 2, 0.4 * mass * 2.0 * math.pi * frequency
             return stiffness * (x[-2] - x[0]) + damping * (x[-1] - x[1])
 
-        groove, fade, more_damper, more_spring, hunt, passenger = (
-            terms_in(p, terms) for terms in (softens, fades, brakes, bends, hunts, {"passenger": carried})
-        )
-
         def forces(t: float, x: Any) -> tuple[Any, Any, Any]:
             """Return the forces of the suspension, of the damper before its mount, and of the passenger."""
             z, v = x[2] - x[0], x[3] - x[1]
-            damper = p["damping"] * v * (1.0 - groove(0.0, z)) * (1.0 - fade(0.0, t))
-            damper = more_damper(damper, v)
+            groove = hidden("bypass_grooves", lambda depth, width: depth * f.exp(-((z / width) ** 2)))
+            fade = hidden("fading_damper", lambda share, time: share * (1.0 - f.exp(-t / time)))
+            damper = p["damping"] * v * (1.0 - groove) * (1.0 - fade)
+            damper = damper - hidden("damper_asymmetry", lambda coefficient: coefficient * f.absolute(v))
+            damper = damper + hidden("damper_coulomb", lambda level: level * f.tanh(v / 0.02))
+            damper = damper + hidden("damper_progression", lambda coefficient: coefficient * v * f.absolute(v))
+            spring = stiff * z + hidden("cubic_spring", lambda stiffness: stiffness * z**3)
+            spring = spring + hidden("bump_stop", lambda stiffness: stiffness * f.maximum(z - 0.025, 0.0) ** 2)
+            spring = spring - hidden("spring_play", lambda width: stiff * width * f.tanh(z / (width + 1e-5)))
             passed = damper if mount is None else f.where(mount > 0.0, x[5], damper)
-            return more_spring(stiff * z, z) + passed, damper, passenger(0.0, x)
+            return spring + passed, damper, hidden("passenger", partial(carried, x))
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
-            table = (hunt(u[0] * (1.0 + gain), t) - x[4]) / p["table_lag"]
+            hunt = hidden(
+                "hunting_table", lambda amplitude, frequency: amplitude * f.sin(2.0 * math.pi * frequency * t)
+            )
+            table = (u[0] * (1.0 + gain) + hunt - x[4]) / p["table_lag"]
             table = table if slew is None else f.minimum(f.maximum(table, -slew), slew)
             suspension, damper, rider = forces(t, x)
             tyre = p["tyre"] * (x[4] - x[2]) + rubber * (table - x[3])

@@ -69,14 +69,6 @@ def hidden_in(p: Flat) -> Callable[..., Any]:
     return lambda name, term: term(**effects[name]) if name in effects else 0.0
 
 
-def terms_in(p: Flat, every: Mapping[str, Any]) -> Callable[..., Any]:
-    """Return (total, arguments) → total + the terms of the effects in `p` for the arguments and its parameters."""
-    present = laws_in(p, every)
-    if not present:  # fast, as it is usual
-        return lambda total, *at: total
-    return lambda total, *at: sum((term(*at) for term in present), total)
-
-
 @dataclass(frozen=True)
 class Entry:
     """Rules for drawing the size of an effect.

@@ -14,18 +14,20 @@ import argparse
 import fcntl
 import itertools
 import json
+import os
 import resource
 import shlex
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+from joblib import Parallel, delayed
 
 from tests.blind import arm, field_study, field_write, fmu_study, score, truth
 from tests.blind.score import ARM, FIELD, FMU, KINDS, LABORATORY, MIXED, Line
@@ -55,8 +57,7 @@ BEST = 5  # candidates with scores
 
 Key = tuple[str, int]  # suite, seed
 Refiner = Callable[[Path, Path], Any]  # (study.yaml, folder to leave refine.json in)
-
-_writing = threading.Lock()  # one integrator at a time
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class StudyFailed(Exception):
@@ -66,21 +67,27 @@ class StudyFailed(Exception):
 # -- one study ---------------------------------------------------------------------------------------------
 
 
-def command_refiner(template: str, timeout: float) -> Refiner:
-    """Return a refiner from a command line with {study} and {out}."""
+@dataclass(frozen=True)
+class CommandRefiner:
+    """A command line with {study} and {out}, and its limit of time [s]."""
 
-    def refine(study: Path, out: Path) -> None:
-        words = [word.format(study=study, out=out) for word in shlex.split(template)]
+    template: str
+    timeout: float
+
+    def __call__(self, study: Path, out: Path) -> None:
+        words = [word.format(study=study, out=out) for word in shlex.split(self.template)]
+        kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        environment = kept | ONE_THREAD | {"TMPDIR": str(out.parent)}
         try:
-            done = subprocess.run(words, capture_output=True, text=True, timeout=timeout, check=False)
+            done = subprocess.run(
+                words, capture_output=True, text=True, timeout=self.timeout, check=False, env=environment
+            )
         except subprocess.TimeoutExpired as e:
-            raise StudyFailed(f"no verdict within {timeout:g} s") from e
+            raise StudyFailed(f"no verdict within {self.timeout:g} s") from e
         except OSError as e:
             raise StudyFailed(str(e)) from e
         if done.returncode:
             raise StudyFailed(f"exit {done.returncode}: {done.stderr.strip()[-500:]}")
-
-    return refine
 
 
 def invent(suite: str, seed: int, folder: Path) -> tuple[Path, str]:
@@ -95,8 +102,7 @@ def conduct(suite: str, seed: int, refiner: Refiner, folder: Path) -> tuple[Line
 
     The refiner sees a folder with study.yaml and logs, and not the answer.
     """
-    with _writing:
-        study, answer = invent(suite, seed, folder / "study")
+    study, answer = invent(suite, seed, folder / "study")
     told, out = json.loads(answer), folder / "out"
     out.mkdir()
     begin, used = time.perf_counter(), _processor_seconds()
@@ -166,33 +172,34 @@ def read(path: Path, revision: str = "") -> dict[Key, Line]:
 
 
 def run(todo: Sequence[Key], one: Callable[[str, int], Line], path: Path, jobs: int = 1) -> int:
-    """Conduct studies, several at a time, and append each line at once; return how many could not be drawn.
+    """Conduct studies, in processes if `jobs` are several, and append each line at once; return how many failed.
 
     Args:
         one: conducts a study and returns its line, or raises StudyFailed.
     """
     failed = 0
     path.parent.mkdir(parents=True, exist_ok=True)
-    with ThreadPoolExecutor(jobs) as pool:
-        pending = {pool.submit(one, *key): key for key in todo}
-        try:
-            for number, done in enumerate(as_completed(pending), start=1):
-                suite, seed = pending[done]
-                print(f"{number:4d}/{len(todo)}  {suite:10} {seed}", end="  ", file=sys.stderr)
-                try:
-                    line = done.result()
-                except StudyFailed as e:
-                    failed += 1
-                    print(e, file=sys.stderr)
-                    continue
-                with path.open("a") as file:  # several commands may write it
-                    fcntl.flock(file, fcntl.LOCK_EX)
-                    file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
-                outcome = line.get("failure") or score.outcome_text(suite, line)
-                print(f"{score.label(suite, line):50} {outcome}  {line['processor_seconds']} s", file=sys.stderr)
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    made = Parallel(jobs, return_as="generator_unordered")(delayed(_attempt)(one, *key) for key in todo)
+    for number, (suite, seed, line) in enumerate(made, start=1):
+        print(f"{number:4d}/{len(todo)}  {suite:10} {seed}", end="  ", file=sys.stderr)
+        if isinstance(line, str):
+            failed += 1
+            print(line, file=sys.stderr)
+            continue
+        with path.open("a") as file:  # several commands may write it
+            fcntl.flock(file, fcntl.LOCK_EX)
+            file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
+        outcome = line.get("failure") or score.outcome_text(suite, line)
+        print(f"{score.label(suite, line):50} {outcome}  {line['processor_seconds']} s", file=sys.stderr)
     return failed
+
+
+def _attempt(one: Callable[[str, int], Line], suite: str, seed: int) -> tuple[str, int, Line | str]:
+    """Return a study with its line, or why it could not be drawn."""
+    try:
+        return suite, seed, one(suite, seed)
+    except StudyFailed as e:
+        return suite, seed, str(e)
 
 
 def revision() -> str:
@@ -247,7 +254,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     halves, of_revision = HALVES[options.half], revision()
     if strangers := set(options.only).difference(*map(known_names, halves)):
         parser.error(f"--only does not know {', '.join(sorted(strangers))}")
-    one = partial(conduct_here, refiner=command_refiner(options.command, options.timeout), of_revision=of_revision)
+    one = partial(conduct_here, refiner=CommandRefiner(options.command, options.timeout), of_revision=of_revision)
     lines, summaries = {}, {}
     for half in halves:
         todo = [(half, seed) for seed in seeds(half, options.count, options.first, options.only)]

@@ -23,9 +23,9 @@ from cosim.core.errors import Fault, refuse
 from cosim.core.text import did_you_mean
 from cosim.core.units import parse
 from cosim.fmi.ports import model_ports
-from cosim.model.delay import Delay, Gain
+from cosim.model.effects import Delay, Gain
 from cosim.model.integrate import Stepper
-from cosim.model.model import INTEGRATORS, Effect, Equations, Model, overrides
+from cosim.model.model import INTEGRATORS, Effect, Equations, LocalEffect, Model, overrides
 from cosim.model.namespaces import SCALAR, Namespace, SymbolNamespace
 from cosim.model.planar import PlanarFrame
 from cosim.model.quantities import Quantity, parameters_of
@@ -62,7 +62,7 @@ class ModelText:
         """Return a fault at a class's declaration, else at the class."""
         keys = [(c.__name__, attribute) for c in owner.__mro__ if c.__module__ == owner.__module__]
         place = next((key for key in keys if key in self._places), (owner.__name__, ""))
-        return Fault(self.path, *self._places.get(place, (0, 0)), message)
+        return Fault(self.path, *self._places.get(place, (getattr(owner, "line", 0), 0)), message)
 
     def convert_error(self, error: BaseException, doing: str) -> Fault:
         """Return the fault of an exception, with line and known remedy."""
@@ -94,7 +94,7 @@ FORMS = {  # declaration → its form; its type is the annotation of `Model`
     **dict.fromkeys(("base_states", "inputs", "outputs"), f"is a tuple of quantities, {COMMA}"),
     "catalogue": f"is a tuple of subclasses of Effect, {COMMA}",
     "sensors": f"is a tuple of subclasses of SensorError, {COMMA}",
-    **dict.fromkeys(("forced", "calibrated", "measured"), f'is a tuple of names, {COMMA}: ("name",)'),
+    **dict.fromkeys(("forced", "calibrated", "measured", "places"), f'is a tuple of names, {COMMA}: ("name",)'),
     "valid": 'is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)',
     "suspect": f'{DICTIONARY}: {{"parameter": ("input",)}}',
     "drawn_against": f'{DICTIONARY}: {{"effect": ("signal",)}}',
@@ -239,6 +239,10 @@ def _name_faults(kind: type[Model]) -> Faults:
             yield last, "name", f'{count} effects or sensor errors are called "{name}"; give each its own name'
         if name in parameters:
             yield last, "name", f'"{name}" is a parameter of the model too; give the effect another name'
+    for owner in kind.catalogue:
+        if issubclass(owner, LocalEffect) and getattr(owner, "place", None) not in kind.places:
+            places = ", ".join(kind.places) or "none yet"
+            yield owner, "place", f"the place of {owner.name} is not in `places` of the model ({places}); add it there"
     if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
         fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
         yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cosim.model.delay import Delay
+from cosim.model.effects import Delay
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of

@@ -6,7 +6,20 @@ a = J₁ + m₂·l₁², b = J₂, c = m₂·l₁·r₂ with J₁, J₂ about th
 
 from dataclasses import dataclass
 
-from cosim.model import Bias, Effect, Equations, Model, Namespace, Number, Quantity, Values, overrides, parameter
+from cosim.model import (
+    Bias,
+    DryFriction,
+    Equations,
+    LocalEffect,
+    Model,
+    Namespace,
+    Number,
+    QuadraticDrag,
+    Quantity,
+    Values,
+    parameter,
+    size,
+)
 
 CREEP = 0.02  # [rad/s] below which dry friction is smoothed
 SENSOR_VARIANCE = {"angle_1": 8.3e-10, "angle_2": 8.3e-10}
@@ -17,113 +30,25 @@ TOLD_APART_BY = {
 }
 
 
-class ArmEffect(Effect):
-    """Torques at the joints that the base model lacks."""
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        """Return additional torques at both joints [N m]."""
-        return 0.0, 0.0
-
-
-def _size(m: Namespace, value: Number) -> Number:
-    return m.where(value >= 0.0, value, -value)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coulomb1(ArmEffect):
-    """Dry friction of joint 1: −F·tanh(ω/0.02)."""
-
-    name = "coulomb_1"
-    equation = "torque −F·tanh(ω₁/0.02) at joint 1"
-    level: float = parameter(0.0, unit="N.m", bounds=(0, 5), neutral=0.0, typical=0.2, doc="dry friction F")
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        return -self.level * m.tanh(rates[0] / CREEP), 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coulomb2(ArmEffect):
-    """Dry friction of joint 2: −F·tanh(ω/0.02)."""
-
-    name = "coulomb_2"
-    equation = "torque −F·tanh(ω₂/0.02) at joint 2"
-    level: float = parameter(0.0, unit="N.m", bounds=(0, 3), neutral=0.0, typical=0.1, doc="dry friction F")
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        return 0.0, -self.level * m.tanh(rates[1] / CREEP)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drag1(ArmEffect):
-    """Quadratic friction of joint 1: −k·|ω|·ω."""
-
-    name = "drag_1"
-    equation = "torque −k·|ω₁|·ω₁ at joint 1"
-    coefficient: float = parameter(
-        0.0, unit="N.m.s2/rad2", bounds=(0, 2), neutral=0.0, typical=0.03, doc="coefficient k"
-    )
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        return -self.coefficient * _size(m, rates[0]) * rates[0], 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drag2(ArmEffect):
-    """Quadratic friction of joint 2: −k·|ω|·ω."""
-
-    name = "drag_2"
-    equation = "torque −k·|ω₂|·ω₂ at joint 2"
-    coefficient: float = parameter(
-        0.0, unit="N.m.s2/rad2", bounds=(0, 1), neutral=0.0, typical=0.01, doc="coefficient k"
-    )
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        return 0.0, -self.coefficient * _size(m, rates[1]) * rates[1]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TorqueBias1(ArmEffect):
-    """Constant torque at joint 1."""
-
-    name = "torque_bias_1"
-    equation = "torque B at joint 1"
-    torque_1: float = parameter(0.0, unit="N.m", bounds=(-2, 2), neutral=0.0, typical=0.1, doc="constant torque B")
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        return self.torque_1, 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class TorqueBias2(ArmEffect):
-    """Constant torque at joint 2."""
-
-    name = "torque_bias_2"
-    equation = "torque B at joint 2"
-    torque_2: float = parameter(0.0, unit="N.m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="constant torque B")
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        return 0.0, self.torque_2
-
-
-@dataclass(frozen=True, kw_only=True)
-class CableSpring(ArmEffect):
-    """Spring torque of the cable at joint 2: −k·q₂."""
-
-    name = "cable_spring"
-    equation = "torque −k·q₂ at joint 2"
-    stiffness: float = parameter(0.0, unit="N.m/rad", bounds=(0, 2), neutral=0.0, typical=0.03, doc="stiffness k")
-
-    def torque(self, m: Namespace, angles: Values, rates: Values, torques: Values) -> Values:
-        return 0.0, -self.stiffness * angles[1]
-
-
-@dataclass(frozen=True, kw_only=True)
-class EncoderOffset2(Bias):
-    """Offset of the encoder of joint 2: reading q₂ + b."""
-
-    name = "encoder_offset_2"
-    output = "angle_2"
-    value: float = parameter(0.0, unit="rad", bounds=(-0.3, 0.3), neutral=0.0, typical=0.01, doc="offset b")
+CATALOGUE = (
+    DryFriction.named("coulomb_1", place="joint_1", softness=CREEP, level=size("N.m", (0, 5), 0.2, "dry friction")),
+    DryFriction.named("coulomb_2", place="joint_2", softness=CREEP, level=size("N.m", (0, 3), 0.1, "dry friction")),
+    QuadraticDrag.named("drag_1", place="joint_1", coefficient=size("N.m.s2/rad2", (0, 2), 0.03, "coefficient")),
+    QuadraticDrag.named("drag_2", place="joint_2", coefficient=size("N.m.s2/rad2", (0, 1), 0.01, "coefficient")),
+    LocalEffect.named(
+        "torque_bias_1", place="joint_1", equation="torque B at joint 1",
+        torque_1=size("N.m", (-2, 2), 0.1, "constant torque B"), change=lambda e, m, torque, *_: torque + e.torque_1,
+    ),
+    LocalEffect.named(
+        "torque_bias_2", place="joint_2", equation="torque B at joint 2",
+        torque_2=size("N.m", (-1, 1), 0.05, "constant torque B"), change=lambda e, m, torque, *_: torque + e.torque_2,
+    ),
+    LocalEffect.named(
+        "cable_spring", place="joint_2", equation="torque −k·q₂ at joint 2",
+        stiffness=size("N.m/rad", (0, 2), 0.03, "stiffness k"),
+        change=lambda e, m, torque, rate, angle: torque - e.stiffness * angle,
+    ),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,8 +64,8 @@ class Arm(Model):
     )
     inputs = (Quantity("torque_1", "N.m", "torque at joint 1"), Quantity("torque_2", "N.m", "torque at joint 2"))
     outputs = base_states[:2]
-    catalogue = (Coulomb1, Coulomb2, Drag1, Drag2, TorqueBias1, TorqueBias2, CableSpring)
-    sensors = (EncoderOffset2,)
+    catalogue, places = CATALOGUE, ("joint_1", "joint_2")
+    sensors = (Bias.named("encoder_offset_2", output="angle_2", value=size("rad", (-0.3, 0.3), 0.01, "offset b")),)
     sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("rate_1", "rate_2")
     calibrated = (
@@ -170,7 +95,7 @@ class Arm(Model):
         """
         a, b, c, rotor = self.inertia_1, self.inertia_2, self.coupling, self.rotor_2
         g1, g2, d1, d2 = self.gravity_1, self.gravity_2, self.viscous_1, self.viscous_2
-        terms = overrides(self.awake, "torque", ArmEffect)
+        at = self.effects_at(m)
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             q1, q2, w1, w2 = state
@@ -178,9 +103,7 @@ class Arm(Model):
             weight_2 = g2 * m.cos(q1 + q2)
             t1 = command[0] + c * sin * (2.0 * w1 + w2) * w2 - g1 * m.cos(q1) - weight_2 - d1 * w1
             t2 = command[1] - c * sin * w1 * w1 - weight_2 - d2 * w2
-            for term in terms:
-                added = term.torque(m, (q1, q2), (w1, w2), command)
-                t1, t2 = t1 + added[0], t2 + added[1]
+            t1, t2 = at("joint_1", t1, w1, q1), at("joint_2", t2, w2, q2)
             m11, m12, m22 = a + b + 2.0 * c * cos, b + c * cos, b + rotor
             determinant = m11 * m22 - m12 * m12
             return w1, w2, (t1 * m22 - t2 * m12) / determinant, (t2 * m11 - t1 * m12) / determinant
