@@ -82,7 +82,7 @@ class ViewedRun:
     """
 
     def __init__(self, place: RunPlace, progress: Progress = None, rows: Recording | None = None) -> None:
-        self.place, self.lost, self.notes, self.record = place, "", list[str](), {"display": place.display}
+        self.place, self.lost, self.notes, self.record = place, "", list[str](), dict[str, Any](display=place.display)
         self._due = 0.0  # [s] next time at which a growing file may be read again
         self._state, self._is_fed = file_state(place.file), rows is not None
         self.rows = self._open(progress) if rows is None else rows
