@@ -66,8 +66,8 @@ NO_EFFECT = "no_effect"
 NOTHING = "Nothing is missing: the model, recalibrated, explains these logs down to the sensors' noise."
 DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
 REFUSALS = {
-    "interval": "Probable but not claimed, since intervals hold the values without effect: {}.",
-    "held out": "Fits to some of the logs predict the others worse with {} than without.",
+    "interval": "probable but not claimed, since intervals hold the values without effect: {}.",
+    "held out": "fits to some of the logs predict the others worse with {} than without.",
 }
 OPENINGS = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
 
@@ -179,12 +179,12 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
     if c.name == "ambiguous":
         names = join_names(c.hidden)
         weak = [f"these logs excite too little: {names} would not show in them, present or not."]
-        undecided = [_rivals_text(c)] if sum(p > 0.0 for p in rivals.values()) > 1 else []
         parts = {kind: [r.partition(": ")[2] for r in reasons if r.startswith(kind)] for kind in REFUSALS}
         refusals = [text.format(join_names(parts[kind])) for kind, text in REFUSALS.items() if parts[kind]]
-        first, *others = weak if "nothing would show" in reasons else [*undecided, *refusals] or [""]
+        undecided = [_rivals_text(c)] if not refusals or sum(p > 0.0 for p in rivals.values()) > 1 else []
+        first, *others = weak if "nothing would show" in reasons else [*undecided, *refusals]
         yield _joined(claim, first)
-        yield from others
+        yield from (_joined("", text) for text in others)
         yield f"An experiment that may decide: {c.experiment}." if c.experiment else ""
     elif c.name == NO_EFFECT:
         sizes = [f"{percent(share)} of the derivative of {name}" for name, share in c.moves.items()]
