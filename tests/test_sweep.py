@@ -170,7 +170,8 @@ def test_a_name_whose_newest_results_are_a_sweep_is_viewed(
         assert done.exit_code == 0, done.output
         return list(json.loads(done.stdout)["runs"])
 
-    assert [run["name"] for run in viewed()] == [f"tank/0002 run {k}" for k in range(5)]
+    assert study.record["runs"] == 10
+    assert [run["name"] for run in viewed()] == [f"tank/0002 run {k}" for k in range(10)]
     places, notes = find_runs(["tank"], Path("results"))
     table, _ = read_table(study.folder / TABLE)
     for place, levels in zip(places, signal_of(table, "tank.level"), strict=True):
