@@ -155,5 +155,4 @@ def test_an_effect_inside_a_stepped_fmu_is_no_wrong_parameter(
     answer = json.loads((tmp_path / "refined" / "refine.json").read_text(encoding="utf-8"))
     assert found.verdict == answer["verdict"] == verdict
     assert answer["residual"]["signals"] == signals
-    if signals:
-        assert "Something that was not tried" in answer["sentence"]
+    assert answer["untested"]  # co-simulation gives no access to the inside

@@ -10,9 +10,11 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from markupsafe import escape
 
 from cosim.fmi.building.file import own_model
 from cosim.model import Stepper
+from cosim.refinement.decision.claims import sentence
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.plots import compare_effects, innovations
 from cosim.refinement.report.refine_page import write_refine_report
@@ -94,9 +96,6 @@ def test_the_page_loads_nothing_and_hinders_nobody(cart: Refinement, tmp_path: P
     assert re.search(r"https?://|@import|url\(|<script[^>]* src", text) is None
     assert len(text.encode()) < 900_000
     assert re.search(r"\bnan\b|\bNone\b|\binf\b", text) is None
-    targets = re.findall(r'href="#(\w+)"', text)
-    assert targets
-    assert all(f'id="{t}"' in text for t in targets)
     assert "<b>&" not in text  # names from files never become markup
     assert "Study &lt;b&gt;&amp;amp; co" in text
     assert "Cart &lt;of mine&gt;" in text
@@ -129,16 +128,16 @@ def test_innovations_are_coloured_before_and_white_after(cart: Refinement) -> No
 
 
 @pytest.mark.parametrize(
-    ("name", "rivals", "says"),
+    ("name", "rivals", "tone", "verb"),
     [
-        ("no_effect", (), "nothing missing"),
-        ("unexplained", (), "figure of the remainder"),
-        ("ambiguous", ("dry", "push"), "push harder"),
-        ("parameter_error", (), "wrong parameter"),
+        ("no_effect", (), "good", "simulate"),
+        ("unexplained", (), "bad", "refine"),
+        ("ambiguous", ("dry", "push"), "warn", "excite"),
+        ("parameter_error", (), "good", "simulate"),
     ],
 )
-def test_every_verdict_has_its_page(
-    cart: Refinement, tmp_path: Path, name: Any, rivals: tuple[str, ...], says: str
+def test_every_verdict_has_its_word_its_tone_and_a_command_that_goes_on(
+    cart: Refinement, tmp_path: Path, name: Any, rivals: tuple[str, ...], tone: str, verb: str
 ) -> None:
     is_claimed, chances = name == "parameter_error", {frozenset({rival}): 0.5 for rival in rivals}
     claims = cart.verdict
@@ -147,12 +146,23 @@ def test_every_verdict_has_its_page(
         decision = replace(decision, claimed={}, grade="nearest")
         claims = replace(claims, claimed=None, nearest=claims.best)
     rivalry = {"rivals": list(rivals), "experiment": "push harder" if rivals else ""}
-    record = {**cart.record, **rivalry, "verdict": name, "sentence": "A sentence."}
+    verdict = replace(claims, decision=decision, experiment="push harder" if rivals else "")
+    said = sentence(verdict, cart.study.subject, {}, {"s": 0.5}, "", is_written=True)
+    answer, more = said.split(". ", 1)
+    assert len(answer.split()) <= 25
+    record = {**cart.record, **rivalry, "verdict": name, "sentence": said, "untested": ["leaks"]}
     jsonschema.validate(record, schema_of("refine_result"))
-    verdict = replace(claims, decision=decision, experiment="push harder")
     text = page(replace(cart, verdict=verdict, record=record), tmp_path)
-    assert says in text
-    assert all(f"<li>{rival}</li>" in text for rival in rivals)
+    head, folded = text.split("<details", 1)
+    assert f'<p class="verdict {tone} answer">{name.replace("_", " ")}</p>' in head
+    assert f"{escape(answer)}.</p>" in head
+    assert "leaks" in head
+    assert f"<pre><code>cosim {verb} " in head
+    assert ("push harder" in head) == (name == "ambiguous")
+    assert head.count('class="bar"') >= 2  # the posterior
+    assert escape(more) in folded
+    assert "data-chart" not in head
+    assert all(f"<li>{rival}</li>" in folded for rival in rivals)
     assert ("Left of recalibrated" in text) == is_claimed
 
 

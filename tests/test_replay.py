@@ -11,6 +11,7 @@ import pytest
 
 import cosim
 from cosim.core.errors import InputError
+from cosim.files.folders import replay_record
 from cosim.files.results import read_results
 from cosim.files.table import read_columns
 from cosim.logs.log import Log, read_log
@@ -149,6 +150,8 @@ def test_any_fmu_can_be_replayed_and_a_wrong_one_is_told_from_a_right_one(
     assert comparison.replays.keys() == ({0.5, 2.0, math.inf} if starts else {math.inf})
     is_right = mass == 2.0
     assert [c.is_explained for c in comparison.channels] == [is_right]
+    assert replay_record(tmp_path / "out")["verdict"] == ("explained" if is_right else "unexplained")
+    assert (tmp_path / "out" / "study.yaml").exists() == (not is_right)
     if is_right:
         assert comparison.replays[math.inf].outputs["velocity"] == pytest.approx(velocity, abs=0.01)
     assert not (tmp_path / "out" / "report.html").exists()
@@ -193,6 +196,9 @@ def test_a_recorded_log_is_replayed_and_reported_row_by_row(tmp_path: Path, plan
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
     assert len(page) < 600_000
+    head, _, folded = page.partition("<details")  # residuals are in sight, overlays are not
+    assert f'<p class="verdict bad answer">{replay_record(tmp_path)["verdict"]}</p>' in head
+    assert ("Residual of psi" in head, "restarted every" in head, "restarted every" in folded) == (True, False, True)
     assert seen
     assert seen == sorted(seen)
 

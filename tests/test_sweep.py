@@ -26,6 +26,7 @@ from cosim.core.errors import InputError, SweepFailed, SweepStopped
 from cosim.files.results import read_results
 from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
+from cosim.pages.runs import find_runs
 from cosim.sweeps.reading import read_sweep, repeat_command
 from cosim.sweeps.sampling import Factor, columns_of, distribution, sensitivity
 from cosim.sweeps.store import read_table, signal_of
@@ -154,6 +155,31 @@ def test_a_run_that_crashes_its_process_or_takes_too_long_fails_alone(tmp_path: 
     assert "fmi2DoStep crashed" in study.record["failures"][0]["why"]
     table, _ = read_table(study.folder / TABLE)
     assert [status == "ok" for status in table.column("status").to_pylist()] == [False, True, False, True]
+
+
+def test_a_name_whose_newest_results_are_a_sweep_is_viewed(
+    tanks: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tanks(FEW)
+    monkeypatch.chdir(tmp_path)
+    cosim.run("tanks.yaml", "results/tank/0001", report=False, in_process=True)
+    study = swept(path, "results/tank/0002")
+
+    def viewed() -> list[dict[str, Any]]:
+        done = CliRunner().invoke(command_line(), ["view", "tank", "--prepare", "--json"])
+        assert done.exit_code == 0, done.output
+        return list(json.loads(done.stdout)["runs"])
+
+    assert study.record["runs"] == 10
+    assert [run["name"] for run in viewed()] == [f"tank/0002 run {k}" for k in range(10)]
+    places, notes = find_runs(["tank"], Path("results"))
+    table, _ = read_table(study.folder / TABLE)
+    for place, levels in zip(places, signal_of(table, "tank.level"), strict=True):
+        assert place.rows is not None
+        assert place.rows.read("tank.level").tolist() == levels.tolist()
+    assert len(notes) == 1
+    (study.folder / TABLE).unlink()
+    assert [run["name"] for run in viewed()] == ["tank/0001"]
 
 
 def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -> None:

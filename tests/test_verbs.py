@@ -5,6 +5,7 @@ A verb without --out writes to results/NAME/0001.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -91,3 +92,12 @@ def test_a_verb_works_as_shipped(desk: Path, tmp_path: Path, verb: str) -> None:
     assert "Traceback" not in done.stderr
     assert (folder / file).exists()
     assert file.startswith("results/") or not (folder / "results").exists()
+    if verb in {"replay", "refine"}:  # the answer first, in the words of the record
+        lines = done.stdout.splitlines()
+        record = json.loads((folder / file).with_name(f"{verb}.json").read_text(encoding="utf-8"))
+        assert lines[0].startswith(f"verdict: {record['verdict'].replace('_', ' ')}")
+        assert record["sentence"].startswith(lines[1])
+        assert len(lines) <= 12
+    if verb == "refine":  # what cannot be tested, before and after the search
+        assert all(text in done.stderr and text in done.stdout for text in record["untested"])
+        assert record["untested"]

@@ -11,7 +11,7 @@ from cosim.core.text import join_names, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.interface import Subject
-from cosim.logs.channel_noise import noise_level, surprise, white_noise
+from cosim.logs.channel_noise import surprise, white_noise
 
 OFF = 1.5  # ratio from which a level differs from the noise; accuracy is about 10 %
 STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
@@ -110,15 +110,3 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
 
 def _line(levels: NamedValues) -> str:
     return f"`noise: {{{', '.join(f'{name}: {level:.2g}' for name, level in levels.items())}}}`"
-
-
-def at_rest(problem: Problem) -> bool:
-    """Return True if no input moves and no output exceeds its noise in any log."""
-    return all(
-        not np.ptp(log.u, axis=0).any()
-        and all(
-            not known.size or float(np.std(known)) <= OFF * noise_level(known)
-            for known in (column[np.isfinite(column)] for column in log.y.T)
-        )
-        for log in problem.logs
-    )

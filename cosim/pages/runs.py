@@ -18,6 +18,7 @@ from cosim.core.drafts import is_full
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
 from cosim.core.scratch import process_folder
+from cosim.core.text import counted
 from cosim.files.artefact import LOG
 from cosim.files.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.files.kinds import check_given, refuse_folder
@@ -26,8 +27,9 @@ from cosim.files.run_entries import Entry, entries, select_groups
 from cosim.isolation import rows as running
 from cosim.isolation.rows import FOLLOWED
 from cosim.master.checkpoint import ROWS
-from cosim.pages.rows import Recording, Store
+from cosim.pages.rows import TIME, Recording, Store
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
+from cosim.sweeps.store import TABLE, read_runs
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 LOST = "{label} was removed or replaced; what is drawn of it stays, zoom shows the others"
@@ -50,6 +52,8 @@ class RunPlace:
         is_named: Whether the user named this one; a fault of it is then an error.
         entry: Results in a folder of results; None for other paths.
         columns: Column of the table → name of its signal, or `time`, of columns with another name.
+        rows: Rows in memory, of a run of a sweep, whose table has no time.
+        display: Unit → name of its display unit, factor and offset to its values, of these rows.
     """
 
     name: str
@@ -58,6 +62,8 @@ class RunPlace:
     is_named: bool = True
     entry: Entry | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+    rows: Recording | None = None
+    display: Mapping[str, Any] = field(default_factory=dict)
 
 
 class ViewedRun:
@@ -76,7 +82,7 @@ class ViewedRun:
     """
 
     def __init__(self, place: RunPlace, progress: Progress = None, rows: Recording | None = None) -> None:
-        self.place, self.lost, self.notes, self.record = place, "", list[str](), dict[str, Any]()
+        self.place, self.lost, self.notes, self.record = place, "", list[str](), dict[str, Any](display=place.display)
         self._due = 0.0  # [s] next time at which a growing file may be read again
         self._state, self._is_fed = file_state(place.file), rows is not None
         self.rows = self._open(progress) if rows is None else rows
@@ -208,6 +214,14 @@ def find_runs(
                 elif entry is None and (rows := _rows_of(path)) is not None:
                     name = run_name(path)
                     found.append(RunPlace(name, name, rows))
+                elif not selected.by_pattern and (of_sweep := _of_sweep(path))[0]:
+                    found += of_sweep[0]
+                    notes.append(Note(of_sweep[1]))
+                elif earlier := _earlier_of(text, entry, results):
+                    found.append(earlier)
+                    notes.append(
+                        Note(f"{path} has no rows to draw; the newest run that has, {earlier.label}, is shown")
+                    )
                 elif not selected.by_pattern:
                     refuse_folder(path, WANTED)
                     raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
@@ -216,7 +230,8 @@ def find_runs(
         except InputError as error:
             faults += error.faults
     refuse(faults)
-    return _differing(list({place.file.resolve(): place for place in found}.values())), notes
+    unique = {(place.file.resolve(), place.name if place.rows else ""): place for place in found}
+    return _differing(list(unique.values())), notes
 
 
 def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], list[str]]:
@@ -229,7 +244,7 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
     for place in places:
         try:
             with bar(f"converting {place.label}") as progress:
-                runs.append(ViewedRun(place, progress))
+                runs.append(ViewedRun(place, progress, place.rows))
             notes += [note for note in runs[-1].notes if note not in notes]
         except (InputError, OSError) as error:
             if is_full(error):
@@ -262,6 +277,28 @@ def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     rows = _rows_of(entry.folder)
     name = entry.of if entry.is_newest else entry.name
     return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
+
+
+def _of_sweep(folder: Path) -> tuple[list[RunPlace], str]:
+    """Return runs of a sweep with their sampled signals, and a note; none of other results and without signals."""
+    swept = read_runs(folder)
+    if swept is None:
+        return [], ""
+    name, record, places = run_name(folder), swept.record, list[RunPlace]()
+    time, runs = swept.signals(MAX_RUNS)
+    for number, signals in runs.items():
+        label, rows = f"{name} run {number}", Recording({TIME: time, **signals}, record["units"], time.size)
+        places.append(RunPlace(label, label, folder / TABLE, rows=rows, display=record.get("display") or {}))
+    note = f"{name} is a sweep; {len(places)} of its {counted(record['runs'], 'run')} are shown, as sampled"
+    return places, note
+
+
+def _earlier_of(text: str, entry: Entry | None, results: Path) -> RunPlace | None:
+    """Return the newest run with rows of a name of several runs."""
+    if entry is None or entry.name == entry.of or not text.rstrip("/").endswith(entry.of):
+        return None
+    places = [_of_entry(e, is_named=True) for e in entries(results) if e.of == entry.of]
+    return next((place for place in reversed(places) if place is not None), None)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:

@@ -226,6 +226,7 @@ class Record(BaseModel):
     ladder: from the model of the study to more and more candidates
     candidates: every hypothesis that was fitted, best first
     hidden: effects that these logs would not show at their usual size, and did not
+    untested: effects that this subject and these logs do not allow to test, with the reasons
     measured: outputs that some estimation log holds
     warnings: what is doubtful about the study, in plain words
     horizon: how long a replay in `error` is [s]
@@ -260,6 +261,7 @@ class Record(BaseModel):
     per_log: dict[str, PerLog] = {}
     candidates: list[CandidateEntry]
     hidden: list[str]
+    untested: list[str] = []
     measured: list[str]
     sensor_noise: Channels
     inputs: Inputs
@@ -289,6 +291,7 @@ def record(
     floors: Floors,
     way: Replays,
     ends: NamedValues,
+    untested: Sequence[str],
     seconds: float,
 ) -> Record:
     """Return the content of refine.json.
@@ -299,6 +302,7 @@ def record(
         noise: Noise of the best hypothesis, with sensor noise free of model errors.
         between: Inputs between rows.
         ends: Final filtered values of parameters per log on sealed logs.
+        untested: Effects that this study cannot test, with the reasons.
     """
     judged, decision = study.subject.horizon, claims.decision
 
@@ -339,6 +343,7 @@ def record(
             for h, odds in claims.tried
         ],
         hidden=list(claims.hidden),
+        untested=list(untested),
         measured=list(outputs),
         sensor_noise=dict(zip(outputs, np.exp(0.5 * noise.sensors).tolist(), strict=True)),
         inputs=Inputs(taken=dict(between.ways), gain_otherwise=between.gain),

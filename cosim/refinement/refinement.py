@@ -32,6 +32,7 @@ class Refinement:
     problem: Problem
     variants: Mapping[str, Variant]
     evidence: Mapping[str, Mapping[Part, ReplayedLogs]]  # before, recalibrated, after → estimation, validation
+    risen: Mapping[str, tuple[float, float]]  # channel → error before and after, if it rises on sealed logs
 
 
 @dataclass(frozen=True, repr=False)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.errors import Fault, TimedOut, refuse
+from cosim.core.messages import Note
 from cosim.core.text import counted, join_names, plain, showing
 from cosim.credibility.record import attach
 from cosim.estimation.fit import Fit, initial_fit
@@ -43,6 +44,7 @@ from cosim.isolation.limits import Limits
 from cosim.refinement.decision.bundle import fit_given_model
 from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
 from cosim.refinement.decision.trust import attribute
+from cosim.refinement.outlook import untested_effects
 from cosim.refinement.proof.credibility import credibility_of
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
@@ -83,6 +85,7 @@ def refine(
     report: bool = False,
     in_process: bool = False,
     limits: str = "",
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Refinement:
     """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
@@ -94,6 +97,7 @@ def refine(
         report: Write report.html too.
         in_process: Load FMUs into this process, for a debugger.
         limits: Limits in place of those of a study file, such as `step: 10 s, total: 10 min`.
+        tell: Function that shows a note before the search.
 
     Raises:
         InputError: The study or a log has faults.
@@ -105,17 +109,27 @@ def refine(
     progress("reading the logs", 0.0)
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study), limits)
+    untested = untested_effects(study)
+    if untested:
+        tell(Note(f"not tested: {'; '.join(untested)}"))
     limited = _Limited(progress, study.content.limits, start)
     check_writable(folder, (*REFINED, *NEAREST, ANSWER, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
     with showing({"display": study.subject.display}):
-        return _refine(study, folder, problem, limited, report=report, in_process=in_process)
+        return _refine(study, folder, problem, limited, untested, report=report, in_process=in_process)
 
 
 def _refine(
-    study: Study, folder: Path, problem: Problem, limited: _Limited, *, report: bool, in_process: bool
+    study: Study,
+    folder: Path,
+    problem: Problem,
+    limited: _Limited,
+    untested: Sequence[str],
+    *,
+    report: bool,
+    in_process: bool,
 ) -> Refinement:
     """Search, decide and prove."""
     subject, progress, start = study.subject, limited.progress, limited.start
@@ -176,7 +190,6 @@ def _refine(
             risen,
             remaining,
             between.line,
-            is_restricted=bool(study.content.candidates),
             is_written=bool(files),
         )
         written = record(
@@ -191,6 +204,7 @@ def _refine(
             floors=floors,
             way=way,
             ends=ends,
+            untested=untested,
             seconds=time.perf_counter() - start,
         )
         for file, (known, covered) in records.items():
@@ -210,7 +224,7 @@ def _refine(
     searched, horizon = search.problem, subject.horizon
     evidence = {name: {part: by[horizon] for part, by in parts.items()} for name, parts in played.items()}
     problem = replace(problem, trusted=searched.trusted, scatter=searched.scatter)
-    outcome = Refinement(study, claims, content, folder, problem, variants, evidence)
+    outcome = Refinement(study, claims, content, folder, problem, variants, evidence, risen)
     if report:
         from cosim.refinement.report.refine_page import write_refine_report
 

@@ -9,13 +9,13 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
-from cosim.core.text import amount, join_names, plain, size
+from cosim.core.text import join_names, plain, size
 from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.gate import ORDER, refuse_faults
 from cosim.logs.log import SENSORS, Finding, Log
@@ -50,6 +50,7 @@ AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are esti
 ROUNDING = 1e-9  # share of a channel's size
 STEP = 1e-6  # change of a start value without known noise
 EXACT = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
+Verdict = Literal["explained", "unexplained", "undecided"]
 FOLLOWS = 2.5  # multiple of the 95 % band, five standard errors: beyond chance despite slow start errors
 
 
@@ -285,56 +286,71 @@ def horizon_name(horizon: float | None) -> str:
     return "free run" if horizon in (None, FREE_RUN) else f"{horizon:g}\u00a0s"
 
 
-def verdict(comparison: Comparison) -> str:
-    """Return the verdict, from the first rule that applies to the channels."""
-    channels = [c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels
-    measure = channels[0].measure
-    seconds = float(comparison.log.time[-1] - comparison.log.time[0])
-    over = f"a free run of {plain(seconds)}\u00a0s" if measure == FREE_RUN else f"{measure:g}\u00a0s"
-    sizes = join_names([f"{c.name} by {size(c.scores[measure].rmse, c.unit)}" for c in channels])
-    lead = f"Over {over} the model misses {sizes} (rms)."
-    beyond = sorted((c for c in channels if not (c.is_matched or c.lost)), key=lambda c: -c.excess)
-    hidden = ""
-    if lost := [c for c in channels if c.lost]:
+def verdict(comparison: Comparison) -> Verdict:
+    """Return the verdict: an unexplained channel decides, then one that the windows do not measure."""
+    if any(not (c.is_explained or c.lost) for c in comparison.channels):
+        return "unexplained"
+    return "undecided" if any(c.lost for c in comparison.channels) else "explained"
+
+
+def worst_first(channels: Sequence[ChannelSummary]) -> list[ChannelSummary]:
+    """Return the unexplained channels, then the others, each with the largest error relative to its floor first."""
+
+    def rank(c: ChannelSummary) -> tuple[bool, bool, bool, float]:
+        excess = c.excess if math.isfinite(c.excess) else 0.0 if c.is_matched else math.inf  # above a floor of 0
+        return c.is_explained, c.is_matched, c.lost, -excess
+
+    return sorted(channels, key=rank)
+
+
+def sentence(comparison: Comparison) -> str:
+    """Return the verdict in words: the worst channel as the first sentence, then other channels and the cause."""
+    channels = worst_first([c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels)
+    worst, *others = channels
+    lost, answer = [c for c in channels if c.lost], verdict(comparison)
+    seconds = plain(float(comparison.log.time[-1] - comparison.log.time[0]))
+    over = f"a free run of {seconds}\u00a0s" if worst.measure == FREE_RUN else horizon_name(worst.measure)
+    error = f"{size(worst.scores[worst.measure].rmse, worst.unit)} (rms) over {over}"
+    error += f", {plain(worst.excess, 2)} times its noise floor" if math.isfinite(worst.excess) else ""
+    texts = []
+    if answer == "unexplained":
+        follows, cause = _cause(comparison, [c for c in channels if not (c.is_explained or c.lost)])
+        small = ", which noise could explain" if worst.is_matched else ""
+        texts.append(f"{worst.name} is off by {error}{small}{follows}.")
+        if also := [c for c in others if not (c.is_matched or c.lost)]:
+            times = [f" ({plain(c.excess, 2)} times)" if math.isfinite(c.excess) else "" for c in also]
+            names = [f"{c.name}{text}" for c, text in zip(also, times, strict=True)]
+            texts.append(f"Above the noise floor too: {join_names(names)}.")
+        texts.append(cause)
+    elif answer == "explained":
+        every = f"All {len(channels)} channels agree" if others else f"{worst.name} agrees"
+        texts.append(f"{every} with the log within sensor noise; {worst.name} is off by {error}.")
+    if lost:
         own = join_names([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
         free = join_names([f"{c.name} by {size(c.scores[FREE_RUN].rmse, c.unit)}" for c in lost])
-        hidden = (
-            f"The windows do not measure {join_names([c.name for c in lost])}: this FMU keeps a state that no output "
-            f"shows. Restarted from its own outputs it misses {own}. Its free run misses {free}."
-        )
-    if not beyond:
-        if hidden:
-            return f"{lead} {hidden}"
-        if following := [c for c in channels if c.is_matched and not c.is_explained]:
-            return f"{lead} Noise could explain that in size, but not in kind. {_cause(comparison, following)}"
-        return f"{lead} The noise of the sensors explains that: this log shows nothing that the model lacks."
-    cause = _cause(comparison, beyond)
-    if measure == FREE_RUN:
-        worst = min(beyond, key=lambda c: c.scores[FREE_RUN].fit)
-        return f"{lead} The fit of {worst.name} is {amount(worst.scores[FREE_RUN].fit, '%', 2)}. {cause}"
-    times = join_names([f"{plain(c.excess, 2)} times for {c.name}" for c in beyond])
-    return f"{lead} That is more than the noise of the sensors explains: {times}. {cause} {hidden}".rstrip()
+        texts += [
+            f"Windows cannot judge {join_names([c.name for c in lost])}: this FMU keeps a state that no output shows.",
+            f"Restarted from its own outputs it misses {own}. Its free run misses {free}.",
+        ]
+    return " ".join(texts)
 
 
-def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
-    """Return the probable cause of the error: a claimed error of a sensor, a delay, or the input that it follows."""
-    if claimed := next((f.whole for f in comparison.findings if f.kind == SENSORS), ""):
-        return f"{claimed[:1].upper()}{claimed[1:]}."
-    names = {c.name for c in channels}
-    late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
-    if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
-        first = max(late, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"])
-        return f"{first.whole}."
+def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> tuple[str, str]:
+    """Return what the residual follows, as a clause, and the probable cause as a sentence.
+
+    Causes are a claimed error of a sensor, a delay, or an answer to an input.
+    """
+    names, findings = {c.name for c in channels}, comparison.findings
+    late = [f for f in findings if f.kind == "delay" and f.channel in names]
+    late = [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]
+    late.sort(key=lambda f: -abs(f.numbers["delay"]) / f.numbers["error"])
+    known = [f"{f.whole[:1].upper()}{f.whole[1:]}" for f in findings if f.kind == SENSORS] + [f.whole for f in late]
     pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
     if not pairs:
-        return (
-            "No command stands out in the residual: the cause may be an effect that depends on the motion, "
-            "a disturbance or a sensor. `cosim refine` distinguishes them."
-        )
+        why = "The cause may be an effect that depends on the motion, a disturbance or a sensor"
+        return "; the residual follows no input", f"{(known or [why])[0]}."
     channel, follows = max(pairs, key=lambda pair: pair[1].strength)
     rho = plain(float(follows.rho[follows.peak]), 2)
-    why = "" if follows.ahead else ", or the loop answers a disturbance"
-    return (
-        f"The residual of {channel.name} follows {follows.name} (correlation {rho}): "
-        f"the model's answer to that command is wrong or incomplete{why}."
-    )
+    why = f"The model's answer to {follows.name} is wrong or incomplete"
+    why += "" if follows.ahead else ", or the loop answers a disturbance"
+    return f"; the residual of {channel.name} follows {follows.name} (correlation {rho})", f"{(known or [why])[0]}."

@@ -25,10 +25,11 @@ from cosim.core.text import (
 )
 from cosim.core.version import __version__
 from cosim.credibility.validity import Validity, output_panels, outside_of, validity_sentence
+from cosim.files.files import path_from_here
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, held_panels
-from cosim.residuals.compare import ChannelSummary, Comparison, horizon_name, verdict
+from cosim.residuals.compare import ChannelSummary, Comparison, horizon_name, sentence, verdict, worst_first
 from cosim.residuals.residual_statistics import FREE_RUN, Whiteness
 from cosim.residuals.windows import SKIPPED, horizons
 
@@ -37,27 +38,29 @@ Cell = Callable[[ChannelSummary], str]  # of a table
 STEMS = 100  # about, lags of an autocorrelation
 
 
-def context(comparison: Comparison, validity: Validity, *, passing: bool = False) -> Mapping[str, Any]:
+TONES: Mapping[str, str] = {"explained": "good", "unexplained": "bad", "undecided": "warn"}
+
+
+def context(comparison: Comparison, study: Path, validity: Validity, *, passing: bool = False) -> Mapping[str, Any]:
     """Return the values of the template.
 
     Args:
+        study: Study for the next step, if it was written.
         validity: Validity of the free run in the region of the FMU's logs, empty without one.
         passing: True if the FMU was built for this replay only.
     """
     log, drive, findings = comparison.log, comparison.drive, comparison.findings
-    channels, replays = comparison.channels, comparison.replays
-    charts = Charts()
+    channels, replays = worst_first(comparison.channels), comparison.replays
+    charts, word = Charts(), verdict(comparison)
     drawing = charts.over(log.time)
     measure = horizons(log)[-1]
-    headline, details = split_sentence(verdict(comparison))
-    explained, warnings = sum(c.is_explained for c in channels), sum(f.severity == "warning" for f in findings)
+    headline, *details = filter(None, split_sentence(sentence(comparison)))
+    warnings = sum(f.severity == "warning" for f in findings)
     badges = [
-        Badge(f"{explained} of {counted(len(channels), 'channel')} explained"),
         Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
         Badge(counted(log.rows, "row")),
+        Badge(f"replayed through {drive.description.modelName}"),
     ]
-    if warnings:
-        badges.append(Badge(counted(warnings, "warning"), "warn"))
     about = drive.description
     units = {v.name: v.unit or "" for v in about.modelVariables}
     starts = [
@@ -92,9 +95,8 @@ def context(comparison: Comparison, validity: Validity, *, passing: bool = False
         "log": log,
         "drive": drive,
         "channels": channels,
-        "headline": headline,
-        "details": details,
-        "tone": "good" if explained == len(channels) else "plain",
+        "answer": (TONES[word], word, headline, details),
+        "next": shlex.join(["cosim", "refine", str(path_from_here(study))]) if study.is_file() else "",
         "badges": badges,
         "bad": warnings,
         "measure": measure,
@@ -103,6 +105,7 @@ def context(comparison: Comparison, validity: Validity, *, passing: bool = False
         "free": drawing.plots(_trusted(_pair_panels(comparison, FREE_RUN), comparison, validity)),
         "trust": validity_sentence("FMU", validity).partition(": ")[2],
         "residual": drawing.plots(residuals),
+        "shown": sum(not c.is_explained for c in channels) or len(channels),
         "commands": drawing.plots(held_panels(log.inputs, log.units)),
         "autocorrelation": _autocorrelation(comparison, charts),
         "inputs": _input_correlation(comparison, charts),
@@ -160,7 +163,7 @@ def neighbours(test: Whiteness) -> str:
 def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
     """Draw autocorrelations; channels with equally many lags share cursor and zoom."""
     plots, drawings = [], dict[int, Drawing]()
-    for c in comparison.channels:
+    for c in worst_first(comparison.channels):
         size = c.whiteness.rho.size
         if size < 2:
             continue
@@ -178,7 +181,7 @@ def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
 
 def _input_correlation(comparison: Comparison, charts: Charts) -> list[Plot]:
     plots = []
-    for c in (c for c in comparison.channels if c.inputs):
+    for c in (c for c in worst_first(comparison.channels) if c.inputs):
         chosen = c.inputs[:OTHERS_PER_PANEL]
         traces = [Trace(u.name, u.rho, f"s{i}") for i, u in enumerate(chosen)]
         width = np.full(chosen[0].rho.size, max(u.band for u in chosen))

@@ -53,7 +53,7 @@ from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import SENSORS, Finding, read_column_names
 from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
-from cosim.residuals.compare import Comparison, compare, steps_of, verdict
+from cosim.residuals.compare import Comparison, compare, sentence, steps_of, verdict
 from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, log_of_fmu, start_values
 from cosim.residuals.evidence import signals_along
 from cosim.residuals.replay_signals import Replay, read_replay
@@ -160,13 +160,16 @@ def replay(
             errors = residuals(comparison)
             errors.write(residual_file)
             units = {**results(drive, free.outputs).units, **errors.units}
-            content = {"schema_version": SCHEMA_VERSION, **sources, "sentence": verdict(comparison), "units": units}
+            answer = {"verdict": verdict(comparison), "sentence": sentence(comparison)}
+            content = {"schema_version": SCHEMA_VERSION, **sources, **answer, "units": units}
             content |= {"validity": validity} if validity else {}
             write_json(place / REPLAY, {**content, "display": display}, indent=1)
-            if fmu and not claimed and not all(c.is_explained for c in comparison.channels):
-                write_text(place / NEXT_STUDY, _next_study(place, driven, path, names, values))
+            next_study = place / NEXT_STUDY
+            if not claimed and answer["verdict"] != "explained":
+                write_text(next_study, _next_study(place, driven if fmu else None, path, names, values))
             if report and out is not None:
-                write_text(place / "report.html", render(TEMPLATE, context(comparison, validity, passing=fmu is None)))
+                values_of_page = context(comparison, next_study, validity, passing=fmu is None)
+                write_text(place / "report.html", render(TEMPLATE, values_of_page))
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stop_error(stop, float(measured.time[-1]), "the comparison")
             ended.left = place
@@ -230,10 +233,11 @@ def _write_rows(rows: Results, file: Path) -> None:
         raise DiskFull("the replay", rows.time[max(0, count - 1)].item(), reason) from None
 
 
-def _next_study(folder: Path, fmu: Path, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:
+def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:
     """Return the text of a study for `folder` of an FMU and a log, to be completed by further logs.
 
     Args:
+        fmu: None for the base model.
         columns: Name in the log → name in the FMU.
         start: Values of the replay, NAME=VALUE, which a study of `cosim refine` does not have.
     """
@@ -245,7 +249,7 @@ def _next_study(folder: Path, fmu: Path, log: Path, columns: Mapping[str, str], 
             name = str(path.resolve())
         return as_yaml(Path(name).as_posix())
 
-    lines = [HEAD, f"model: {written(fmu)}", "logs:"]
+    lines = [HEAD, f"model: {written(fmu) if fmu else BASE}", "logs:"]
     lines.append(f"  estimation: [{written(log)}] # add more logs; co-simulation needs two")
     lines.append("  validation: [] # logs that decide nothing and prove the result")
     if columns:

@@ -209,6 +209,16 @@ class Runs:
         names = [c["name"] for c in self.record["criteria"]]
         return {name: np.array(table.column(name).to_pylist(), float) for name in names}
 
+    def signals(self, most: int) -> tuple[Array, dict[int, dict[str, Array]]]:
+        """Return the sampled times [s] of the runs, and number of a run → its signals, of `most` completed runs."""
+        table, about = read_table(self.folder / TABLE)
+        completed = np.flatnonzero([status == "ok" for status in table.column("status").to_pylist()])
+        spread = np.linspace(0, completed.size - 1, min(most, completed.size)).astype(int)
+        rows = table.take(completed[spread]).to_pylist()
+        names = about.get("signals", ())
+        runs = {row["run"]: {name: np.array(row[name], float) for name in names} for row in rows if names}
+        return np.array(about.get("times", ()), float), runs
+
     def plot(self) -> Figure:
         """Return a matplotlib figure with a histogram of each criterion, and its limit."""
         from cosim.report.figure import new_figure

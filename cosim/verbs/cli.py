@@ -60,12 +60,13 @@ class Output:
 
 
 OUTPUT = Output()  # of this process, set by the options of any command
+COLOURS = {"good": "green", "warn": "yellow", "bad": "red"}
 LAST: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
 
 
-def echo(text: str, *, err: bool = False, met: bool | None = None) -> None:
-    """Write a line without control characters, in green or red if `met` is given, unless the stream is closed."""
-    colour = None if met is None or os.environ.get("NO_COLOR") else "green" if met else "red"
+def echo(text: str, *, err: bool = False, tone: str = "") -> None:
+    """Write a line without control characters, in the colour of its tone, unless the stream is closed."""
+    colour = None if os.environ.get("NO_COLOR") else COLOURS.get(tone)
     try:
         typer.secho(printable(text), err=err, fg=colour)
     except BrokenPipeError:
@@ -73,10 +74,11 @@ def echo(text: str, *, err: bool = False, met: bool | None = None) -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())
 
 
-def say(*lines: str, met: bool | None = None) -> None:
-    """Print lines; print nothing with -q or --json."""
+def say(*lines: str, met: bool | None = None, tone: str = "") -> None:
+    """Print lines, in the colour of a criterion or a tone; print nothing with -q or --json."""
+    tone = tone if met is None else "good" if met else "bad"
     for line in () if OUTPUT.quiet or OUTPUT.as_json else lines:
-        echo(line, met=met)
+        echo(line, tone=tone)
 
 
 def warn(*texts: str) -> None:

@@ -12,19 +12,20 @@ from cosim.core.errors import CriterionMissed, InputError
 from cosim.core.settings import Files, Port, Values
 from cosim.files.files import FilePath
 from cosim.files.folders import NUMBERED, name_of, name_of_file, new_run
-from cosim.verbs.cli import echo, files_in, live_page, progress_bar, say, say_json, show, table, warn
+from cosim.verbs.cli import OUTPUT, echo, files_in, live_page, progress_bar, say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from cosim.estimation.subject.interface import Subject
     from cosim.refinement.refinement import Refined
 
-REFINE_FILES = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
+REFINE_FILES = "report.html", "refine.json", "model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu"
+MAX_CLASSES = 5  # in the terminal
 
 
 def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """Simulate an FMU with the recorded inputs of a log, and compare.
 
-    Writes results.csv, residual.csv and report.html, and study.yaml for `cosim refine` if a named FMU lacks something.
+    Writes results.csv, residual.csv and report.html, and study.yaml for `cosim refine` if the FMU lacks something.
 
     Args:
         log: Measured log: CSV file with time, inputs and measured outputs.
@@ -39,7 +40,8 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     from cosim.credibility.validity import validity_sentence
     from cosim.files.folders import replay_record
     from cosim.files.results import rows_in
-    from cosim.residuals.compare import as_json, horizon_name, verdict
+    from cosim.residuals.compare import as_json, horizon_name, sentence, verdict, worst_first
+    from cosim.residuals.report import TONES
     from cosim.residuals.workflow import NEXT_STUDY, replay
 
     with progress_bar("replaying") as progress:
@@ -49,12 +51,14 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     for finding in comparison.findings:
         if finding.severity == "warning" or finding.kind == "assumed":
             echo(finding.line, err=True)
-    rows, record = [], replay_record(place)
+    rows, record, answer = [], replay_record(place), verdict(comparison)
     with showing(record):
-        say(verdict(comparison), *filter(None, [validity_sentence("FMU", replayed.validity)]))
-        for c in comparison.channels:  # the error of each, beside the noise of its sensor
+        text = sentence(comparison)
+        for c in worst_first(comparison.channels):  # the error of each, beside the noise of its sensor
             error = size(c.scores[c.measure].rmse, c.unit)
             rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
+    say(f"verdict: {answer}", tone=TONES[answer])
+    say(text, *filter(None, [validity_sentence("FMU", replayed.validity)]))
     say(*table(("channel", "error (rms)", "over", "noise σ", "error / noise floor"), rows))
     if (study := place / NEXT_STUDY).is_file():
         name = shlex.quote(str(study))
@@ -62,7 +66,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     say(f"residual: {rows_in(place, 'residual')}" + (f", report: {page}" if page.is_file() else ""))
     if json:
         findings = [finding.line for finding in comparison.findings]
-        content = {"sentence": verdict(comparison), "findings": findings, "channels": as_json(comparison)}
+        content = {"verdict": answer, "sentence": text, "findings": findings, "channels": as_json(comparison)}
         content |= {"validity": replayed.validity} if replayed.validity else {}
         files = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
         say_json({**content, **files_in(place, *files, NEXT_STUDY)})
@@ -128,6 +132,7 @@ def refine(
     in_process: bool = False,
     limits: str = "",
     progress: Callable[[str, float], None] | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Refined:
     """Find the effect that a model lacks, from measured logs.
 
@@ -142,6 +147,7 @@ def refine(
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         limits: Limits of time and memory in place of those of a study file, for example "total: 10 min".
         progress (in Python): Function of (stage, completed share).
+        tell (in Python): Function that shows a note before the search: what this study cannot test.
 
     Returns:
         The verdict, the effects, the refined model and its FMU.
@@ -163,7 +169,7 @@ def refine(
     else:
         source = study_of(study, logs, validation, **(settings or {}))
     with new_run(out, "", "cosim refine", force=force) as place:
-        result = refine_study(source, place, progress, report=report, in_process=in_process, limits=limits)
+        result = refine_study(source, place, progress, report=report, in_process=in_process, limits=limits, tell=tell)
     return Refined(result.record, place, result.variants["after"].subject, result)
 
 
@@ -180,8 +186,8 @@ def refine_command(
 
     Example: cosim refine study.yaml --out results/refine
     """
-    from cosim.probing.fmu_structure import Structure
-    from cosim.refinement.report.refine_page import error_tables, second_sentence
+    from cosim.core.text import percent
+    from cosim.refinement.report.refine_page import answer_of, posterior_rows
     from cosim.refinement.stages import stage_number
 
     study = Path(given["study"])
@@ -196,37 +202,24 @@ def refine_command(
         progress_bar() as bar,
         live_page("LiveRefine", study.stem, live=live, port=port, progress=show_stage) as page,
     ):
-        refined = refine(**given, progress=show_stage if page is None else page)
+        refined = refine(**given, progress=show_stage if page is None else page, tell=warn)
         if page is not None:
             page.show_verdict(refined.record, refined.folder / "report.html")
     result, record, place = refined.details, refined.record, refined.folder
     warn(*result.study.warnings)
-    say(f"verdict: {record['verdict']}")
-    say(" ".join(s for s in (str(record["sentence"]), second_sentence(result)) if s))
-    for errors in error_tables(result)[-1:]:
-        has_claim = result.verdict.claimed is not None
-        keys = ["channel", "before", "recalibrated", *(["after"] if has_claim else [])]
-        keys += ["nearest", "floor"] if errors["nearest"] else ["floor"]
-        header = [{"after": "refined", "floor": "noise floor"}.get(key, key) for key in keys]
-        say(
-            f"\n{errors['title']}, root mean square error:",
-            *table(header, [[r[k] for k in keys] for r in errors["rows"]]),
-            "",
-        )
-    for name, file in REFINE_FILES.items():
-        if file != "report.html" or given["report"]:
-            say(*([f"{name + ':':9}{place / file}"] if (place / file).is_file() else []))
-    if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
-        say(f"The FMU contains {original.fmu.name}: check that its licence permits you to distribute it.")
+    answer = answer_of(result)
+    say(f"verdict: {answer.word}", tone=answer.tone)
+    say(answer.headline, *answer.lines)
+    rows = [(percent(k["share"]), k["names"], k["error"], k["sealed"], k["why"]) for k in posterior_rows(result)]
+    say(*table(("probability", "missing parts", "held-out error", "sealed error", "outcome"), rows[:MAX_CLASSES]))
+    if OUTPUT.verbose and answer.details:
+        say(answer.details)
+    say(f"next: {answer.command or answer.step}")
+    say(f"results: {place} ({', '.join(file for file in REFINE_FILES if (place / file).is_file())})")
     if json:
-        answer = {key: record[key] for key in ("verdict", "sentence", "effects", "rivals", "error") if key in record}
-        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
+        answers = {key: record[key] for key in ("verdict", "sentence", "effects", "rivals", "error") if key in record}
+        say_json({**answers, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     show(place / "report.html", open and given["report"])
-    if refined.verdict == "ambiguous":
-        from cosim.experiment.rigs import inputs_to_limit
-
-        ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
-        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *ranges])}")
 
 
 def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> None:

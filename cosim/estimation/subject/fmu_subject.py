@@ -49,8 +49,8 @@ WAYS = {
     "co-simulation": "co-simulation: free runs of the FMU, with estimated deviations of the outputs",
 }
 NO_ACCESS = (
-    "Effects inside the FMU, away from its inputs and outputs, could not be tried in co-simulation; "
-    "an FMU for model exchange would allow it."
+    "effects inside the FMU, away from its inputs and outputs (co-simulation gives no access; "
+    "an FMU for model exchange does)"
 )
 
 
@@ -237,10 +237,6 @@ class FmuSubject(ModelSubject):
     def main_file(self, name: Literal["refined", "nearest"]) -> str:
         """Return the name of the FMU, the only file."""
         return FILES[name][1]
-
-    def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
-        """Return a command line that simulates the delivered FMU."""
-        return ["cosim", "simulate", str(folder / self.main_file(name))]
 
 
 @dataclass

@@ -111,7 +111,7 @@ class Subject(Protocol):
         source: Origin, for the provenance.
         undelivered: Reason why `write` writes nothing although it should.
         missing_platforms: Platforms of an FMU that the delivered FMU lacks.
-        untried: Sentence on effects that cannot be candidates, to follow a claim.
+        untried: Effects that cannot be candidates, with the reason.
     """
 
     title: str

@@ -170,7 +170,7 @@ class ModelSubject(Subject):
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
         """Return a command line for the FMU."""
-        return ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={folder / FILES[name][1]}"]
+        return ["cosim", "simulate", str(folder / FILES[name][1])]
 
 
 def new_fmu(folder: Path) -> Path:

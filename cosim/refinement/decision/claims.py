@@ -16,7 +16,6 @@ from cosim.core.arrays import NamedValues
 from cosim.core.text import MOST_NAMED, amount, append_unit, finer, join_names, percent, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
-from cosim.estimation.sensor_noise import at_rest
 from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.channel_noise import NORMAL_95
@@ -84,7 +83,6 @@ class Claims:
     residual: Mapping[str, Any]  # deficient equation, its signals and process noise
     moves: NamedValues  # forced state → size of its unknown input relative to its derivative
     hidden: Sequence[str]  # effects that these logs cannot show
-    still: bool  # whether nothing moves in the logs
     ladder: Sequence[tuple[Hypothesis | None, Any]]  # models with log errors on each log left out, given one first
 
     @property
@@ -151,46 +149,39 @@ def sentence(
     remaining: NamedValues,
     inputs: str,
     *,
-    is_restricted: bool,
     is_written: bool,
 ) -> str:
-    """Return the verdict in words: a rise on sealed logs, the answer, what remains, the nearest model, remarks.
+    """Return the verdict in words: the answer as the first sentence, a rise on sealed logs, what remains, remarks.
 
     Args:
         risen: Channel → error before and after, if it rises significantly on sealed logs.
         remaining: Channel → share of the squared error above the noise floor that remains on sealed logs.
         inputs: Line of a study that takes inputs between rows the other way, if that is clearly likelier.
-        is_restricted: Whether the study limits the candidates.
         is_written: Whether files of the delivered subject are written.
     """
     name: Literal["refined", "nearest"] = "nearest" if c.claimed is None else "refined"
     file, nearest = subject.main_file(name), subject.main_file("nearest")
     if not is_written:
         file, nearest = f"the {name} object", "The nearest object"
-    texts = (
-        _rise_text(risen, subject, file),  # a reader must know it before the answer
-        *_answer_texts(c, subject),
-        *_remaining_texts(c, remaining, file),
-        *_remark_texts(c, inputs, nearest),
-        "Only the candidates that the study names were tried." if is_restricted else "",
-    )
-    return " ".join(filter(None, texts))
+    answer, *details = filter(None, _answer_texts(c, subject))
+    texts = answer, _rise_text(risen, subject, file), *details, *_remaining_texts(c, remaining, file)
+    return " ".join(filter(None, (*texts, *_remark_texts(c, inputs, nearest))))
 
 
 def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield the verdict."""
+    """Yield the verdict, its first sentence complete in itself."""
     reasons, rivals = c.decision.reasons, c.decision.rivals
-    if c.claimed is not None:
-        yield _claim_text(c, c.claimed, subject)
-    if c.name == "ambiguous" and "nothing would show" in reasons:
-        opening = "Nothing moves in these logs" if c.still else "These logs excite too little"
-        yield f"{opening}: {join_names(c.hidden)} would not show in them, present or not."
-        yield f"An experiment that shows more: {c.experiment}."
-    elif c.name == "ambiguous":
-        if parts := [reason.removeprefix("interval: ") for reason in reasons if reason.startswith("interval: ")]:
-            yield f"Probable but not claimed, since intervals contain the values without them: {join_names(parts)}."
-        if sum(p > 0.0 for p in rivals.values()) > 1:
-            yield _rivals_text(c)
+    claim, *details = _claim_texts(c, c.claimed, subject) if c.claimed is not None else ("",)
+    if c.name == "ambiguous":
+        names = join_names(c.hidden)
+        weak = [f"these logs excite too little: {names} would not show in them, present or not."]
+        parts = [reason.removeprefix("interval: ") for reason in reasons if reason.startswith("interval: ")]
+        refusals = [f"intervals contain the values without {join_names(parts)}."] if parts else []
+        undecided = [_rivals_text(c)] if not refusals or sum(p > 0.0 for p in rivals.values()) > 1 else []
+        first, *others = weak if "nothing would show" in reasons else [*undecided, *refusals]
+        yield _joined(claim, first)
+        yield from (_joined("", text) for text in others)
+        yield f"An experiment that may decide: {c.experiment}." if c.experiment else ""
     elif c.name == NO_EFFECT:
         sizes = [f"{percent(share)} of the derivative of {name}" for name, share in c.moves.items()]
         yield f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING
@@ -204,17 +195,24 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         if moved:
             yield f"That holds with base parameters beyond their tolerances: {join_names(moved)}."
     elif c.name == "unexplained":
-        something = "Something that was not tried" if subject.untried else "Something outside the catalogue"
-        yield _unexplained_text(c, something)
+        yield f"No effect was confirmed: {_unexplained_text(c)}."
         if c.decision.nearest:
             yield f"Most probable, but not claimed: {join_names(sorted(c.decision.nearest))}."
-        yield subject.untried
+    else:
+        yield claim
+    yield from details
     chances = [f"{n} ({percent(p)})" for n, p in c.decision.uncertain.items()]
     if c.claimed is not None and c.name != "ambiguous" and chances:
         yield f"Possible beside this, with its probability: {join_names(chances)}."
 
 
-def _claim_text(c: Claims, best: Hypothesis, subject: Subject) -> str:
+def _joined(first: str, second: str) -> str:
+    """Return two sentences as one."""
+    text = f"{first.removesuffix('.')}; {second}" if first and second else first or second
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def _claim_texts(c: Claims, best: Hypothesis, subject: Subject) -> list[str]:
     """Return sentences on claimed candidates with values and intervals."""
     values = {k.name: [_estimate_text(best, f, subject) for f in k.free] for k in c.claimed_candidates}
     is_long = sum(map(len, values.values())) > MOST_NAMED
@@ -223,10 +221,10 @@ def _claim_text(c: Claims, best: Hypothesis, subject: Subject) -> str:
         names = [k.name for k in c.claimed_candidates if kind_within(k, subject) == kind]
         texts = names if is_long else [f"{name} ({', '.join(values[name])})" for name in names]
         parts += [f"{opening} {join_names(texts)}"] if names else []
-    text = "; ".join(parts)
-    each = [f" {name}: {', '.join(estimates)}." for name, estimates in values.items()] if is_long else []
-    moving = "" if best.fit.converged else " The fit was still moving when it ended: these intervals are too narrow."
-    return f"{text[:1].upper()}{text[1:]}.{''.join(each)}{moving}"
+    each = [f"{name}: {', '.join(estimates)}." for name, estimates in values.items()] if is_long else []
+    if not best.fit.converged:
+        each.append("The fit was still moving when it ended: these intervals are too narrow.")
+    return [f"{_joined('', '; '.join(parts))}.", *each]
 
 
 def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
@@ -253,41 +251,44 @@ def rounded(value: float, half: float) -> str:
 
 
 def _rivals_text(c: Claims) -> str:
-    """Return sentences on undecided rivals and an experiment."""
+    """Return a sentence on undecided rivals."""
     rivals = c.decision.rivals
     common = frozenset[str].intersection(*rivals)
     names = {parts: join_names(sorted(parts - common)) or "nothing more" for parts in rivals}
     chances = [f"{name} ({percent(rivals[parts])})" for parts, name in names.items()]
-    apart = f"cannot decide between {join_names(chances)}"
-    if len(names) == 2:
-        apart = f"cannot tell {chances[0]} from {chances[1]}"
-        if common in rivals:
-            (doubtful,) = (chance for chance, parts in zip(chances, names, strict=True) if parts != common)
-            apart = f"decide neither for nor against {doubtful}"
-    opening = "Beside this, these logs" if c.claimed is not None else "These logs"
-    text = f"{opening} {apart}. An experiment that may decide: {c.experiment}."
-    return f"{text} `cosim excite` designs it, and says whether any would."
+    if len(names) > 2:
+        return f"these logs cannot decide between {join_names(chances)}."
+    if common in rivals:
+        (doubtful,) = (chance for chance, parts in zip(chances, names, strict=True) if parts != common)
+        return f"these logs decide neither for nor against {doubtful}."
+    return f"these logs cannot tell {chances[0]} from {chances[1]}."
 
 
-def _unexplained_text(c: Claims, something: str) -> str:
-    """Return the verdict on what has no name: its equation and signals, or the reason."""
-    where, over = c.residual["equation"], c.decision.misfit.over_floor
-    if c.residual["signals"]:
-        return f"{something} {f'acts on {where}; it ' if where else ''}{_dependence_text(c)}."
-    if c.residual["changing"]:
-        return f"{something} acts as if {join_names(list(c.residual['changing']))} changed during each log."
+def _unexplained_text(c: Claims) -> str:
+    """Return where the error of the most probable hypothesis acts and what it follows, or how large it is."""
+    over = c.decision.misfit.over_floor
+    channel = max(over, key=lambda n: over[n], default="")
+    if text := _misfit_text(c):
+        return text
     if "unknown inputs" in c.decision.reasons:
         name = max(c.moves, key=lambda n: c.moves[n])
-        text = f"{something} acts on {name}: an unknown input of {percent(c.moves[name])} of its derivative remains"
-        return f"{text}, which follows no signal."
-    channel = max(over, key=lambda n: over[n], default="")
+        return f"an unknown input of {percent(c.moves[name])} of the derivative of {name} remains and follows no signal"
     if over.get(channel, 0.0) <= COUNTS_FROM:
-        return f"{something} is missing: terms without a name improve the fit, but show no stable pattern."
+        return "terms without a name improve the fit, but show no stable pattern"
     if math.isinf(over[channel]):
-        return f"Replays with the most probable hypothesis run away in {channel}."
+        return f"replays with the most probable hypothesis run away in {channel}"
     return (
-        f"Replays with the most probable hypothesis miss {channel} by {plain(over[channel], 2)} times the noise floor."
+        f"replays with the most probable hypothesis miss {channel} by {plain(over[channel], 2)} times the noise floor"
     )
+
+
+def _misfit_text(c: Claims) -> str:
+    """Return what the remaining error follows, or "" if it follows nothing."""
+    where, share, changing = c.residual["equation"], c.residual["share"], [*c.residual["changing"]]
+    if c.residual["signals"]:
+        part = f"{percent(share)} of the" if share and share > 0.0 else "the"
+        return f"{part} remaining error{f' of {where}' if where else ''} {_dependence_text(c)}"
+    return f"the remaining error varies as if {join_names(changing)} changed during each log" if changing else ""
 
 
 def _dependence_text(c: Claims) -> str:
@@ -295,30 +296,30 @@ def _dependence_text(c: Claims) -> str:
     signal: str = c.residual["signals"][0]
     first: Mapping[str, Any] = next(iter(c.residual["terms"]), {})
     if not first.get("local"):
-        return "is constant" if signal == "1" else f"depends on {signal}"
+        return "is constant" if signal == "1" else f"follows {signal}"
     if first.get("like"):
-        return f"depends on {signal}, like {first['like']}"
+        return f"follows {signal}, as {first['like']} would"
     shape = Shape.of_entry(first["equation"], first["local"])
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
-    if shape.kind == "spline":
-        return f"depends on {signal}, by no simple law"
-    ways = {"step": f", changing at {place}", "wave": f" and repeats every {width}"}
-    how = ways.get(shape.kind, f", most near {place} (width {width})")
     by = f", times {shape.factor}" if shape.factor else ""
-    return f"depends on {signal}{how}{by}"
+    if shape.kind == "spline":
+        return f"follows {signal}{by}, by no simple law"
+    if shape.kind == "step" and abs(shape.place) < shape.width:
+        like = ", as dry friction would" if shape.unit in {"m/s", "rad/s"} and not by else ""
+        return f"follows the sign of {signal}{by}{like}"
+    ways = {"step": f" and changes at {place}", "wave": f" and repeats every {width}"}
+    return f"follows {signal}{ways.get(shape.kind, f', most near {place} (width {width})')}{by}"
 
 
 def _remaining_texts(c: Claims, remaining: NamedValues, file: str) -> Iterator[str]:
     """Yield sentences on the error that a claim or the nearest model leaves."""
     misfit = c.decision.misfit
-    if c.decision.disputed:
+    if c.decision.disputed and c.name != "unexplained":
         names = join_names(sorted(c.decision.disputed))
         yield f"Not claimed, since the model also lacks something without a name: {names}."
-    if c.claimed is not None and c.residual["signals"] and misfit.probability < MISFIT:
-        where = f" in the equation of {c.residual['equation']}" if c.residual["equation"] else ""
-        yield f"Something remains{where}; it {_dependence_text(c)}."
-    elif c.claimed is not None and c.residual["changing"]:
-        yield f"Something remains; it acts as if {join_names(list(c.residual['changing']))} changed during each log."
+    is_lacking = misfit.probability < MISFIT or not c.residual["signals"]
+    if c.claimed is not None and is_lacking and (text := _misfit_text(c)):
+        yield f"Something remains beside this: {text}."
     if c.grade == "part" and c.name != "ambiguous" and misfit.remains > LITTLE:
         channel = max(misfit.remaining, key=lambda n: misfit.remaining[n])
         rest = percent(misfit.remaining[channel]) if misfit.remaining[channel] < 1.0 else "all"
@@ -330,8 +331,6 @@ def _remaining_texts(c: Claims, remaining: NamedValues, file: str) -> Iterator[s
             who = "The most probable of these" if c.name == "ambiguous" else "The claim"
         removes = percent(1.0 - share) if share < 1.0 else "nothing"
         yield f"{who} removes {removes} of the given model's squared error above the noise floor on sealed logs."
-        if len(remaining) > 1 and LITTLE < share < 1.0:
-            yield f"Most of the rest is in {max(remaining, key=lambda n: remaining[n])}."
 
 
 def _remark_texts(c: Claims, inputs: str, nearest: str) -> Iterator[str]:
@@ -466,7 +465,6 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
         residual=residual,
         moves=moves,
         hidden=[name for name in search.hidden if name not in decision.claimed],
-        still=at_rest(search.problem),
         ladder=ladder,
     )
 

@@ -31,21 +31,18 @@ from cosim.refinement.search.missing import (
     smoothed_logs,
 )
 from cosim.refinement.search.unnamed import Shape, Signals, signal_units, signals_of, values_of
-from cosim.report.charts import Abscissa, Charts, Drawing
+from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.report import neighbours
-from cosim.residuals.residual_statistics import COUNTS_FROM, lags_of, rmse, whiteness
+from cosim.residuals.residual_statistics import lags_of, rmse, whiteness
 
 TIMES = " · "  # between the signals of a product
 
 
-def runs(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
-    """Return title and channels of the first estimation and sealed log.
-
-    Channels whose error is near the noise floor are under `quiet`, unless all are.
-    """
+def runs(r: Refinement, charts: Charts, leading: str) -> list[dict[str, Any]]:
+    """Return title, channels and plots of the first sealed and estimation log, the leading channel first."""
     pages = []
-    words: dict[Part, str] = {"estimation": "used for the fits", "validation": "sealed"}
+    words: dict[Part, str] = {"validation": "sealed", "estimation": "used for the fits"}
     for part, word in words.items():
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
         if not before or not after:
@@ -56,18 +53,14 @@ def runs(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
             curves = [("before", "s1", before), ("refined", "true", after)]
         elif r.verdict.nearest and (near := r.evidence.get("nearest", {}).get(part)):
             curves = [("model", "s1", before), ("nearest", "true", near)]
-        floor = r.record["noise_floors"].get(part, {})
         drawing = charts.over(log.time, Abscissa(breaks=sorted(old.starts)))
-        channels = [_channel(drawing, curves, name, floor.get(name, 0.0)) for name in log.outputs]
-        loud, quiet = ([c for c in channels if c["tells"] == tells] for tells in (True, False))
-        title = f"{log.path.name}, {word}"
-        pages.append({"title": title, "channels": loud or quiet, "quiet": quiet if loud else []})
+        names = sorted(log.outputs, key=lambda name: name != leading)
+        plots = [plot for name in names for plot in _channel(drawing, curves, name)]
+        pages.append({"title": f"{log.path.name}, {word}", "channels": ", ".join(names), "plots": plots})
     return pages
 
 
-def _channel(
-    drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], name: str, floor: float
-) -> dict[str, Any]:
+def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], name: str) -> list[Plot]:
     """Draw a channel of a log: measurement with model, and residual.
 
     The model's output is the reading minus its error, and includes sensor errors in the model.
@@ -77,9 +70,8 @@ def _channel(
     """
     log, old = curves[0][2][0]
     errors = [(label, style, e[0][1].errors(e[0][0])[name]) for label, style, e in curves]
-    sizes, reading = [rmse(e) for _, _, e in errors], log.outputs[name]
-    unit = log.units.get(name, "")
-    fine, scale = finer(unit, max(sizes))
+    unit, reading = log.units.get(name, ""), log.outputs[name]
+    fine, scale = finer(unit, max(rmse(e) for _, _, e in errors))
     whole = [Trace("measured", displayed(reading, unit), "estimate")]
     whole += [Trace(label, displayed(reading - e, unit), style, anew=True) for label, style, e in errors]
     residuals = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
@@ -92,7 +84,7 @@ def _channel(
         if span is not None and len(starts) > 1:
             panel = replace(panel, band=Band("every other replay", *(np.where(inside, end, np.nan) for end in span)))
         shaded.append(panel)
-    return {"channel": name, "plots": drawing.plots(shaded), "tells": max(sizes) > COUNTS_FROM * floor}
+    return drawing.plots(shaded)
 
 
 def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
@@ -134,7 +126,6 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
             "size": [plain(rmse(np.concatenate(s)), 2) for s in series],
             "neighbours": [neighbours(t) for t in tests],
             "white": [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests],
-            "tells": not all(t.white for t in tests),
             "plots": [drawing.plots([panel])[0], over_lags.plots([beside])[0]],
         }
         found.append(row)
@@ -375,6 +366,7 @@ def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     return [
         {
             "title": s.effect or s.where,
+            "brief": s.quantity if s.term is None else f"{s.effect} explains {percent(s.share)} of the {s.quantity}",
             "sentence": f"{_sentence(s)} ({counted(s.estimated.size, 'row')} of the estimation logs).",
             "plots": _plots(s, charts),
         }

@@ -7,6 +7,7 @@ import math
 import platform
 import shlex
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import geometric_mean
 from typing import Any, Literal
@@ -46,14 +47,7 @@ from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 from cosim.residuals.windows import SKIPPED
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
-TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
-    "effect_found": ("effect found", "good"),
-    "parameter_error": ("wrong parameter", "good"),
-    "sensor_error": ("sensor error", "good"),
-    "no_effect": ("nothing missing", "good"),
-    "ambiguous": ("ambiguous", "warn"),
-    "unexplained": ("unexplained", "warn"),
-}
+TONES: Mapping[str, str] = {"ambiguous": "warn", "unexplained": "bad"}  # of the other verdicts: good
 DISPERSED = 2.0  # dispersion κ from which the page says that no hypothesis fits
 INTERVALS = "Bar: 95 % interval; dashed line: the value before. Of one log, intervals do not show how logs differ."
 TOLERANCE = (
@@ -65,63 +59,40 @@ WITHDRAWN = {  # reason → why a part is not claimed
 }
 Rows = list[dict[str, Any]]
 PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
-NOTES: Mapping[Part, str] = {
-    "estimation": "Estimation logs.",
-    "validation": "Opened once, at the end, to test the chosen model.",
-}
 
 
 def write_refine_report(path: Path, r: Refinement) -> None:
     """Write the self-contained page of a refinement."""
     charts, record, claimed = Charts(), r.record, r.verdict.claimed
-    headline, details = split_sentence(str(record["sentence"]))
-    tables, plots, lead = error_tables(r), runs(r, charts), None
-    if plots:  # a channel of the last log, which is sealed if any is
-        last = plots[-1]
-        channels = [*last["channels"], *last["quiet"]]
-        first = next((c for c in channels if c["channel"] == leading_channel(r)), channels[0])
-        lead = {"run": last["title"], "channel": first["channel"], "plots": first["plots"]}
-        last |= {key: [c for c in last[key] if c is not first] for key in ("channels", "quiet")}
-    terms, white = shown_effects(r, charts), innovations(r, charts)
-    coloured, (title, tone) = [w for w in white if w["tells"]], TITLES[r.verdict.name]
-    sealed = len(r.evidence["before"].get("validation", ()))
+    answer, tables, leading = answer_of(r), error_tables(r), leading_channel(r)
     duration = plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))
+    sealed = len(r.evidence["before"].get("validation", ()))
     tried = [entry for entry in record["candidates"] if entry["names"]]  # without the model recalibrated
     values = {
         "name": f"Study {r.study.name}",
-        "description": f"{r.study.subject.title}, refined from measured logs.",
-        "headline": headline,
-        "details": details,
-        "tone": "warn" if tone == "warn" else "plain",
-        "second": second_sentence(r),
+        "answer": answer,
         "badges": [
-            Badge(title, tone),
-            *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
             Badge(f"{counted(len(r.study.logs), 'log')} used for the fits, {duration} s"),
             Badge(f"{counted(sealed, 'log')} sealed until the end") if sealed else Badge("no log sealed", "warn"),
-            Badge(f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted"),
             Badge(f"{record['seconds']:.0f} s elapsed"),
         ],
         "r": r,
         "record": record,
         "claimed": claimed is not None,
-        "shared": join_names([c.name for c in r.verdict.claimed_candidates]),
         "tables": tables,
+        "largest": next((row for row in tables[-1]["rows"] if row["channel"] == leading), None),
         "skipped": f"{SKIPPED:g}\u00a0s",
-        "unknown_input": has_unknown_input(r),
         "sealed": sealed,
-        "lead": lead,
         "horizons": horizon_table(r),
         "coverage": Coverage.model_validate(record["coverage"]).sentence if record["coverage"] else "",
         "horizon": horizon(r),
-        "terms": terms,
+        "terms": shown_effects(r, charts),
         "beside": join_names(r.verdict.best.names),
-        "runs": [run for run in plots if run["channels"] or run["quiet"]],
-        "whiteness": white,
-        "coloured": coloured or white,
-        "quiet": [w for w in white if not w["tells"]] if coloured else [],
+        "runs": runs(r, charts, leading),
+        "whiteness": innovations(r, charts),
         "modes": modes(r),
-        **ranking(r),
+        "fitted": f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted",
+        "ranking": ranking(r),
         "posterior": posterior_rows(r),
         "inclusion": inclusion_rows(r),
         "certain": CERTAIN,
@@ -131,7 +102,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
-        **_use(r),
+        "repeat": _repeat(r),
         "provenance": _provenance(r),
         "data": charts.data(),  # after all drawings
         "version": __version__,
@@ -140,21 +111,68 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         stream.write(render(TEMPLATE, values))
 
 
-def _use(r: Refinement) -> Mapping[str, str]:
-    """Return the commands that use the delivered files and repeat the study, and a text on them."""
-    lead, repeat = "To use the refined model", ""
-    name: Literal["refined", "nearest"] = "refined"
-    if r.verdict.claimed is None:
-        lead = "Nothing was refined; the delivered model is the model as it was. To use it"
-        if r.verdict.nearest is not None:
-            name = "nearest"
-            file = next((n for n in reversed(NEAREST) if (r.folder / n).is_file()), NEAREST[0])
-            lead = f"Nothing was refined; the most probable model is {file}. To use it"
-    folder = path_from_here(r.folder)
-    if r.study.path is not None:
-        repeat = shlex.join(["cosim", "refine", str(path_from_here(r.study.path)), "--out", str(folder)])
-    command = shlex.join(r.study.subject.use(folder, name))
-    return {"use": command, "use_lead": f"{lead}, and to repeat the study:", "repeat": repeat}
+@dataclass(frozen=True)
+class Answer:
+    """The head of the page and of the terminal.
+
+    Attributes:
+        word: Verdict, with a remark on its grade.
+        tone: good, warn or bad.
+        headline: Verdict in a sentence.
+        lines: Error on sealed logs, and what could not be tested.
+        details: Further sentences.
+        step, command: What to do next, and the command for it; "" without one.
+    """
+
+    word: str
+    tone: str
+    headline: str
+    lines: list[str]
+    details: str
+    step: str
+    command: str
+
+
+def answer_of(r: Refinement) -> Answer:
+    """Return the head of the page and of the terminal."""
+    headline, details = split_sentence(str(r.record["sentence"]))
+    word, tone = str(r.record["verdict"]).replace("_", " "), TONES.get(r.verdict.name, "good")
+    if r.verdict.grade == "part" and r.verdict.name != "ambiguous":
+        word += ", explains a part of the error"
+    if r.risen and r.verdict.claimed:
+        word, tone = f"{word}, but sealed logs speak against it", "bad"
+    untested = "; ".join(r.record["untested"])
+    lines = [second_sentence(r), f"Not tested: {untested}." if untested else ""]
+    return Answer(word, tone, headline, [line for line in lines if line], details, *_next_step(r))
+
+
+def _next_step(r: Refinement) -> tuple[str, str]:
+    """Return what to do next, and the command for it."""
+    folder, subject = path_from_here(r.folder), r.study.subject
+    if r.verdict.name == "ambiguous":
+        step = f"Record a log with {r.verdict.experiment}. To design the input, and see if it would decide:"
+        return step, shlex.join(["cosim", "excite", str(folder)])
+    if r.verdict.name == "unexplained":
+        own = "Add an effect of your own to the model"
+        if subject.probed:
+            own = "Add a term of your own (`terms:` of the study)"
+            own += ", or take an FMU for model exchange" if subject.untried else ""
+        return f"{own}, and repeat the study:", _repeat(r)
+    is_nearest = r.verdict.claimed is None and r.verdict.nearest is not None
+    name: Literal["refined", "nearest"] = "nearest" if is_nearest else "refined"
+    command = subject.use(folder, name)
+    if not command:
+        return "Use the refined object: it exists in Python only.", ""
+    unclaimed = "recalibrated" if is_nearest else "unchanged"
+    what = "the refined model" if r.verdict.claimed else f"the given model, {unclaimed}"
+    return f"Use {Path(command[-1]).name}, {what}. To simulate it:", shlex.join(command)
+
+
+def _repeat(r: Refinement) -> str:
+    """Return the command that repeats the study, or ""."""
+    if r.study.path is None:
+        return ""
+    return shlex.join(["cosim", "refine", str(path_from_here(r.study.path)), "--out", str(path_from_here(r.folder))])
 
 
 def _provenance(r: Refinement) -> list[Row]:
@@ -173,9 +191,10 @@ def _provenance(r: Refinement) -> list[Row]:
         note = f"the other way, held or interpolated, {raises} the log-likelihood by {plain(abs(gain))}"
     rows.append(Row("Inputs between rows", ", ".join(f"{n} {way}" for n, way in inputs["taken"].items()), note))
     labels = ("Refined model", "Refined FMU") if claim else ("Model, unchanged", "FMU, unchanged")
+    licence = f"\ncontains {Path(subject.source).name}: check its licence before you distribute it" * subject.probed
     for name, label in zip((*REFINED, *NEAREST), (*labels, "Nearest model", "Nearest FMU"), strict=True):
         if (file := r.folder / name).is_file():
-            rows.append(Row(label, str(path_from_here(file)), _digest(file)))
+            rows.append(Row(label, str(path_from_here(file)), _digest(file) + licence))
     is_stated = any(subject.values[n] != float(p.default) for n, p in subject.sensor_parameters.items())
     if is_stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
         place = "refine.json" if subject.probed else "model.yaml"
@@ -188,13 +207,10 @@ def _digest(path: Path) -> str:
         return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()}"
 
 
-def ranking(r: Refinement) -> dict[str, Rows]:
-    """Return the rows of fitted and of screened single candidates, and of several candidates together."""
-    claim, declared = r.verdict.claimed, r.study.subject.declared
-    entries = [e for e in r.record["candidates"] if e["names"]]
-    best = max((e["score_gain"] or 0.0 for e in entries), default=0.0)
-    tables: dict[str, Rows] = {"singles": [], "more": [], "pairs": []}
-    for e in entries:
+def ranking(r: Refinement) -> Rows:
+    """Return the rows of the hypotheses, best first."""
+    claim, declared, rows = r.verdict.claimed, r.study.subject.declared, list[dict[str, Any]]()
+    for e in (e for e in r.record["candidates"] if e["names"]):
         names, gain, values = e["names"], -math.inf if e["score_gain"] is None else e["score_gain"], []
         for n, value in e["parameters"].items():
             short = n.removesuffix(".value") if len(names) > 1 else n.partition(".")[2] or "value"
@@ -204,11 +220,10 @@ def ranking(r: Refinement) -> dict[str, Rows]:
             "gain": plain(gain),
             "fitted": ", ".join(values),
             "why": e["why"],
-            "share": max(0.0, gain) / best if best > 0.0 else 0.0,
             "claimed": claim is not None and tuple(names) == claim.names,
         }
-        tables["pairs" if len(names) > 1 else "singles" if e["fitted"] else "more"].append(row)
-    return tables
+        rows.append(row)
+    return rows
 
 
 def posterior_rows(r: Refinement) -> Rows:
@@ -263,7 +278,9 @@ def inclusion_rows(r: Refinement) -> Rows:
         if name in withdrawn or probability >= CERTAIN:
             why = f"withdrawn: {withdrawn.get(name, 'the logs are not explained')}"
         claimed = name in decision.claimed
-        row = {"name": name, "share": probability, "why": "claimed" if claimed else why, "claimed": claimed}
+        text = f"{name} {percent(probability)}"
+        row = {"name": name, "text": text, "share": probability, "why": "claimed" if claimed else why}
+        row["claimed"] = claimed
         rows += [row] if probability >= 1.0 - CERTAIN else []
     return rows
 
@@ -331,9 +348,7 @@ def noise_rows(r: Refinement) -> Rows:
         sizes = {key: math.sqrt(q[key]) for key in ("before", "after")}
         unit, factor = finer(units.get(name, ""), max(sizes.values()))
         row: dict[str, Any] = {"equation": name, "words": "incomplete" if q["inflated"] else "complete"}
-        for key, size in sizes.items():
-            row[key] = append_unit(plain(size * factor, 2), f"{unit} per √s".lstrip())
-            row[f"{key}_share"] = size / max(*sizes.values(), math.ulp(0.0))
+        row |= {key: append_unit(plain(x * factor, 2), f"{unit} per √s".lstrip()) for key, x in sizes.items()}
         rows.append(row)
     return rows
 
@@ -342,11 +357,6 @@ def horizon(r: Refinement) -> str:
     """Return the horizon as text: `2 s`, `a whole run`."""
     judged = r.study.subject.horizon
     return "a whole run" if judged == FREE_RUN else horizon_name(judged)
-
-
-def has_unknown_input(r: Refinement) -> bool:
-    """Return whether the noise floor contains an unknown input."""
-    return bool(np.any(r.verdict.delivered.fit.noise.power > r.problem.noise.quiet))
 
 
 def decisive_part(r: Refinement) -> Part:
@@ -370,36 +380,33 @@ def error_tables(r: Refinement) -> list[dict[str, Any]]:
         for name in r.record["error"]["before"].get(part, {}):
             sizes = _numbers(r, part, name)
             after, floor = sizes["after"], sizes["floor"]
-            drawn = {key: sizes[key] for key in ("before", "after", "floor")}
             row: dict[str, Any] = {key: error_text(r.study.subject, name, size, after) for key, size in sizes.items()}
             row["sensor_noise"] = error_text(r.study.subject, name, r.record["sensor_noise"].get(name, math.nan), after)
             for key, model in (("excess", "before"), ("of_recalibrated", "recalibrated")):
                 row[key] = percent(max(0.0, remaining_excess(sizes[model], after, floor)))
-            largest = max(drawn.values()) if all(map(math.isfinite, drawn.values())) else 0.0
-            marks = {key: size / largest for key, size in drawn.items()} if largest else None
-            rows.append({**row, "channel": name, "marks": marks})
+            rows.append({**row, "channel": name})
         has_nearest = any(row["nearest"] not in (MISSING, row["after"]) for row in rows)
-        tables += [{"title": title, "note": NOTES[part], "rows": rows, "nearest": has_nearest}] if rows else []
+        tables += [{"title": title, "rows": rows, "nearest": has_nearest}] if rows else []
     return tables
 
 
 def horizon_table(r: Refinement) -> dict[str, Any]:
     """Return the errors over each horizon, shortest first; horizons shorter than a log's step are omitted."""
-    part, subject, models, words = decisive_part(r), r.study.subject, ["after"], ""
-    if r.verdict.claimed:
-        models, words = ["before", "after"], "Before → refined, over"
-    elif r.record["error"].get("nearest"):
-        models, words = ["before", "nearest"], "The model → the nearest one, over"
+    part, subject, error = decisive_part(r), r.study.subject, r.record["error"]
+    better = "after" if r.verdict.claimed else "nearest" if error.get("nearest") else ""
     errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
-    errors[subject.horizon] = r.record["error"]
+    errors[subject.horizon] = error
     ordered, rows = sorted(h for h in errors if errors[h]["before"][part]), []
-    for channel in r.record["error"]["before"][part]:
-        sizes = [[errors[h][model].get(part, {}).get(channel, math.nan) for model in models] for h in ordered]
-        rows.append(
-            (channel, [" → ".join(error_text(r.study.subject, channel, size, of[-1]) for size in of) for of in sizes])
-        )
-    horizons = [*map(horizon_name, ordered)]
-    return {"title": PARTS[part], "heading": words or "Over", "horizons": horizons, "rows": rows}
+    for channel in error["before"][part]:
+        pairs = [[errors[h][m].get(part, {}).get(channel, math.nan) for m in ("before", better) if m] for h in ordered]
+        rows.append((channel, [" → ".join(error_text(subject, channel, e, pair[-1]) for e in pair) for pair in pairs]))
+    to = {"after": " → the refined one", "nearest": " → the nearest one"}.get(better, "")
+    return {
+        "title": PARTS[part],
+        "heading": f"The given model{to}, over",
+        "horizons": [*map(horizon_name, ordered)],
+        "rows": rows,
+    }
 
 
 def leading_channel(r: Refinement) -> str:
@@ -413,19 +420,14 @@ def leading_channel(r: Refinement) -> str:
 def second_sentence(r: Refinement) -> str:
     """Return a sentence on the error farthest above its noise floor, on sealed logs if available."""
     part, name = decisive_part(r), leading_channel(r)
-    where = "On sealed logs"
-    if part == "estimation":
-        where = "On the logs used for the fits (no log was kept for a test at the end)"
     if not name:
         return ""
+    where = "On sealed logs" if part == "validation" else "On the logs of the fits (none was sealed)"
     sizes = _numbers(r, part, name)
     shown = {key: error_text(r.study.subject, name, size, sizes["after"]) for key, size in sizes.items()}
-    verb = "fell" if sizes["after"] < sizes["before"] else "changed"
+    verb = "fell" if sizes["after"] < sizes["before"] else "rose"
     text = f"{where} the error of {name} over {horizon(r)} {verb} from {shown['before']} to {shown['after']}"
     if r.verdict.claimed is None:
-        text = f"{where} the unchanged model misses {name} by {shown['after']} over {horizon(r)}"
+        text = f"{where} the given model misses {name} by {shown['after']} over {horizon(r)}"
         text += f", the nearest model by {shown['nearest']}" if sizes["nearest"] < sizes["after"] else ""
-    if math.isnan(sizes["floor"]):
-        return f"{text}."
-    cause = "sensor noise and the estimated unknown input" if has_unknown_input(r) else "sensor noise alone"
-    return f"{text}; the noise floor (the error by {cause}) is {shown['floor']}."
+    return f"{text}." if math.isnan(sizes["floor"]) else f"{text}; the noise floor is {shown['floor']}."
