@@ -7,24 +7,36 @@
  * A reading that is older than its row by a part of it is held against g(x) at that time: on a cubic over the substep, by the
  * model's rates at both ends, or straight over the step if the equations are stiff. So is what a sensor with a lag sees.
  */
-/* Rows of b are added up, so that a compiler can take several columns at once; many entries of a Jacobian are zero. */
+/* Two columns at once; many entries of a Jacobian are zero. */
 typedef double Two __attribute__((vector_size(16), aligned(8), may_alias));
+
 static void multiply(const double *a, const double *b, double *out)
 {
     for (int i = 0; i < NS; i++) {
-        Two row[NS / 2 + 1];
+        Two row[NS / 2 + 1] = {{0.0}};
         double last = 0.0;
-        for (int j = 0; j < NS / 2; j++) row[j] = (Two){0.0, 0.0};
         for (int k = 0; k < NS; k++) {
-            const double factor = a[NS * i + k];
+            const double factor = a[NS * i + k], *of = b + NS * k;
             if (factor == 0.0) continue;
-            const double *line = b + NS * k;
-            for (int j = 0; j < NS / 2; j++) row[j] += factor * *(const Two *)(line + 2 * j);
-            if (NS % 2) last += factor * line[NS - 1];
+            for (int j = 0; j < NS / 2; j++) row[j] += factor * *(const Two *)(of + 2 * j);
+            if (NS % 2) last += factor * of[NS - 1];
         }
         for (int j = 0; j < NS / 2; j++) *(Two *)(out + NS * i + 2 * j) = row[j];
         if (NS % 2) out[NS * i + NS - 1] = last;
     }
+}
+
+static void add_times(double factor, const double *of, double *to)
+{
+    for (int j = 0; j < NS / 2; j++) *(Two *)(to + 2 * j) += factor * *(const Two *)(of + 2 * j);
+    if (NS % 2) to[NS - 1] += factor * of[NS - 1];
+}
+
+/* A row of P -= PC PC'/s, symmetric to the last bit. */
+static void subtract_outer(double first, const double *PC, double inverse, double *to)
+{
+    for (int j = 0; j < NS / 2; j++) *(Two *)(to + 2 * j) -= first * *(const Two *)(PC + 2 * j) * inverse;
+    if (NS % 2) to[NS - 1] -= first * PC[NS - 1] * inverse;
 }
 
 /* P = Phi P Phi'. No measurement reduces an asymmetry by rounding, so that it would grow without bound where the plant is
@@ -64,17 +76,22 @@ static void transition(double h, const double *A, double *Phi)
     }
 }
 #else
+/* out = I + factor a */
+static void add_identity(double factor, const double *a, double *out)
+{
+    for (int i = 0; i < NS * NS; i++) out[i] = factor * a[i];
+    for (int i = 0; i < NS; i++) out[(NS + 1) * i] += 1.0;
+}
+
+/* Horner's rule, with the zeros of A in each product. */
 static void transition(double h, const double *A, double *Phi)
 {
-    double term[NS * NS + 1], next[NS * NS + 1];
-    for (int i = 0; i < NS * NS; i++) {
-        term[i] = A[i] * h;
-        Phi[i] = (i % (NS + 1) == 0) + term[i];
-    }
-    multiply(term, A, next);
-    for (int i = 0; i < NS * NS; i++) Phi[i] += term[i] = next[i] * h / 2.0;
-    multiply(term, A, next);
-    for (int i = 0; i < NS * NS; i++) Phi[i] += next[i] * h / 3.0;
+    double next[NS * NS + 1];
+    add_identity(h / 3.0, A, Phi);
+    multiply(A, Phi, next);
+    add_identity(h / 2.0, next, Phi);
+    multiply(A, Phi, next);
+    add_identity(h, next, Phi);
 }
 #endif
 
@@ -158,7 +175,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
 {
     static const int S[NS + 1] = STOCHASTIC;
     double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], C[NY * NS + 1], y[NY];
-    double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1], PC[NS + 1];
+    double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1];
     double slopes[NY * NS + 1]; /* of the outputs, where C holds those of the readings */
     Lags lags = lags_of(log);
     const int has_past = log->late || lags.any;
@@ -223,23 +240,23 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             double measured = log->y[NY * k + j];
             errors[NY * k + j] = variances[NY * k + j] = NAN;
             if (isnan(measured)) continue;
-            double s = r[NY * k + j], e = measured - y[j];
-            for (int i = 0; i < NS; i++) PC[i] = 0.0;
-            for (int l = 0; l < NS; l++)
-                if (C[NS * j + l] != 0.0) for (int i = 0; i < NS; i++) PC[i] += P[NS * l + i] * C[NS * j + l]; /* P is symmetric */
+            double s = r[NY * k + j], e = measured - y[j], PC[NS + 1] = {0.0};
+            const double *c = C + NS * j;
+            for (int l = 0; l < NS; l++) {
+                if (c[l] == 0.0) continue;
+                add_times(c[l], P + NS * l, PC); /* P is symmetric */
+                e -= c[l] * moved[l];
+            }
             if (lags.any) s += lags_join(&lags, j, C, PC);
             if (lags.on[j]) e -= lags.moved[j];
-            for (int i = 0; i < NS; i++) {
-                s += C[NS * j + i] * PC[i];
-                e -= C[NS * j + i] * moved[i];
-            }
+            for (int l = 0; l < NS; l++) if (c[l] != 0.0) s += c[l] * PC[l];
             errors[NY * k + j] = e;
             variances[NY * k + j] = s;
             if (lags.any) lags_update(&lags, PC, e, s);
             const double inverse = 1.0 / s; /* a division is dear */
             for (int i = 0; i < NS; i++) {
                 moved[i] += PC[i] * e * inverse;
-                for (int l = 0; l < NS; l++) P[NS * i + l] -= PC[i] * PC[l] * inverse;
+                subtract_outer(PC[i], PC, inverse, P + NS * i);
             }
         }
         for (int i = 0; i < NS; i++) x[S[i]] += moved[i];

@@ -107,6 +107,9 @@ class Leftover:
     is_placed: bool = True
 
 
+LINEAR = 1e-5, 1.0  # change of the innovations by a step, in standard deviations: above rounding, and linear
+
+
 def find_unnamed_terms(
     problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
 ) -> Leftover:
@@ -132,9 +135,11 @@ def find_unnamed_terms(
         rows, steps = list[Array](), list[float]()
         for name in u.names:
             step = DIFFERENCE * usual[u.equation]
-            size = float(np.linalg.norm(test.row({**u.settings, name: step})))
+            row = test.row({**u.settings, name: step})
+            size = float(np.linalg.norm(row))
             steps.append(step / size if size > 0.0 else step)
-            rows.append(test.row({**u.settings, name: steps[-1]}))
+            is_linear = LINEAR[0] <= size <= LINEAR[1]
+            rows.append(row / size if is_linear else test.row({**u.settings, name: steps[-1]}))
         return rows, steps
 
     found = in_parallel(effects, terms)
