@@ -92,6 +92,14 @@ def test_a_crash_or_a_hang_costs_one_evaluation(folder: Path, fault: str) -> Non
     )
     assert (bad, again) == (np.inf, good)
     assert len([*failure_warnings(problem)]) == 1
+    rows, x0, memory = [0, 5, 60], np.tile(problem.x0[0], (3, 1)), np.zeros((3, problem.layout.memory))
+    p = problem.parameters({}, 0)
+    for row, run in zip(rows, problem.simulate_from({}, 0, (rows, x0, memory), 2), strict=True):
+        single = problem.kernel.simulate(problem.logs[0].rows(0, row + 3), p, x0[0], memory[0], first=row)
+        np.testing.assert_allclose(run.outputs, single.outputs[row:], rtol=1e-9, atol=1e-12)
+    (failed,) = problem.simulate_from({"resistance": 2.0 * RESISTANCE}, 0, (rows[1:2], x0[:1], memory[:1]), 2)
+    assert failed.outputs.shape == (3, len(problem.layout.outputs))
+    assert np.isnan(failed.outputs).all()
 
 
 def test_names_of_the_fmu_are_those_of_study_and_log(tmp_path: Path) -> None:

@@ -411,7 +411,7 @@ class Problem:
             length: Number of rows after the first.
         """
         log, p, delay = self.logs[index], self.parameters(values, index), self.layout.delay
-        at_once: Any = getattr(self.kernel, "simulate_from", None)
+        at_once: Any = getattr(self.kernel, "simulate_from", None)  # which a kernel of another object may lack
         if at_once:
             return list(at_once(log, p, points, length))
         begins = list[Begin]()

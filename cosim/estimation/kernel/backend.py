@@ -16,7 +16,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, SimulationError, TimedOut
 from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated, generate, generate_stepped
-from cosim.estimation.kernel.kernel import Filtered, Kernel, Simulated, no_filtered, no_simulated
+from cosim.estimation.kernel.kernel import Data, Filtered, Kernel, Simulated, no_filtered, no_simulated
 from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
 from cosim.isolation.limits import LOADING
@@ -154,6 +154,20 @@ class RemoteLibraryKernel:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
         simulated: Simulated = self.call_all("simulate", [arguments], **options)[0]
         return simulated
+
+    def simulate_from(
+        self, data: Data, p: Array, points: tuple[Sequence[int], Any, Any], length: int
+    ) -> list[Simulated]:
+        """Simulate rows of a log from each of some rows, as `Problem.simulate_from`; by halves if the FMU fails."""
+        try:
+            return list(self._call("simulate_from", [(data, p, points, length)])[0])
+        except SimulationError as error:
+            if half := len(points[0]) // 2:
+                (rows, states, memory), parts = points, (slice(half), slice(half, None))
+                halves = [(rows[part], states[part], memory[part]) for part in parts]
+                return [run for each in halves for run in self.simulate_from(data, p, each, length)]
+            self.failures.append(error)
+            return [no_simulated(self.layout, data.rows(row, row + length + 1)) for row in points[0]]
 
     def responses(self, *arguments: Any) -> tuple[Array, Array]:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""

@@ -247,7 +247,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                 add_times(c[l], P + NS * l, PC); /* P is symmetric */
                 e -= c[l] * moved[l];
             }
-            if (lags.any) s += lags_join(&lags, j, c, PC);
+            if (lags.any) s += lags_join(&lags, j, C, PC);
             if (lags.on[j]) e -= lags.moved[j];
             for (int l = 0; l < NS; l++) if (c[l] != 0.0) s += c[l] * PC[l];
             errors[NY * k + j] = e;
