@@ -68,7 +68,7 @@ class CompiledSteps:
         if stages is not None and system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
         self._types = [FMI3[system.signals[name].kind] for name in system.beside]
-        self._cells = (Cell * len(self._types))(*((not kind.is_whole,) for kind in self._types))
+        self._cells = (Cell * len(self._types))(*(Cell(not kind.is_whole) for kind in self._types))
         self.in_python: dict[str, str] = {}  # component → why Python steps it
         self._begin, self._spent_in_python = time.perf_counter(), 0.0  # [s]
         slots: list[Slot] = []
