@@ -85,8 +85,8 @@ class CompiledSteps:
             slots.append(slot)
         for slot in slots[len(made) :]:
             slot.step = None
-        if not any(slot.version > 0 for slot in slots):
-            raise NotCompiled(next(iter(self.in_python.values()), "no FMU"))
+        if self.in_python and not any(slot.version > 0 for slot in slots):
+            raise NotCompiled(next(iter(self.in_python.values())))
         if self.in_python and system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds, and Python steps a component")
         if any(system.courses):
