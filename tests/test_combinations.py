@@ -148,6 +148,7 @@ def test_steps_are_controlled_between_events(folder: Path) -> None:
 # -- random systems, whatever steps them -----------------------------------------------------------
 
 STEP = 0.01
+ASKED = "Python: asked for"
 FAULTS: tuple[dict[str, Any], ...] = (
     {"kind": "delay", "delay": 0.03},
     {"kind": "dropout", "probability": 0.4},
@@ -201,7 +202,7 @@ def random_system(random: Random) -> dict[str, Any]:
 
 
 def beside(system: dict[str, Any], fmu: str) -> dict[str, Any]:
-    """Return a system with an FMU that has no connections but takes another loop: by a text, or by event mode."""
+    """Return a system with an FMU that has no connections but takes another loop: by event mode, or that has a text."""
     return system | {"components": system["components"] | {"aside": {"fmu": fmu}}}
 
 
@@ -209,7 +210,11 @@ def rows(folder: Path, system: dict[str, Any], loop: str, columns: Sequence[str]
     """Return columns and rows of a run, after a check of what stepped it."""
     path = folder / "system.json"
     path.write_text(json.dumps(system))
-    results = cosim.run(path, in_process=True).results
+    if loop == ASKED:
+        file = ScenarioFile(path)
+        results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=False)
+    else:
+        results = cosim.run(path, in_process=True).results
     assert results.loop.startswith(loop)
     columns = columns or results.columns
     return columns, results.values[:, [results.columns.index(name) for name in columns]]
@@ -219,8 +224,10 @@ def rows(folder: Path, system: dict[str, Any], loop: str, columns: Sequence[str]
 def test_c_and_python_give_the_same_bytes_and_events_the_same_numbers(folder: Path, seed: int) -> None:
     system = random_system(Random(seed))
     columns, in_c = rows(folder, system, "C")
-    _, in_python = rows(folder, beside(system, "text.fmu"), "Python: aside.mood", columns)
+    _, in_python = rows(folder, system, ASKED, columns)
     assert in_python.tobytes() == in_c.tobytes()
+    _, beside_text = rows(folder, beside(system, "text.fmu"), "C", columns)
+    assert beside_text.tobytes() == in_c.tobytes()
     _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
     assert at_events == pytest.approx(in_c, rel=1e-12, abs=1e-12)
 
@@ -241,7 +248,9 @@ def test_blocks_that_only_python_steps_and_loops_have_the_same_numbers_from_even
         {"from": "a.y0", "to": "b.u0"},
         {"from": "b.y0", "to": "a.u0"},
     ]
-    columns, equal = rows(folder, system, "Python: algebraic loops")
+    columns, equal = rows(folder, system, "C, but in Python: ")
+    _, in_python = rows(folder, system, ASKED, columns)
+    assert in_python.tobytes() == equal.tobytes()
     _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
     assert at_events == pytest.approx(equal, rel=1e-12, abs=1e-12)
 

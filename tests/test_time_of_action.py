@@ -32,11 +32,15 @@ def near(found: Any, wanted: Any) -> None:
     ("begins", "kinds", "more"),
     [
         ("C", COMPILED, {}),
-        ("Python: me_", KINDS, {}),
-        ("Python: sensor", KINDS, {"beside": SENSOR, "wires": ", r.u > sensor.u, sensor.u_meas > cs_fixed.u"}),
+        ("C, but in Python: me_", KINDS, {}),
+        (
+            "C, but in Python: sensor",
+            KINDS,
+            {"beside": SENSOR, "wires": ", r.u > sensor.u, sensor.u_meas > cs_fixed.u"},
+        ),
         ("Python: steps", KINDS, {"step": CONTROLLED}),
         ("Python: steps", COMPILED, {"step": CONTROLLED | {"estimator": "halving"}}),
-        ("Python: inputs", KINDS, {"extrapolate": "linear", "interpolate": "linear"}),
+        ("C, but in Python: me_", KINDS, {"extrapolate": "linear", "interpolate": "linear"}),
         (
             "Python: event mode",
             KINDS,

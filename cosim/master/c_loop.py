@@ -68,7 +68,7 @@ class CompiledSteps:
         if stages is not None and system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
         self._types = [FMI3[system.signals[name].kind] for name in system.beside]
-        self._cells = (Cell * len(self._types))(*((not kind.is_whole,) for kind in self._types))
+        self._cells = (Cell * len(self._types))(*(Cell(not kind.is_whole) for kind in self._types))
         self.in_python: dict[str, str] = {}  # component → why Python steps it
         self._begin, self._spent_in_python = time.perf_counter(), 0.0  # [s]
         slots: list[Slot] = []
@@ -85,8 +85,8 @@ class CompiledSteps:
             slots.append(slot)
         for slot in slots[len(made) :]:
             slot.step = None
-        if not any(slot.version > 0 for slot in slots):
-            raise NotCompiled(next(iter(self.in_python.values()), "no FMU"))
+        if self.in_python and not any(slot.version > 0 for slot in slots):
+            raise NotCompiled(next(iter(self.in_python.values())))
         if self.in_python and system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds, and Python steps a component")
         if any(system.courses):

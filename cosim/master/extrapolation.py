@@ -81,7 +81,7 @@ class Polynomial:
         times, values = (ctypes.c_double * room)(*(t for t, _ in points)), (ctypes.c_double * (room * count))()
         values[: len(points) * count] = [value for _, row in points for value in row.tolist()]
         buffers = place, times, values
-        course = CCourse(self.degree, count, len(points), room, *map(ctypes.addressof, buffers))
+        course = CCourse(self.degree, count, len(points), room, *(ctypes.addressof(buffer) for buffer in buffers))
         course.keeping = buffers
         return course
 

@@ -285,7 +285,7 @@ class Instants(Policy):
         names = tuple(part.component.name for part in parts)
         if names not in self._copies:
             stages = {stage.component.name: stage for stage in self.master.system.stages}
-            transfers = (t for name in names for t in (*self.master.held[name], *stages[name].transfers))
+            transfers = (t for name in names for t in (*self.master.system.held_of[name], *stages[name].transfers))
             self._copies[names] = self.master.copying.of(transfers)
         self.copies = self._copies[names]
         self.copies(self.point)

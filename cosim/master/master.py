@@ -384,8 +384,8 @@ class Master:
                 some = some if nominal else [active._replace(length=0.0) for active in some]
                 in_threads = [self._steps_in_threads(stage) for stage in batch]
                 if sum(in_threads) > 1 and cores() > 1 and all(stage.every == 1 for stage in batch):
-                    self.together.append(Together(some, in_threads))
-                    some = [self.together[-1].active()]
+                    self.together.append(together := Together(some, in_threads))
+                    some = [together.active()]
                 actives += some
             closing = [active for name, active in self.closing.items() if name in due]
             self._rounds[key] = (*actives, *closing, Active(copies, lambda t, h: None))

@@ -85,10 +85,12 @@ class System(Schedule):
         return not (any(transfer.beside) or self.signals[transfer.name].is_whole)
 
     @cached_property
-    def held_of(self) -> dict[str, tuple[Transfer, ...]]:
+    def held_of(self) -> dict[str, list[Transfer]]:
         """Return component → the transfers to it at the end of a step."""
-        owners = [(t.name.partition(".")[0], t) for t in self.held]
-        return {name: tuple(t for owner, t in owners if owner == name) for name in self.names}
+        by_name: dict[str, list[Transfer]] = {name: [] for name in self.names}
+        for transfer in self.held:
+            by_name[transfer.name.partition(".")[0]].append(transfer)
+        return by_name
 
     def extrapolated(self, component: str) -> list[Transfer]:
         """Return the transfers to inputs of a component that are extrapolated during a step."""
@@ -108,7 +110,7 @@ class System(Schedule):
             name, component = stage.component.name, stage.component
             direct = [t for t in self.extrapolated(name) if component.depends_on(t.name.partition(".")[2]) is not False]
             if direct and name not in solved:
-                stages[name] = replace(stage, pulls=self.held_of[name], late=())
+                stages[name] = replace(stage, pulls=tuple(self.held_of[name]), late=())
                 ends += [(t.origin.partition(".")[0], name) for t in direct]
         ordered = sort_groups([*stages], [end for end in ends if end[0] in stages]) if stages else []
         return tuple(stages[name] for group in ordered for name in group)
