@@ -184,7 +184,7 @@ def fit(
                 try:
                     known, record.coverage = credibility_of(record, likelihood, opened, closed, kept)
                     attach(place / "fitted.fmu", known)
-                except SimulationError as error:
+                except (SimulationError, FmuError) as error:
                     record.warnings.append(f"fitted.fmu has no record of credibility: {error}")
         content = record.model_dump(mode="json")
         write_json(place / "fit.json", content, allow_nan=False)

@@ -88,7 +88,7 @@ class Credibility(BaseModel):
 
     model_config = ConfigDict(title="credibility.json")
 
-    schema_version: Literal[1] = SCHEMA
+    schema_version: Literal[1] = 1
     command: Literal["cosim refine", "cosim fit"]
     model: str
     verdict: str
@@ -153,7 +153,7 @@ def log_record(path: Path, rows: int, duration: float, step: float) -> LogRecord
 def attach(fmu: Path, record: Credibility) -> None:
     """Write a record, its metadata for SSP and the SHA-256 of the content into an FMU, in place of earlier ones."""
     content = record.model_dump(mode="json")
-    members = {RECORD: json.dumps(content, allow_nan=False).encode(), SRMD: _srmd(record, fmu.stem)}
+    members = {RECORD: json.dumps(content, allow_nan=False).encode(), SRMD: _srmd(record)}
     _rewrite(fmu, members, drop=IDENTITY)
     _rewrite(fmu, {IDENTITY: json.dumps({"sha256": content_hash(fmu)}).encode()})
 
@@ -168,12 +168,12 @@ def _rewrite(fmu: Path, members: Mapping[str, bytes], drop: str = "") -> None:
             new.writestr(archive_member(name), data)
 
 
-def _srmd(record: Credibility, name: str) -> bytes:
+def _srmd(record: Credibility) -> bytes:
     """Return the metadata of the FMU as a simulation resource (SRMD of SSP LS Traceability)."""
     for prefix, address in NAMESPACES.items():
         ElementTree.register_namespace(prefix, address)
     srmd, stc, xlink = (f"{{{address}}}" for address in NAMESPACES.values())
-    about = {"version": SRMD_VERSION, "name": name, "generationTool": f"cosim {__version__}"}
+    about = {"version": SRMD_VERSION, "name": record.model, "generationTool": f"cosim {__version__}"}
     root = ElementTree.Element(f"{srmd}SimulationResourceMetaData", about)
     kind = {"type": "org.cosim.credibility", f"{xlink}type": "simple"}
     kind[f"{xlink}href"] = f"../{RECORD.removeprefix('extra/')}"
@@ -193,7 +193,8 @@ def _srmd(record: Credibility, name: str) -> bytes:
     }
     for keyword, text in entries.items():
         ElementTree.SubElement(group, f"{stc}ClassificationEntry", {"keyword": keyword}).text = text
-    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text
 
 
 class Found(NamedTuple):

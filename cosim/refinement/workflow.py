@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.errors import Fault, TimedOut, refuse
+from cosim.core.errors import CosimError, Fault, TimedOut, refuse
 from cosim.core.messages import Note
 from cosim.core.text import counted, join_names, plain, showing
 from cosim.credibility.record import attach
@@ -174,7 +174,10 @@ def _refine(
             if name in variants and file in files:
                 over = {part: by[subject.horizon] for part, by in played[name].items()}
                 of_file = search, h, variants[name], over, sets
-                records[file] = credibility_of(*of_file, place=place, fmu=file)
+                try:
+                    records[file] = credibility_of(*of_file, place=place, fmu=file)
+                except CosimError as error:
+                    warnings.append(f"{file.name} has no record of credibility: {error}")
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
         study = replace(study, warnings=(*study.warnings, *warnings))
