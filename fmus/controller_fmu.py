@@ -264,7 +264,7 @@ class HovercraftPredictiveController(HovercraftController):
     The host also needs the solver daqp.
     """
 
-    settings = PredictiveSettings()
+    settings: ClassVar[Settings] = PredictiveSettings()
     ports = controller_ports(settings, *LATERAL)
     depends = predictive_dependencies(ports)
 
