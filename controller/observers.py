@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 
-from controller.design_model import Matrix, discrete_model, fix_matrix, measurement_matrix
+from controller.design_model import Matrix, discrete_model, discretize, fix_matrix, full_model, measurement_matrix
 from controller.settings import (
     AXES,
     PLANT_STATES,
@@ -26,6 +26,11 @@ from plant.hovercraft import Hovercraft
 
 ESTIMATED = ("x", "vx", "psi", "psi_dot")
 SIZE, AT = len(PLANT_STATES), PLANT_STATES.index
+# x_world and y_world repeat x and y without weight, so predictive control predicts twelve of fourteen states.
+PREDICTED = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
+NAMES = [PLANT_STATES[k] for k in PREDICTED]
+FILTERED = [NAMES.index(name) for name in ESTIMATED]  # states of the filter of the thesis
+OBSERVED = [k for k in range(len(NAMES)) if k not in FILTERED]
 
 
 class Stateful:
@@ -141,6 +146,52 @@ class LinearFilter(Estimator):
     @property
     def variances(self) -> Floats:
         return self.filter.P[0, 0], self.filter.P[2, 2], 0.0
+
+
+class HoverFilter(LinearFilter):
+    """Filter of the thesis, beside one of y, vy, roll, thrusts and tilts as deviations from hover.
+
+    The latter starts at rest with P = 0; commands drive it, fixes of y correct it.
+    """
+
+    memory = (*LinearFilter.memory, "observer.x", "observer.P")
+
+    def __init__(self, p: Any, start: Numbers, fix: float = 0.0, y_hat: float = 0.0) -> None:
+        super().__init__(p, start, fix)
+        A, B = full_model(p)
+        of, n = [PREDICTED[k] for k in OBSERVED], len(OBSERVED)
+        self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
+        self.observer = kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(self.rest))
+        kf.F, kf.B = discretize(A[np.ix_(of, of)], B[of], p.sample_time)
+        kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
+        self.y, vy = (OBSERVED.index(NAMES.index(name)) for name in ("y", "vy"))
+        kf.x[self.y] = y_hat
+        kf.Q[self.y, self.y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # as along the craft's axis
+        kf.H[0, self.y], kf.H[0, vy] = 1.0, -p.fix_latency
+        kf.R = np.eye(1) * p.measurement_variance_x  # same sensor as for x
+
+    def advance(self, measured: Numbers, command: Numbers) -> None:
+        super().advance(measured, command)
+        self.observer.predict(u=np.array(command) - self.rest)
+
+    def locate(self, position: Numbers) -> None:
+        super().locate(position)
+        self.observer.update(np.array(position[1:]))
+
+    @property
+    def estimate(self) -> Floats:
+        return *self.filter.x.tolist(), float(self.observer.x[self.y])
+
+    @property
+    def variances(self) -> Floats:
+        return self.filter.P[0, 0], self.filter.P[2, 2], self.observer.P[self.y, self.y]
+
+    @property
+    def predicted(self) -> Matrix:
+        """Return the states of a prediction as deviations from hover."""
+        z = np.zeros(len(NAMES))
+        z[OBSERVED], z[FILTERED] = self.observer.x, self.filter.x[: len(FILTERED)]
+        return z
 
 
 class DoubleIntegration(Estimator):
@@ -275,6 +326,11 @@ class ExtendedFilter(Estimator):
     def slope(self, name: str) -> Matrix:
         """Return ∂f/∂x or ∂h/∂x at the estimate."""
         return np.asarray(self.slopes.along(name, self.filter.x[None], np.array([self.command]))[0])
+
+    @property
+    def predicted(self) -> Matrix:
+        """Return the states of a prediction."""
+        return np.asarray(self.filter.x[PREDICTED])
 
     def sensed(self, x: Matrix) -> Matrix:
         """Return (ψ, ψ̇, a_x)."""

@@ -1,7 +1,6 @@
-"""Model predictive control with limits, linearized once at hover or along the planned motion.
+"""Model predictive control with limits, linearized along the planned motion, or at hover as its constant case.
 
-Both laws condense a horizon to a quadratic program of the commands, solved by a dual active set; at hover the
-prediction is the same at every step and sample.
+A horizon is condensed to a quadratic program of the commands, solved by a dual active set.
 """
 
 from __future__ import annotations
@@ -12,32 +11,18 @@ from typing import Any, NamedTuple
 
 import daqp
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
 from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
 from controller.loop import Law, LawInput
-from controller.observers import Estimator, ExtendedFilter, Slopes, level_tilt
-from controller.settings import (
-    PLANT_STATES,
-    Floats,
-    Numbers,
-    PredictionSettings,
-    PredictiveSettings,
-    TimeVariantSettings,
-    craft_of,
-)
+from controller.observers import NAMES, PREDICTED, Estimator, ExtendedFilter, HoverFilter, Slopes, level_tilt
+from controller.settings import PLANT_STATES, Floats, Numbers, PredictionSettings, craft_of
 from cosim.model.namespaces import arrays
 
-# x_world and y_world repeat x and y without weight, so twelve of fourteen states are predicted.
-PREDICTED = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
-NAMES = [PLANT_STATES[k] for k in PREDICTED]
 COMMANDS = len(PLANT_INPUTS)
 BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps with a constant command; the last block extends to the horizon
 VX = NAMES.index("vx")
 POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
-FILTERED = [NAMES.index(name) for name in ("x", "vx", "psi", "psi_dot")]  # states from the five-state filter
-OBSERVED = [k for k in range(len(NAMES)) if k not in FILTERED]  # states from the observer of the law
 SOLVED, AT_LIMIT = (1, 2), -4  # flags of DAQP: optimal, also with an exceeded soft limit; too many iterations
 HARD, SOFT = 0, 8  # kinds of limits in DAQP
 ZERO_MULTIPLIER = 1e-9  # multipliers below are zero
@@ -60,7 +45,7 @@ class Condensed(NamedTuple):
         return self._replace(f=self.f @ z, free=self.free @ z)
 
 
-class Predicting(Law):
+class PredictiveLaw(Law):
     """Optimal command of each sample within limits, started from the previous solution.
 
     The commands u minimise
@@ -68,19 +53,56 @@ class Predicting(Law):
          Σ (z'·Q·z + u'·R·u)·Δ + z_N'·P·z_N,   |α| ≤ tilt_max,   duty_min ≤ δ ≤ duty_max
 
     with z the deviation from rest at the references of x, y and ψ, and P the cost to go of the LQR at hover. Without
-    active limits, the law then equals the LQR. The limit |vx| ≤ speed_max at every prediction step is soft, so that a
-    solution always exists. At the solver's iteration limit, the unconstrained command is clipped and `solved` is 0.
+    active limits at hover, the law then equals the LQR. The limit |vx| ≤ speed_max at every prediction step is soft, so
+    that a solution always exists. At the solver's iteration limit, the unconstrained command is clipped and `solved` is
+    0. The motion is predicted by the craft's equations along the plan,
+
+         ż = f(x̄, ū) + A(t)·(x − x̄) + B(t)·(u − ū),   A(t) = ∂f/∂x, B(t) = ∂f/∂u at x̄(t), ū(t)
+
+    x̄, ū are motion and commands planned at the previous sample, shifted by one sample. At the first sample x̄ is the
+    estimate and ū the command at rest. Commands, A and B are held over a prediction step. With one program per sample,
+    the plan follows a changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005).
+
+    Without Jacobians, A and B are those of the design model at hover, and the horizon is condensed once.
+
+    Args:
+        printed: Jacobians of the craft, which the extended filter uses too.
+        y_hat: Start of the estimated drift to the right [m].
 
     Attributes:
+        filter: Estimator of the predicted states.
         last: Deviation of the last command from rest.
         hot: Multipliers; their signs mark the active limits for the next sample.
         given_up: Failures of the solver: number, first sample, its flag.
+        cost: Cost of a horizon that starts with an open deviation, without Jacobians.
     """
 
-    memory: tuple[str, ...] = ("last", "hot", "iterations", "solved", "samples", "given_up")
-    P: Matrix
+    memory: tuple[str, ...] = ("last", "hot", "iterations", "solved", "samples", "given_up", "path", "plan")
+    filter: HoverFilter | ExtendedFilter
+    cost: Condensed | None = None
 
-    def __init__(self, p: PredictionSettings) -> None:
+    def __init__(self, p: Any, printed: Mapping[str, Any] | None = None, y_hat: float = 0.0) -> None:
+        self.p, self.printed, self.y_hat, self.hover = p, printed, y_hat, np.zeros(len(NAMES))
+        self._limit(p)
+        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
+        if printed is None:
+            A, B = full_model(p)
+            F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], p.prediction_step)
+            self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
+            self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(NAMES)))
+            return
+        self.craft = craft_of(p)
+        self.slopes, self.rates = Slopes(self.craft, printed), self.craft.acting(arrays()).derivative
+        hover = np.array([self.craft.start()])
+        self.hover = hover[0, PREDICTED]
+        A, B = self._linear(hover, self.rest[None])
+        fastest = p.prediction_step * float(np.abs(np.linalg.eigvals(A[0])).max())
+        self.doublings = max(0, math.ceil(math.log2(max(fastest, SERIES_LIMIT) / SERIES_LIMIT)))
+        F, held = self._zero_order_hold(A)
+        self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
+
+    def _limit(self, p: PredictionSettings) -> None:
+        """Set limits, weights and blocks of the horizon."""
         self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
         self.low = np.array([p.duty_min, p.duty_min, -p.tilt_max, -p.tilt_max]) - self.rest
         self.high = np.array([p.duty_max, p.duty_max, p.tilt_max, p.tilt_max]) - self.rest
@@ -165,83 +187,11 @@ class Predicting(Law):
             "the one without limits, cut off at them"
         )
 
-
-class PredictiveLaw(Predicting):
-    """Predictive law linearized once: z_{j+1} = F·z_j + G·u_j at hover, for motors and tilts.
-
-    The filter provides x, ẋ, ψ and ψ̇; y, roll, thrusts and tilts follow from the commands, with corrections by fixes
-    of y.
-    """
-
-    memory = (*Predicting.memory, "observer.x", "observer.P", "fix")
-
-    def __init__(self, p: PredictiveSettings, y_hat: float = 0.0) -> None:
-        super().__init__(p)
-        A, B = full_model(p)
-        A, B = A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED]  # of the predicted states at hover
-        F, G = discretize(A, B, p.prediction_step)
-        self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
-        self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(NAMES)))
-        # filter of y, vy, roll, thrusts and tilts, started at rest with P = 0; commands drive it, fixes of y correct it
-        n = len(OBSERVED)
-        self.observer = kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=COMMANDS)
-        kf.F, kf.B = discretize(A[np.ix_(OBSERVED, OBSERVED)], B[OBSERVED], p.sample_time)
-        kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
-        y, vy = (OBSERVED.index(NAMES.index(name)) for name in ("y", "vy"))
-        kf.x[y] = y_hat
-        kf.Q[y, y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # as the noise along the craft's axis
-        kf.H[0, y], kf.H[0, vy] = 1.0, -p.fix_latency
-        kf.R = np.eye(1) * p.measurement_variance_x  # same sensor as for x
-        self.fix = 0.0
-
-    def command(self, x_hat: Numbers, seen: LawInput) -> Floats:
-        if seen.started:
-            self.observer.predict(u=self.last)
-            if seen.fix != self.fix:
-                self.observer.update(np.array([seen.y_meas]))
-        self.fix = seen.fix
-        z = np.zeros(len(NAMES))
-        z[OBSERVED], z[FILTERED] = self.observer.x, x_hat[: len(FILTERED)]
-        z[POSITIONS] -= seen.x_ref, seen.y_ref, seen.psi_ref
-        self.solve(self.cost.at(z))
-        return tuple((self.last + self.rest).tolist()[2:])
-
-    def outputs(self) -> list[float]:
-        """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
-        sigma = math.sqrt(max(0.0, self.observer.P[0, 0]))
-        return [float(self.observer.x[0]), sigma, float(self.iterations), float(self.solved)]
-
-
-class TimeVariantLaw(Predicting):
-    """Predictive law with A(t), B(t) of the craft's equations along the planned motion.
-
-         ż = f(x̄, ū) + A(t)·(x − x̄) + B(t)·(u − ū),   A(t) = ∂f/∂x, B(t) = ∂f/∂u at x̄(t), ū(t)
-
-    x̄, ū are motion and commands planned at the previous sample, shifted by one sample. At the first sample x̄ is the
-    estimate and ū the command at rest. Commands, A and B are held over a prediction step. With one program per sample,
-    the plan follows a changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005). An own
-    extended Kalman filter estimates all states.
-    """
-
-    memory = (*Predicting.memory, "path", "plan")
-    filter: ExtendedFilter
-
-    def __init__(self, p: TimeVariantSettings, printed: Mapping[str, Any], y_hat: float = 0.0) -> None:
-        super().__init__(p)
-        self.p, self.printed, self.y_hat, self.craft = p, printed, y_hat, craft_of(p)
-        self.slopes = Slopes(self.craft, printed)
-        self.rates = self.craft.acting(arrays()).derivative
-        hover = np.array([self.craft.start()])
-        self.hover = hover[0, PREDICTED]
-        A, B = self._linear(hover, self.rest[None])
-        fastest = p.prediction_step * float(np.abs(np.linalg.eigvals(A[0])).max())
-        self.doublings = max(0, math.ceil(math.log2(max(fastest, SERIES_LIMIT) / SERIES_LIMIT)))
-        F, held = self._zero_order_hold(A)
-        self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
-        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
-
-    def estimator(self, p: TimeVariantSettings, x_hat: Numbers, fix: float) -> Estimator:
-        """Return the extended Kalman filter, started at x_hat with the tilts that cause its acceleration."""
+    def estimator(self, p: Any, x_hat: Numbers, fix: float) -> Estimator:
+        """Return the filter of the predicted states, started at x_hat with the tilts that cause its acceleration."""
+        if self.printed is None:
+            self.filter = HoverFilter(p, x_hat, fix, self.y_hat)
+            return self.filter
         x, vx, psi, psi_dot, a = x_hat
         tilt = level_tilt(self.craft, a)
         start = {"x": x, "vx": vx, "psi": psi, "psi_dot": psi_dot, "y": self.y_hat, "tilt_right": tilt}
@@ -249,9 +199,23 @@ class TimeVariantLaw(Predicting):
         return self.filter
 
     def command(self, x_hat: Numbers, seen: LawInput) -> Floats:
-        x = self.filter.filter.x[PREDICTED]
-        target = self.hover.copy()
+        x, target = self.filter.predicted, self.hover.copy()
         target[POSITIONS] += seen.x_ref, seen.y_ref, seen.psi_ref
+        if self.cost is not None:
+            self.solve(self.cost.at(x - target))
+        else:
+            cost = self._along_plan(x, target)
+            scaled = self.solve(cost)
+            self.path = target + np.vstack([x - target, cost.free + cost.forced @ scaled])
+            self.plan = self.rest + (scaled.reshape(-1, COMMANDS) * self.scale)[self.of_step]
+        return tuple((self.last + self.rest).tolist()[2:])
+
+    def outputs(self) -> list[float]:
+        """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
+        return [self.filter.estimate[5], self.filter.sigma[2], float(self.iterations), float(self.solved)]
+
+    def _along_plan(self, x: Matrix, target: Matrix) -> Condensed:
+        """Return the cost of a horizon from the state x, with the equations linearized along the previous plan."""
         n, step = len(self.of_step), self.p.prediction_step
         path, plan = np.tile(x, (n, 1)), np.tile(self.rest, (n, 1))
         if len(self.path):  # at each step, from the previous plan
@@ -266,15 +230,7 @@ class TimeVariantLaw(Predicting):
         # deviations are from target and rest command
         drift = rates[..., None] + A @ (target - path)[..., None] + B @ (self.rest - plan)[..., None]
         F, held = self._zero_order_hold(A)
-        cost = self.condensed(F, held @ B, held @ drift, (x - target)[:, None]).at(np.ones(1))
-        scaled = self.solve(cost)
-        self.path = target + np.vstack([x - target, cost.free + cost.forced @ scaled])
-        self.plan = self.rest + (scaled.reshape(-1, COMMANDS) * self.scale)[self.of_step]
-        return tuple((self.last + self.rest).tolist()[2:])
-
-    def outputs(self) -> list[float]:
-        """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
-        return [self.filter.estimate[5], self.filter.sigma[2], float(self.iterations), float(self.solved)]
+        return self.condensed(F, held @ B, held @ drift, (x - target)[:, None]).at(np.ones(1))
 
     def _linear(self, states: Matrix, commands: Matrix) -> tuple[Matrix, Matrix]:
         """Return the Jacobians along the horizon: A (N, 12, 12) by predicted states, B (N, 12, 4) by commands."""

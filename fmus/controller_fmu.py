@@ -264,21 +264,26 @@ class HovercraftPredictiveController(HovercraftController):
     The host also needs the solver daqp.
     """
 
-    settings = PredictiveSettings()
+    settings: ClassVar[Settings] = PredictiveSettings()
     ports = controller_ports(settings, *LATERAL)
     depends = predictive_dependencies(ports)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return the predictive law.
+        """Return the predictive law, with the Jacobians that were printed when the FMU was built, if it needs them.
 
         The solver is imported here, since other controllers do not need it.
         """
         from controller.predictive import PredictiveLaw
 
-        return PredictiveLaw(settings, float(given.get("y_hat_start", 0.0)))
+        y_hat = float(given.get("y_hat_start", 0.0))
+        if not isinstance(settings, TimeVariantSettings):
+            return PredictiveLaw(settings, y_hat=y_hat)
+        from controller import printed  # type: ignore[attr-defined]
+
+        return PredictiveLaw(settings, vars(printed), y_hat)
 
 
-class HovercraftTimeVariantController(HovercraftController):
+class HovercraftTimeVariantController(HovercraftPredictiveController):
     """Predictive control with A(t), B(t) along the planned motion, and its own extended Kalman filter.
 
     Tilt and duty are limited. With position fixes, y is controlled too. The host also needs the solver daqp.
@@ -287,13 +292,6 @@ class HovercraftTimeVariantController(HovercraftController):
     settings = TimeVariantSettings()
     ports = controller_ports(settings, *LATERAL)
     depends = predictive_dependencies(ports, own_filter=True)
-
-    def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return the time-variant law, with the Jacobian functions that were printed when the FMU was built."""
-        from controller import printed  # type: ignore[attr-defined]
-        from controller.predictive import TimeVariantLaw
-
-        return TimeVariantLaw(settings, vars(printed), float(given.get("y_hat_start", 0.0)))
 
 
 # -- estimators -----------------------------------------------------------------------------------

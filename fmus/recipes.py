@@ -100,16 +100,15 @@ predictive_recipe = partial(
     f"{FLIGHT}Kalman filter and model predictive control with limits",
     LOOP,
     MODEL,
-    "predictive:Predicting",
     "predictive:PredictiveLaw",
+    "observers:HoverFilter",
 )
 time_variant_recipe = partial(
     _sampled,
     "controller_fmu:HovercraftTimeVariantController",
     f"{FLIGHT}extended Kalman filter and predictive control along the planned motion",
     LOOP,
-    "predictive:Predicting",
-    "predictive:TimeVariantLaw",
+    "predictive:PredictiveLaw",
     EXTENDED,
     printed=True,
 )

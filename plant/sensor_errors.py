@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from cosim.model import Bias, Drift, Latency, LeverArm, Namespace, Number, Scale, SensorError, Values, parameter, size
 
@@ -14,7 +15,7 @@ def centripetal(error: LeverArm, m: Namespace, psi_dot: Number) -> Values:
     return (-psi_dot * psi_dot,)
 
 
-def disturbed_heading(error: SensorError, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
+def disturbed_heading(error: Any, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
     """Return the heading with an error by the motors (§5.2), zero at hover: ψ + k·(T_R + T_L − 2·T_N).
 
     Motor current follows the thrust, a + b·δ after the lag (4.20), so the error is linear in the duty.

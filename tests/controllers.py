@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from controller.closed_loop import manoeuvre
 from controller.designer import DesignFile, controller_starts
 from controller.loop import IntegralFeedback, Law, LawInput, Loop, StateFeedback
-from controller.predictive import PredictiveLaw, TimeVariantLaw
+from controller.predictive import PredictiveLaw
 from controller.settings import (
     ESTIMATORS,
     INTEGRAL_SETTINGS,
@@ -45,9 +45,9 @@ def printed() -> Mapping[str, Any]:
     return load_names(jacobians())
 
 
-def time_variant(p: TimeVariantSettings) -> TimeVariantLaw:
+def time_variant(p: TimeVariantSettings) -> PredictiveLaw:
     """Return the predictive law with A(t), B(t)."""
-    return TimeVariantLaw(p, printed())
+    return PredictiveLaw(p, printed())
 
 
 Design = tuple[Settings, Callable[[Any], Law]]
@@ -116,8 +116,8 @@ def fly(
     begin = start or {}
     moment = stepper.start(0.0, begin)
     x_hat = [begin.get(n, 0.0) for n in ("x", "vx", "psi", "psi_dot")] + [0.0]
-    if isinstance(law, PredictiveLaw) and "y" in begin and not fixes:
-        law.observer.x[0] = begin["y"]
+    if isinstance(law, PredictiveLaw) and law.printed is None and "y" in begin and not fixes:
+        law.y_hat = begin["y"]
     loop = Loop(settings, x_hat, *references(0.0), law=law)
     spent: list[float] = []
     rng = None if seed is None else np.random.default_rng(seed)
@@ -138,10 +138,12 @@ def fly(
         began = time.perf_counter()
         if truth:
             seen = LawInput(x_ref, psi_ref, psi=there["psi"], x_meas=at[0], y_meas=at[1], fix=fix, started=True)
-            if isinstance(law, TimeVariantLaw):
-                law.filter.filter.x = np.array(moment.state)
             push = there["ax"] + settings.friction / settings.mass * there["vx"]
-            loop.command = law.command([*(there[n] for n in ("x", "vx", "psi", "psi_dot")), push], seen)
+            x_hat = [*(there[n] for n in ("x", "vx", "psi", "psi_dot")), push]
+            if isinstance(law, PredictiveLaw):
+                law.filter.step(measured, command, fix, at)
+                law.filter.filter.x = np.array(x_hat if law.printed is None else moment.state)
+            loop.command = law.command(x_hat, seen)
         else:
             loop.step(measured, x_ref, psi_ref, fix, at[0], y_meas=at[1])
         spent.append(time.perf_counter() - began)

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from controller.closed_loop import manoeuvre
 from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
 from controller.loop import LawInput, Loop
-from controller.predictive import NAMES, PREDICTED, PredictiveLaw, TimeVariantLaw
+from controller.predictive import NAMES, PREDICTED, PredictiveLaw
 from controller.settings import (
     GAINS,
     INTEGRAL_SETTINGS,
@@ -122,7 +122,7 @@ def test_the_predictive_law_holds_y_with_fixes() -> None:
 
 
 @pytest.fixture(scope="module")
-def planned() -> TimeVariantLaw:
+def planned() -> PredictiveLaw:
     """The law after some programs for the same craft at rest, of which each linearises the plan before it."""
     law, seen = time_variant(LTV), LawInput(1.5, -1.0, 0.3)
     law.estimator(LTV, [0.0] * 5, 0.0)
@@ -133,7 +133,7 @@ def planned() -> TimeVariantLaw:
     return law
 
 
-def test_a_t_and_b_t_are_those_of_the_linearised_plant_all_along_the_plan(planned: TimeVariantLaw) -> None:
+def test_a_t_and_b_t_are_those_of_the_linearised_plant_all_along_the_plan(planned: PredictiveLaw) -> None:
     states = np.zeros((len(planned.plan), len(PLANT_STATES)))
     states[:, PREDICTED] = planned.path[:-1]
     A, B = (planned.slopes.along(of, states, planned.plan) for of in ("state", "command"))
@@ -145,7 +145,7 @@ def test_a_t_and_b_t_are_those_of_the_linearised_plant_all_along_the_plan(planne
     assert np.ptp(turning) > 0.3 * turning[0]  # the thrust of 6 to 7 % of duty: it is time-variant
 
 
-def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it(planned: TimeVariantLaw) -> None:
+def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it(planned: PredictiveLaw) -> None:
     """A turn of 1 rad while it moves 1.5 m: the motors share the work, and thrust times tilt is no linear thing."""
     A, B = full_model(MPC)
     F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], MPC.prediction_step)

@@ -144,7 +144,7 @@ def test_a_sensor_or_a_gain_of_what_is_not_there_is_told(tmp_path: Path, old: st
     with pytest.raises(InputError) as error:
         own_model("rover.py:Rover", tmp_path)
     assert any(message in fault.message for fault in error.value.faults), error.value
-    assert all(fault.line for fault in error.value.faults)
+    assert all(fault.line for fault in error.value.faults if "raises" not in fault.message)
 
 
 # -- studies ------------------------------------------------------------------------------------

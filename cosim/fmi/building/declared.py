@@ -62,7 +62,8 @@ class ModelText:
         """Return a fault at a class's declaration, else at the class."""
         keys = [(c.__name__, attribute) for c in owner.__mro__ if c.__module__ == owner.__module__]
         place = next((key for key in keys if key in self._places), (owner.__name__, ""))
-        return Fault(self.path, *self._places.get(place, (getattr(owner, "line", 0), 0)), message)
+        line, column = self._places.get(place, (int(getattr(owner, "line", 0)), 0))
+        return Fault(self.path, line, column, message)
 
     def convert_error(self, error: BaseException, doing: str) -> Fault:
         """Return the fault of an exception, with line and known remedy."""
