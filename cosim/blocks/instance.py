@@ -140,8 +140,10 @@ class Instance:
         place: Folder of the already unpacked FMU, left unchanged.
         logging: Whether debug logging is on.
         compiles: Whether sources may be compiled for a missing library.
+        keeps_library: Whether library and folder stay when the instance is freed, for the next `load`.
     """
 
+    keeps_library = False
     fmpy_class = "Slave"
     way: Way = "co-simulation"
     start_time = stop_time = time = 0.0
@@ -178,24 +180,13 @@ class Instance:
             SharedCode: The process has other code of the same name.
             DiskFull: No space is left to unpack.
         """
-        hidden = claim(self.path)
+        is_kept = self.fmu is not None
+        hidden = () if is_kept else claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
-        identifier = str(self.about.modelIdentifier)
         try:
-            library, warning = library_of(folder, self.description, identifier) or (None, "")
-            if library is None:
-                platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
-                if not self._compiles or C_CODE not in platforms:
-                    raise FmuError(no_library(platform_of(self.description), platforms))
-                library = compile_library(folder, self.description, identifier)
-            try:
-                with own_symbols_first(self.path, library):
-                    self._load_library(folder, library)
-            except Exception as error:  # FMPy raises bare Exceptions.
-                raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
-            for text in filter(None, (warning, *hidden)):
-                self.remember(text)
+            if not is_kept:
+                self._load_code(folder, hidden)
             self._instantiate()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
             self.fmu = None
@@ -203,7 +194,25 @@ class Instance:
             raise FmuError(f"{self.path} does not load: {reason}") from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
-        let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
+        if not is_kept:
+            let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
+
+    def _load_code(self, folder: Path, hidden: Sequence[str]) -> None:
+        """Load the library, compiled if it is missing and may be."""
+        identifier = str(self.about.modelIdentifier)
+        library, warning = library_of(folder, self.description, identifier) or (None, "")
+        if library is None:
+            platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
+            if not self._compiles or C_CODE not in platforms:
+                raise FmuError(no_library(platform_of(self.description), platforms))
+            library = compile_library(folder, self.description, identifier)
+        try:
+            with own_symbols_first(self.path, library):
+                self._load_library(folder, library)
+        except Exception as error:  # FMPy raises bare Exceptions.
+            raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
+        for text in filter(None, (warning, *hidden)):
+            self.remember(text)
 
     def _unpack(self) -> Path:
         """Unpack the FMU unless it is unpacked; return the folder."""
@@ -224,14 +233,18 @@ class Instance:
 
     def free(self) -> None:
         """Terminate and free the instance; keep the folder."""
-        fmu, component, self.fmu, self.component = self.fmu, self.component, None, None
+        fmu, component, self.component = self.fmu, self.component, None
+        if not self.keeps_library:
+            self.fmu = None
         if fmu is not None and component is not None:
             try:
                 if self.initialized:
                     fmu.terminate()
             except Exception as error:  # The run is over, so a refusal is logged only.
                 self.log.append(str(error))
-            fmu.freeInstance()
+            getattr(fmu, f"{self.prefix}FreeInstance")(component) if self.keeps_library else fmu.freeInstance()
+        elif fmu is not None and not self.keeps_library:
+            fmu.freeLibrary()
         self.initialized = False
 
     def renew(self) -> None:
@@ -246,7 +259,7 @@ class Instance:
 
     def remove(self) -> None:
         """Delete the folder, unless it is foreign."""
-        if self._folder is not None and self._folder != self.place:
+        if self._folder is not None and self._folder != self.place and not self.keeps_library:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
