@@ -24,7 +24,7 @@ from typing import Any
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.loading import load_error
-from cosim.blocks.shared_code import claim, own_symbols_first
+from cosim.blocks.shared_code import claim, code_of, own_symbols_first
 from cosim.core.drafts import is_full
 from cosim.core.errors import CallFailed, DiskFull, FmuError, Terminated
 from cosim.core.messages import Note
@@ -40,7 +40,7 @@ from cosim.fmi.description import (
     platforms_among,
     without_wrapping,
 )
-from cosim.fmi.lifetime import let_go_at_exit
+from cosim.fmi.lifetime import KEEPER, let_go_at_exit
 
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
 BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
@@ -60,6 +60,38 @@ KEPT_FIRST, KEPT_LAST = 50, 50  # messages
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
+class _Functions(dict[str, Any]):
+    """FMI functions of a library by name, each made at its first call, because most are never called."""
+
+    def __init__(self, fmu: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
+        self._library, self._signatures = fmu.dll, signatures
+        self._prefix = f"{fmu.modelIdentifier}_" if next(iter(signatures)).startswith("fmi1") else ""
+        for name in signatures:
+            find_symbol(fmu.dll, self._symbol(name))
+
+    def _symbol(self, name: str) -> str:
+        return f"{self._prefix}{name.replace('fmi1', 'fmi')}" if self._prefix else name
+
+    def __missing__(self, name: str) -> Any:
+        function = self._library[self._symbol(name)]
+        function.argnames, function.argtypes, function.restype = self._signatures[name]
+        self[name] = function
+        return function
+
+
+def find_symbol(library: Any, name: str) -> None:
+    """Raise AttributeError if a loaded library has no such function."""
+    try:
+        from _ctypes import dlsym
+    except ImportError:  # Windows
+        getattr(library, name)
+        return
+    try:
+        dlsym(library._handle, name)
+    except OSError as error:
+        raise AttributeError(str(error)) from None
+
+
 @functools.cache
 def with_known_signatures(module: str, name: str) -> Any:
     """Return a class of FMPy that inspects the signatures of the FMI functions for its first instance only."""
@@ -70,11 +102,8 @@ def with_known_signatures(module: str, name: str) -> Any:
         if not signatures:
             kind._loadFunctions(fmu)
             signatures.update({n: (f.argnames, f.argtypes, f.restype) for n, f in fmu._functions.items()})
-            return
-        for function, (names, types, result) in signatures.items():
-            of_library = f"{fmu.modelIdentifier}_{function.replace('fmi1', 'fmi')}" if name[3] == "1" else function
-            loaded = fmu._functions[function] = getattr(fmu.dll, of_library)
-            loaded.argnames, loaded.argtypes, loaded.restype = names, types, result
+        else:
+            fmu._functions = _Functions(fmu, signatures)
 
     return type(name, (kind,), {"_loadFunctions": load})
 
@@ -194,7 +223,7 @@ class Instance:
             raise FmuError(f"{self.path} does not load: {reason}") from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
-        if not is_kept:
+        if not is_kept and KEEPER in code_of(self.path).symbols:
             let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
 
     def _load_code(self, folder: Path, hidden: Sequence[str]) -> None:
