@@ -71,7 +71,7 @@ class Csv(Source):
         header, count = [column.name for column in columns], len(columns[0].values)
         numeric = all(isinstance(c.values, np.ndarray) and c.values.dtype.kind in "iuf" for c in columns)
 
-        def parts() -> Iterator[list[Sequence[Any]]]:
+        def parts() -> Iterator[list[Any]]:
             for first in range(0, count, CHUNK):  # Python floats need four times the memory.
                 yield [column.values[first : first + CHUNK] for column in columns]
 

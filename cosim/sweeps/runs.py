@@ -150,8 +150,8 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
         return _failed(job, request, f"it ended at t = {results.time[-1]:g} s")
     criteria = evaluate(scenario, results)
     values = [np.nan if c["value"] is None else float(c["value"]) for c in criteria]
-    places = sampled_rows(scenario.steps, job.samples)
-    signals = np.array([results[name][places] for name in job.signals]).reshape(len(job.signals), len(places))
+    columns = [results.columns.index(name) for name in job.signals]
+    signals = np.ascontiguousarray(results.values[np.ix_(sampled_rows(scenario.steps, job.samples), columns)].T)
     return RunResult(request.run, "ok", values, [bool(c["met"]) for c in criteria], signals)
 
 
@@ -252,7 +252,7 @@ class SweptSystem:
 
 def _is_stop(error: StoppedRun | CosimError) -> bool:
     """Return whether a run was stopped from the keyboard."""
-    return getattr(error, "error", error).exit_code == 130
+    return (error.error if isinstance(error, StoppedRun) else error).exit_code == 130
 
 
 def _unload(kept: dict[str, FmuBlock]) -> None:
@@ -282,6 +282,7 @@ def _failed(job: Job, request: RunRequest, reason: CosimError | str) -> RunResul
     return RunResult(request.run, text, [np.nan] * job.criteria, [False] * job.criteria, np.empty((0, 0)))
 
 
+@cache
 def sampled_rows(steps: int, samples: int) -> list[int]:
     """Return evenly spaced rows to record, including both ends."""
     count = min(samples, steps + 1)

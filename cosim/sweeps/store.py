@@ -97,8 +97,8 @@ class Database:
         """Yield the results of all runs in order, without loading them into memory at once."""
         for (content,) in self._base.execute("SELECT result FROM made ORDER BY run"):
             about, _, samples = content.partition(b"\n")
-            *fields, shape = json.loads(about)
-            yield RunResult(*fields, np.frombuffer(samples).reshape(shape))
+            run, status, values, met, shape = json.loads(about)
+            yield RunResult(run, status, values, met, np.frombuffer(samples).reshape(shape))
 
     def remove(self) -> None:
         """Close and delete the database, and the folder of a part."""
@@ -146,8 +146,8 @@ def write_table(
             columns: dict[str, Any] = {name: [values[m.run] for m in part] for name, values in table.items()}
             columns |= {"run": [m.run for m in part], "status": [m.status for m in part]}
             for k, name in enumerate(criteria):
-                values = (m.values[k] if m.status == "ok" else np.nan for m in part)
-                columns[name] = [None if np.isnan(value) else value for value in values]
+                judged = (m.values[k] if m.status == "ok" else np.nan for m in part)
+                columns[name] = [None if np.isnan(value) else value for value in judged]
                 columns[f"{name} met"] = [m.met[k] if m.status == "ok" else None for m in part]
             ends = np.cumsum([0, *(m.signals.shape[1] if m.status == "ok" else 0 for m in part)], dtype=np.int32)
             missing = pa.array([m.status != "ok" for m in part])
