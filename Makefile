@@ -8,6 +8,7 @@ CHECKING := .venv/.checking
 DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 RELEASING := .venv/.releasing
+BENCHING := .venv/.benching
 
 .PHONY: run test thorough refine bench blind blind-fmu bundles baseline corpus crash kills fuzz mutants seed check docs dist trial versions clean fmus
 N ?= 24
@@ -54,6 +55,9 @@ $(DOCUMENTING): $(TESTING) # known answers are tables of the tests
 
 $(RELEASING): $(RUNTIME)
 	$(call install,--editable '.[release]')
+
+$(BENCHING): $(RUNTIME)
+	$(call install,--editable '.[sweep,bench]')
 
 fmus: $(RUNTIME)
 	$(BIN)/cosim build --model hovercraft --design examples/hovercraft/design.yaml --out build
@@ -109,7 +113,8 @@ seed: $(TESTING)
 	$(BIN)/python -m tests.seed $(SEEDS)
 	$(BIN)/python -m tests.controllers 20
 
-bench: $(RUNTIME)
+# ratios of docs/performance.md
+bench: $(BENCHING)
 	@$(BIN)/python -m benchmarks
 
 check: $(CHECKING)

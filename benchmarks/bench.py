@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import tempfile
 import time
-import zipfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,6 +12,7 @@ import numpy as np
 from benchmarks.bench_coupling import coupling_figures
 from benchmarks.bench_library import library_figures
 from benchmarks.bench_native import native_figures
+from benchmarks.bench_peers import lags_scenario, peer_figures
 from benchmarks.measure import median_ratio, running
 from controller.loop import Loop
 from controller.settings import Settings
@@ -41,7 +38,6 @@ from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 H = 0.02
 STEPS = 1000
 MANY = 100_000  # steps of FMUs with next to no computation
-IMPORTS = "import numpy, fmpy, filterpy.kalman"
 NOISE = {name: SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")}
 
 SCENARIO = """
@@ -91,19 +87,18 @@ def bench() -> dict[str, float | str]:
         place = Path(folder)
         build(plant_recipe(), place / "plant.fmu")
         build(controller_recipe(), place / "controller.fmu")
-        for name, steps in (("loop", STEPS), ("long", 10 * STEPS), ("one", 1)):
+        for name, steps in (("loop", STEPS), ("long", 10 * STEPS)):
             (place / f"{name}.yaml").write_text(SCENARIO.format(duration=steps * H, **NOISE))
         figures: dict[str, float | str] = {
             "loop_over_plain": loop_over_plain(place / "loop.yaml"),
             "fmpy_over_ours_overhead": fmpy_over_ours(place),
             "dormant_over_base": dormant_over_base(),
-            "startup_over_import": startup_over_import(place),
             "ten_times_the_steps": ten_times_the_steps(place),
             "resume_equal": resume_equal(place),
         }
         if compiler() is not None:
             figures["isolated_over_inprocess"] = isolated_over_inprocess(place)
-        figures |= native_figures(place) | library_figures(place) | coupling_figures(place)
+        figures |= native_figures(place) | peer_figures(place) | library_figures(place) | coupling_figures(place)
     return {name: value if isinstance(value, str) else round(value, 3) for name, value in figures.items()}
 
 
@@ -191,21 +186,6 @@ def dormant_over_base() -> float:
     return median_ratio(lambda: seconds(dormant), lambda: seconds(Hovercraft()), rounds=51)
 
 
-def startup_over_import(place: Path) -> float:
-    """Return the time of a run of one step, relative to that of importing its libraries."""
-    options = ["--no-report", "--force", "--out", str(place / "out")]
-    run = [sys.executable, "-m", "cosim", "run", str(place / "one.yaml"), *options]
-    # As installed: with this variable set, each run would compile this package's modules, but no others.
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-
-    def seconds(command: list[str]) -> float:
-        begin = time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True, env=environment)
-        return time.perf_counter() - begin
-
-    return median_ratio(lambda: seconds(run), lambda: seconds([sys.executable, "-c", IMPORTS]))
-
-
 def ten_times_the_steps(place: Path) -> float:
     """Return the time ratio of ten times the steps."""
     short, long = ScenarioFile(place / "loop.yaml"), ScenarioFile(place / "long.yaml")
@@ -242,7 +222,7 @@ def isolated_over_inprocess(place: Path) -> float:
 
     The system has two C FMUs with 20 variables.
     """
-    scenario = native_scenario(place)
+    scenario = lags_scenario(place, MANY, H)
     file, table = ScenarioFile(scenario), place / "rows"
     system = build_system(file)
     columns = len(system.columns)
@@ -262,36 +242,3 @@ def worker_seconds(scenario: Path, table: Path) -> float:
     mapped, progress = mapped_table(table, MANY + 1, len(system.columns)), worker.progress
     rows = Rows(mapped, made=progress.made, doing=progress.doing)
     return loop_seconds(system, MANY, rows)
-
-
-def native_scenario(place: Path) -> Path:
-    """Build two C FMUs with mutual connections, and return their scenario."""
-    import fmpy
-
-    library = place / "lags.so"
-    source = Path(__file__).with_name("bench_fmu.c")
-    flags = ["-O2", "-shared", "-fPIC"]
-    subprocess.run([*(compiler() or ()), *flags, "-o", str(library), str(source)], check=True, capture_output=True)
-    variables = [
-        f'<ScalarVariable name="{name}{k}" valueReference="{first + k}" causality="{causality}">'
-        f"<Real{start}/></ScalarVariable>"
-        for name, first, causality, start in (("u", 0, "input", ' start="0"'), ("y", 5, "output", ""))
-        for k in range(5)
-    ]
-    unknowns = "".join(f'<Unknown index="{k}" dependencies=""/>' for k in range(6, 11))
-    description = (
-        '<fmiModelDescription fmiVersion="2.0" modelName="lags" guid="lags">'
-        '<CoSimulation modelIdentifier="lags" canHandleVariableCommunicationStepSize="true"/>'
-        f"<ModelVariables>{''.join(variables)}</ModelVariables>"
-        f"<ModelStructure><Outputs>{unknowns}</Outputs></ModelStructure></fmiModelDescription>"
-    )
-    with zipfile.ZipFile(place / "lags.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", description)
-        archive.write(library, f"binaries/{fmpy.platform}/lags{fmpy.sharedLibraryExtension}")
-    links = [f"  - {{from: {a}.y{k}, to: {b}.u{k}}}\n" for a, b in ("ab", "ba") for k in range(5)]
-    path = place / "lags.yaml"
-    path.write_text(
-        f"name: lags\nduration: {MANY * H}\nstep: {H}\ncomponents: {{a: {{fmu: lags.fmu}}, b: {{fmu: lags.fmu}}}}\n"
-        f"connections:\n{''.join(links)}"
-    )
-    return path

@@ -1,30 +1,36 @@
-/* An FMU for co-simulation (FMI 2.0) of first-order lags, for the benchmark: inputs 0..4, outputs 5..9. */
+/* An FMU for co-simulation (FMI 2.0) of first-order lags, for the benchmark: inputs 0..4, outputs 5..9, parameter 10. */
 #include <stdlib.h>
 #include <string.h>
 
 typedef void *Component;
-typedef struct { double values[10]; } State;
+typedef struct { double values[11]; } State;
 
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 const char *fmi2GetVersion(void) { return "2.0"; }
+int fmi2Reset(Component c) {
+    double *v = ((State *)c)->values;
+    for (int k = 0; k < 10; k++) v[k] = k < 5 ? 0.0 : 1.0;
+    v[10] = 1.1;
+    return 0;
+}
 Component fmi2Instantiate(const char *name, int kind, const char *guid, const char *place, const void *callbacks,
                           int visible, int logging) {
     State *s = calloc(1, sizeof(State));
-    for (int k = 5; s && k < 10; k++) s->values[k] = 1.0;
+    if (s) fmi2Reset(s);
     return s;
 }
 void fmi2FreeInstance(Component c) { free(c); }
 int fmi2GetReal(Component c, const unsigned r[], size_t n, double v[]) {
-    for (size_t k = 0; k < n; k++) v[k] = ((State *)c)->values[r[k] % 10];
+    for (size_t k = 0; k < n; k++) v[k] = ((State *)c)->values[r[k] % 11];
     return 0;
 }
 int fmi2SetReal(Component c, const unsigned r[], size_t n, const double v[]) {
-    for (size_t k = 0; k < n; k++) ((State *)c)->values[r[k] % 10] = v[k];
+    for (size_t k = 0; k < n; k++) ((State *)c)->values[r[k] % 11] = v[k];
     return 0;
 }
 int fmi2DoStep(Component c, double t, double h, int no) {
     double *v = ((State *)c)->values;
-    for (int k = 0; k < 5; k++) v[k + 5] += h * (v[k] - 1.1 * v[k + 5]);
+    for (int k = 0; k < 5; k++) v[k + 5] += h * (v[k] - v[10] * v[k + 5]);
     return 0;
 }
 
@@ -34,7 +40,6 @@ REST(fmi2SetupExperiment, Component c, int d, double t, double s, int e, double 
 REST(fmi2EnterInitializationMode, Component c)
 REST(fmi2ExitInitializationMode, Component c)
 REST(fmi2Terminate, Component c)
-REST(fmi2Reset, Component c)
 REST(fmi2GetInteger, Component c, const unsigned r[], size_t n, int v[])
 REST(fmi2GetBoolean, Component c, const unsigned r[], size_t n, int v[])
 REST(fmi2GetString, Component c, const unsigned r[], size_t n, const char *v[])

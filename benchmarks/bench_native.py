@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measure import Seconds, median_ratio, running
+from cosim.files.results import Results
 from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import compiler, load_library
 from cosim.master.master import PROGRESS_EVERY, simulate
@@ -49,6 +51,7 @@ FIGURES = (
     "native_fmpy_over_ours_without_compiler",
     "native_over_c",
     "ecos_over_ours",
+    "ecos_csv_over_ours",
     "python_over_native_plant",
 )
 
@@ -65,7 +68,7 @@ def native_figures(place: Path) -> dict[str, float | str]:
         "native_fmpy_over_ours": median_ratio(fmpy_loop, ours),
         "native_fmpy_over_ours_without_compiler": median_ratio(fmpy_loop, python_loop),
         "native_over_c": median_ratio(ours, partial(c_seconds, place)),
-        "ecos_over_ours": ecos_over_ours(place, ours),
+        **ecos_figures(place, ours),
         "python_over_native_plant": python_over_native_plant(place),
     }
 
@@ -148,17 +151,48 @@ def c_seconds(place: Path) -> float:
 # -- ecos -------------------------------------------------------------------------------------------
 
 
-def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
-    """Compare ecos with the master: it calls `step(1)`, then `get_real` of the 20 variables."""
+def ecos_figures(place: Path, ours: Seconds) -> dict[str, float | str]:
+    """Compare ecos with the master: all steps by one call, then with its writer of CSV for the 20 variables.
+
+    Without the writer ecos records nothing, the master does.
+    """
+    names = ("ecos_over_ours", "ecos_csv_over_ours")
     for library in sorted((Path(sys.prefix) / "lib").glob("libtbb.so*")):
         with suppress(OSError):
             ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)  # required by ecos, outside the search path
     try:
-        from ecospy import EcosSimulation, EcosSimulationStructure
         from ecospy.lib import EcosLib
     except (ImportError, OSError) as error:
-        return f"no ecos: {error}"
+        return dict.fromkeys(names, f"no ecos ({error}); the extra bench has it")
     EcosLib.set_log_level("err")
+    with running_craft(place) as craft:
+        parts = zip(INPUTS, craft, strict=True)
+        recorded = [(n, o) for n, part in parts for o in part.output_names[: OUTPUT_COUNT[n]]]
+    columns = [".".join(name) for name in recorded]
+    rows = recorded_rows(place, columns)
+
+    def ours_with_csv() -> float:
+        begin = time.thread_time()
+        rows.write(place / "ours.csv")
+        return ours() + time.thread_time() - begin
+
+    with ecos_run(place) as plain, ecos_run(place, ["::".join(name) for name in recorded]) as writing:
+        figures = median_ratio(plain, ours), median_ratio(writing, ours_with_csv)
+    return dict(zip(names, figures, strict=True))
+
+
+def recorded_rows(place: Path, columns: list[str]) -> Results:
+    """Return the results of the craft's loop for some columns."""
+    results = simulate(build_system(ScenarioFile(place / "native.yaml")), STEPS, H)
+    values = np.column_stack([results[name] for name in columns])
+    return replace(results, columns=tuple(columns), values=values, whole=frozenset())
+
+
+@contextmanager
+def ecos_run(place: Path, written: list[str] | None = None) -> Iterator[Seconds]:
+    """Yield a function that makes the steps in ecos and returns their processor time; ecos uses its own threads."""
+    from ecospy import EcosSimulation, EcosSimulationStructure
+
     with EcosSimulationStructure() as structure:
         for name in INPUTS:
             structure.add_model(name, str(place / f"{name}-native.fmu"))
@@ -167,20 +201,16 @@ def ecos_over_ours(place: Path, ours: Seconds) -> float | str:
         starts = {f"{name}::{key}": value for name, values in START.items() for key, value in values.items()}
         structure.add_parameter_set("start", starts)
         with EcosSimulation(structure=structure, step_size=H) as simulation:
+            if written is not None:
+                simulation.add_csv_writer(str(place / "ecos.csv"), identifiers=written)
             simulation.init(parameter_set="start")
-            with running_craft(place) as craft:
-                parts = zip(INPUTS, craft, strict=True)
-                outputs = [f"{n}::{o}" for n, part in parts for o in part.output_names[: OUTPUT_COUNT[n]]]
 
-            def ecos() -> float:
-                begin = time.process_time()  # ecos uses its own threads
-                for _ in range(STEPS):
-                    simulation.step(1)
-                    for name in outputs:
-                        simulation.get_real(name)
+            def seconds() -> float:
+                begin = time.process_time()
+                simulation.step(STEPS)
                 return time.process_time() - begin
 
-            return median_ratio(ecos, ours)
+            yield seconds
 
 
 # -- the plant in Python ----------------------------------------------------------------------------

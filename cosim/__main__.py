@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from cosim.core.program import as_program, ending_at_once
+from cosim.core.program import as_program, collect_seldom, ending_at_once
 
 
 def main() -> None:
@@ -12,6 +12,8 @@ def main() -> None:
     # Work side by side has threads and processes of its own; more within each wait for one another. numpy reads this
     # when it is first imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads all distributions in search of some
+    collect_seldom()
     with ending_at_once():  # while modules are imported nothing is begun
         from cosim.verbs.cli import entry
     as_program(entry)

@@ -19,7 +19,7 @@ from cosim.blocks.sources import playback
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.results import Results, read_results
-from cosim.files.table import read_columns, read_header
+from cosim.files.table import Column, read_columns, read_header, source_named
 from tests.full_disk import full_disk
 
 TIME = np.arange(5) * 0.5
@@ -109,6 +109,19 @@ def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -
     assert read.values.tobytes() == same.values.tobytes() == values.tobytes()
     assert (read.columns, read.units, read.exact, read.whole) == (same.columns, same.units, same.exact, same.whole)
     assert written.write_what_fits(tmp_path / f"fits{suffix}") == 5
+
+
+def test_csv_has_the_shortest_digits_that_read_back_as_the_same_number(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    sizes = 10.0 ** rng.integers(-7, 19, 20_000) * rng.uniform(-1.0, 1.0, 20_000)
+    limits = np.nextafter([1e-4, 1e-4, 1e-5, 1e15, 1e16, 1e16, 1e17], [0.0, 1.0, 0.0, 0.0, 0.0, 1e17, 0.0])
+    special = [0.0, -0.0, math.nan, math.inf, -math.inf, 5e-324, 1e-4, 1e-5, 1e16, 1e22, 2.0**53, 0.1 + 0.2, 1 / 3]
+    values = np.concatenate((rng.integers(0, 2**64, 20_000, dtype=np.uint64).view(np.float64), sizes, limits, special))
+    counts = rng.integers(-(2**62), 2**62, values.size)
+    path = tmp_path / "r.csv"
+    source_named(".csv").write(path, [Column("time", "s", values), Column("n", "", counts)])
+    rows = zip(values.tolist(), counts.tolist(), strict=True)
+    assert path.read_bytes().decode() == "time,n\n" + "".join(f"{t!r},{n!r}\n" for t, n in rows)
 
 
 @pytest.mark.parametrize(

@@ -32,8 +32,10 @@ from cosim.sweeps.sampling import Factor, columns_of, distribution, sensitivity
 from cosim.sweeps.store import read_table, signal_of
 from cosim.sweeps.workflow import sweep
 from cosim.verbs.cli import command_line
+from tests.compiled import library, pack
 from tests.conftest import ROOT
 from tests.full_disk import full_disk
+from tests.lag import DESCRIPTION as LAG
 from tests.tank import MODEL
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -180,6 +182,32 @@ def test_a_name_whose_newest_results_are_a_sweep_is_viewed(
     assert len(notes) == 1
     (study.folder / TABLE).unlink()
     assert [run["name"] for run in viewed()] == ["tank/0001"]
+
+
+@pytest.mark.parametrize(
+    ("before", "returned"),
+    [("", "m"), ("m->r[Y] = made++ ? 5 : 0;", "m"), ("", "made++ ? 0 : m"), ("if (made++) abort();", "m")],
+    ids=["forgets", "remembers", "refuses", "crashes"],
+)
+@pytest.mark.parametrize("in_process", [True, False])
+def test_each_run_is_as_with_a_library_of_its_own(tmp_path: Path, before: str, returned: str, in_process: bool) -> None:
+    """A library has a count of its instances, on which all but the first act."""
+    if in_process and "abort" in before:
+        pytest.skip("ends this process")
+    source, last = Path(__file__).with_name("lag.c").read_text(), 'return strcmp(g, "lag") ? 0 : m;'
+    assert last in source
+    source = source.replace("C fmi2Instantiate", "static int made;\nC fmi2Instantiate")
+    (tmp_path / "lag.c").write_text(source.replace(last, f"{before} return {returned};"))
+    pack(tmp_path / "lag.fmu", LAG, library(tmp_path / "lag.c", "-ffp-contract=off"))
+    (tmp_path / "lag.yaml").write_text("name: lag\nduration: 2\nstep: 0.5\ncomponents: {lag: {fmu: lag.fmu}}\n")
+    (tmp_path / "sweep.yaml").write_text(
+        "scenario: lag.yaml\nsignals: [lag.y]\nvary: {lag.bias: {grid: {from: 1, to: 9, count: 9}}}\n"
+    )
+    study = swept(tmp_path / "sweep.yaml", "out", workers=1, in_process=in_process)
+    assert study.record["failed"] == 0
+    levels = signal_of(read_table(study.folder / TABLE)[0], "lag.y")
+    rise = 1.0 - 0.5 ** np.arange(5)  # of Euler's rule with half the time constant
+    assert levels.tolist() == (np.arange(1.0, 10.0)[:, np.newaxis] * rise).tolist()
 
 
 def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -> None:

@@ -24,7 +24,7 @@ from typing import Any
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.loading import load_error
-from cosim.blocks.shared_code import claim, own_symbols_first
+from cosim.blocks.shared_code import claim, code_of, own_symbols_first
 from cosim.core.drafts import is_full
 from cosim.core.errors import CallFailed, DiskFull, FmuError, Terminated
 from cosim.core.messages import Note
@@ -40,7 +40,7 @@ from cosim.fmi.description import (
     platforms_among,
     without_wrapping,
 )
-from cosim.fmi.lifetime import let_go_at_exit
+from cosim.fmi.lifetime import KEEPER, let_go_at_exit
 
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
 BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
@@ -60,6 +60,38 @@ KEPT_FIRST, KEPT_LAST = 50, 50  # messages
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
+class _Functions(dict[str, Any]):
+    """FMI functions of a library by name, each made at its first call, because most are never called."""
+
+    def __init__(self, fmu: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
+        self._library, self._signatures = fmu.dll, signatures
+        self._prefix = f"{fmu.modelIdentifier}_" if next(iter(signatures)).startswith("fmi1") else ""
+        for name in signatures:
+            find_symbol(fmu.dll, self._symbol(name))
+
+    def _symbol(self, name: str) -> str:
+        return f"{self._prefix}{name.replace('fmi1', 'fmi')}" if self._prefix else name
+
+    def __missing__(self, name: str) -> Any:
+        function = self._library[self._symbol(name)]
+        function.argnames, function.argtypes, function.restype = self._signatures[name]
+        self[name] = function
+        return function
+
+
+def find_symbol(library: Any, name: str) -> None:
+    """Raise AttributeError if a loaded library has no such function."""
+    try:
+        from _ctypes import dlsym
+    except ImportError:  # Windows
+        getattr(library, name)
+        return
+    try:
+        dlsym(library._handle, name)
+    except OSError as error:
+        raise AttributeError(str(error)) from None
+
+
 @functools.cache
 def with_known_signatures(module: str, name: str) -> Any:
     """Return a class of FMPy that inspects the signatures of the FMI functions for its first instance only."""
@@ -70,11 +102,8 @@ def with_known_signatures(module: str, name: str) -> Any:
         if not signatures:
             kind._loadFunctions(fmu)
             signatures.update({n: (f.argnames, f.argtypes, f.restype) for n, f in fmu._functions.items()})
-            return
-        for function, (names, types, result) in signatures.items():
-            of_library = f"{fmu.modelIdentifier}_{function.replace('fmi1', 'fmi')}" if name[3] == "1" else function
-            loaded = fmu._functions[function] = getattr(fmu.dll, of_library)
-            loaded.argnames, loaded.argtypes, loaded.restype = names, types, result
+        else:
+            fmu._functions = _Functions(fmu, signatures)
 
     return type(name, (kind,), {"_loadFunctions": load})
 
@@ -140,8 +169,10 @@ class Instance:
         place: Folder of the already unpacked FMU, left unchanged.
         logging: Whether debug logging is on.
         compiles: Whether sources may be compiled for a missing library.
+        keeps_library: Whether library and folder stay when the instance is freed, for the next `load`.
     """
 
+    keeps_library = False
     fmpy_class = "Slave"
     way: Way = "co-simulation"
     start_time = stop_time = time = 0.0
@@ -178,24 +209,13 @@ class Instance:
             SharedCode: The process has other code of the same name.
             DiskFull: No space is left to unpack.
         """
-        hidden = claim(self.path)
+        is_kept = self.fmu is not None
+        hidden = () if is_kept else claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
-        identifier = str(self.about.modelIdentifier)
         try:
-            library, warning = library_of(folder, self.description, identifier) or (None, "")
-            if library is None:
-                platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
-                if not self._compiles or C_CODE not in platforms:
-                    raise FmuError(no_library(platform_of(self.description), platforms))
-                library = compile_library(folder, self.description, identifier)
-            try:
-                with own_symbols_first(self.path, library):
-                    self._load_library(folder, library)
-            except Exception as error:  # FMPy raises bare Exceptions.
-                raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
-            for text in filter(None, (warning, *hidden)):
-                self.remember(text)
+            if not is_kept:
+                self._load_code(folder, hidden)
             self._instantiate()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
             self.fmu = None
@@ -203,7 +223,25 @@ class Instance:
             raise FmuError(f"{self.path} does not load: {reason}") from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
-        let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
+        if not is_kept and KEEPER in code_of(self.path).symbols:
+            let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
+
+    def _load_code(self, folder: Path, hidden: Sequence[str]) -> None:
+        """Load the library, compiled if it is missing and may be."""
+        identifier = str(self.about.modelIdentifier)
+        library, warning = library_of(folder, self.description, identifier) or (None, "")
+        if library is None:
+            platforms = platforms_among([p.relative_to(folder).as_posix() for p in folder.rglob("*")])
+            if not self._compiles or C_CODE not in platforms:
+                raise FmuError(no_library(platform_of(self.description), platforms))
+            library = compile_library(folder, self.description, identifier)
+        try:
+            with own_symbols_first(self.path, library):
+                self._load_library(folder, library)
+        except Exception as error:  # FMPy raises bare Exceptions.
+            raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
+        for text in filter(None, (warning, *hidden)):
+            self.remember(text)
 
     def _unpack(self) -> Path:
         """Unpack the FMU unless it is unpacked; return the folder."""
@@ -224,14 +262,18 @@ class Instance:
 
     def free(self) -> None:
         """Terminate and free the instance; keep the folder."""
-        fmu, component, self.fmu, self.component = self.fmu, self.component, None, None
+        fmu, component, self.component = self.fmu, self.component, None
+        if not self.keeps_library:
+            self.fmu = None
         if fmu is not None and component is not None:
             try:
                 if self.initialized:
                     fmu.terminate()
             except Exception as error:  # The run is over, so a refusal is logged only.
                 self.log.append(str(error))
-            fmu.freeInstance()
+            getattr(fmu, f"{self.prefix}FreeInstance")(component) if self.keeps_library else fmu.freeInstance()
+        elif fmu is not None and not self.keeps_library:
+            fmu.freeLibrary()
         self.initialized = False
 
     def renew(self) -> None:
@@ -246,7 +288,7 @@ class Instance:
 
     def remove(self) -> None:
         """Delete the folder, unless it is foreign."""
-        if self._folder is not None and self._folder != self.place:
+        if self._folder is not None and self._folder != self.place and not self.keeps_library:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path, PurePosixPath
 from zlib import crc32
 
@@ -313,9 +313,15 @@ def _needs_own_symbols(code: Code) -> bool:
         return False
     from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
 
-    process = ctypes.CDLL(None)._handle
+    process = _process()
     for symbol in code.symbols:
         with suppress(OSError):
             dlsym(process, symbol)
             return True
     return False
+
+
+@cache
+def _process() -> int:
+    """Return the handle of the symbols of this process."""
+    return int(ctypes.CDLL(None)._handle)

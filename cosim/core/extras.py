@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +39,18 @@ def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != name:
             raise
-        message = f"needs {name}, which is not installed: {install_command(EXTRAS[name])}"
-        fault = Fault(Path(place), 0, 0, message) if isinstance(place, str) else place(message)
-        raise InputError([fault]) from None
+        raise _missing(name, place) from None
+
+
+def check_installed(name: str, place: str) -> None:
+    """Raise InputError as `optional` does, without an import."""
+    if find_spec(name) is None:
+        raise _missing(name, place)
+
+
+def _missing(name: str, place: str | Callable[[str], Fault]) -> InputError:
+    message = f"needs {name}, which is not installed: {install_command(EXTRAS[name])}"
+    return InputError([Fault(Path(place), 0, 0, message) if isinstance(place, str) else place(message)])
 
 
 def pandas_for_frames() -> Any:

@@ -17,7 +17,7 @@ STOPPED = 130  # exit code: stopped from the keyboard
 
 def collect_seldom() -> None:
     """Make garbage collection rare, because nearly all objects read from large files stay in use."""
-    gc.set_threshold(100_000, 20, 100)
+    gc.set_threshold(500_000, 20, 100)
 
 
 @contextmanager
@@ -33,7 +33,6 @@ def ending_at_once() -> Iterator[None]:
 
 def as_program(entry: Callable[[], None]) -> None:
     """Call the entry function of this process, with its signals as KeyboardInterrupt and `Terminated`."""
-    collect_seldom()
     received: list[int] = []
 
     def terminate(number: int, frame: object) -> None:
@@ -51,6 +50,7 @@ def as_program(entry: Callable[[], None]) -> None:
     except KeyboardInterrupt:  # during the report of the end
         sys.exit(STOPPED)
     finally:
+        gc.freeze()  # else the end of the process searches all objects, twice
         received.append(0)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from pydantic_core import to_json
 
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError
@@ -20,6 +21,7 @@ from cosim.files.table import DECIMAL_COMMA, Column, Source, Table, number_of, s
 
 MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
 CHUNK = 1000  # rows written at a time
+PLAIN = 1e-4, 1e16  # `repr` writes numbers from the first to below the second without an exponent
 THOUSANDS = re.compile(r"(?<![\d.,])\d{1,3}(?:[.'’ ]\d{3})+,\d+|(?<![\d.,])\d{1,3}(?:,\d{3})+\.\d+")
 NO_DECIMAL = re.compile(r"(?<!\d),|,(?!\d)")  # a comma that is no decimal comma
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
@@ -66,14 +68,23 @@ class Csv(Source):
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
         """Write columns with exactly reproducible numbers."""
-        is_plain = all(isinstance(column.values, np.ndarray) for column in columns)
+        header, count = [column.name for column in columns], len(columns[0].values)
+        numeric = all(isinstance(c.values, np.ndarray) and c.values.dtype.kind in "iuf" for c in columns)
+
+        def parts() -> Iterator[list[Any]]:
+            for first in range(0, count, CHUNK):  # Python floats need four times the memory.
+                yield [column.values[first : first + CHUNK] for column in columns]
 
         def rows() -> Iterator[tuple[Any, ...]]:
-            for first in range(0, len(columns[0].values), CHUNK):  # Python floats need four times the memory.
-                parts = (column.values[first : first + CHUNK] for column in columns)
-                yield from zip(*(p.tolist() if isinstance(p, np.ndarray) else p for p in parts), strict=True)
+            for part in parts():
+                yield from zip(*(p.tolist() if isinstance(p, np.ndarray) else p for p in part), strict=True)
 
-        write_table(path, [column.name for column in columns], rows(), repr if is_plain else cell_text)
+        if not numeric:
+            write_table(path, header, rows(), cell_text)
+            return
+        with atomic_write(path) as stream:
+            csv.writer(stream, lineterminator="\n").writerow(header)
+            stream.writelines(map(lines_of_numbers, parts()))
 
 
 CSV = Csv()
@@ -245,6 +256,22 @@ def write_table(
     with atomic_write(path) as stream:
         csv.writer(stream, lineterminator="\n").writerow(header)
         stream.writelines(",".join(map(number, row)) + "\n" for row in rows)
+
+
+def lines_of_numbers(columns: Sequence[Array]) -> str:
+    """Return lines of CSV with each number as `repr` writes it.
+
+    pydantic writes JSON by the same shortest digits in a fifth of the time. It has other texts only for numbers with
+    an exponent and for infinity and NaN, which `repr` therefore writes.
+    """
+    cells = [column.tolist() for column in columns]
+    for column, texts in zip(columns, cells, strict=True):
+        if column.dtype.kind == "f":
+            size = np.abs(column)
+            for k in np.flatnonzero(~(((size >= PLAIN[0]) & (size < PLAIN[1])) | (size == 0.0))).tolist():
+                texts[k] = repr(texts[k])
+    rows = [*zip(*cells, strict=True)]
+    return to_json(rows)[2:-2].replace(b"],[", b"\n").replace(b'"', b"").decode() + "\n" if rows else ""
 
 
 def write_columns(path: Path, time: Array, columns: Mapping[str, Array], units: Mapping[str, str]) -> None:

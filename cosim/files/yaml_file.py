@@ -332,7 +332,7 @@ def _keys(annotation: Any) -> list[str]:
 class Part(BaseModel):
     """A part of a file; unknown keys are rejected."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, defer_build=True)
 
 
 # -- text as plain data with places ---------------------------------------------------------------

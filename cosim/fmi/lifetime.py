@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+KEEPER = "finalizePythonInterpreter"  # function that releases the keeper of the interpreter
 _libraries: set[Path] = set()
 
 
@@ -43,6 +44,6 @@ def let_go_at_exit(folder: Path) -> None:
         _libraries.add(file)
         try:
             library = ctypes.CDLL(str(file), mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
-            atexit.register(library.finalizePythonInterpreter)
+            atexit.register(getattr(library, KEEPER))
         except (OSError, AttributeError):  # loaded from elsewhere, or by a pythonfmu without keeper
             continue

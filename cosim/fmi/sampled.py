@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
 from cosim.files.archive import BadArchive, description_of
-from cosim.model.planar import PlanarFrame
-from cosim.model.traits import Traits
+
+if TYPE_CHECKING:
+    from cosim.model.traits import Traits
 
 TOOL, AUTHOR = "cosim", "The cosim authors"
 FRAME = ("x", "y", "heading", "forward", "right")
@@ -30,6 +32,9 @@ def traits_of(fmu: Path) -> Traits | None:
     node = _own_annotation(fmu, "Traits")
     if node is None:
         return None
+    from cosim.model.planar import PlanarFrame
+    from cosim.model.traits import Traits
+
     frame = node.find("PlanarFrame")
     return Traits(
         {rate.attrib["of"]: rate.attrib["signal"] for rate in node.findall("Rate")},

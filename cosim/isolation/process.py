@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -81,17 +81,19 @@ class Worker:
 
     def start(self) -> None:
         """Start the process ahead of the first job."""
-        if self.running:
-            return
-        with delay_stops():
-            self.end()
-            self._scratch: ScratchFolder = scratch(PREFIX)
-            try:
-                self.progress = mapped_progress(self.progress_file)
-                self._start_process()
-            except BaseException:
-                self._scratch.remove()
-                raise
+        if not self.running:
+            start_together([self])
+
+    def _launch(self) -> None:
+        """Start a process with a new folder and shared progress; it waits for `_attend`."""
+        self.end()
+        self._scratch: ScratchFolder = scratch(PREFIX)
+        try:
+            self.progress = mapped_progress(self.progress_file)
+            self._start_process()
+        except BaseException:
+            self._scratch.remove()
+            raise
 
     def _start_process(self) -> None:
         """Start a process with the folder and the shared progress that are there."""
@@ -106,6 +108,10 @@ class Worker:
             self._process = starter.submit(_spawn).result()
         self._jobs = 0
         self.starts += 1
+
+    def _attend(self) -> None:
+        """Read what the process sends, and tell it how to begin."""
+        assert self._process is not None
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._output = _Output(self._process.stderr)
         threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
@@ -173,6 +179,7 @@ class Worker:
             with delay_stops():
                 self.end(replaced=True)
                 self._start_process()
+                self._attend()
             return self.call(function, *arguments, watch=watch, doing=doing)
         if error is not None:
             raise error
@@ -261,6 +268,15 @@ class Worker:
         component, at, call = clock.place()
         last = f"; it said last: {words[:MOST_WORDS]}" if words else ""
         return Crashed(component, at, f"{call} {how_ended(code)}{last}")
+
+
+def start_together(workers: Sequence[Worker]) -> None:
+    """Start the processes of workers; all may be forks, because the threads that attend to them start afterwards."""
+    with delay_stops():
+        for worker_ in workers:
+            worker_._launch()
+        for worker_ in workers:
+            worker_._attend()
 
 
 class Remote:

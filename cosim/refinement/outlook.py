@@ -11,7 +11,7 @@ from cosim.core.messages import Note
 from cosim.core.text import counted, join_names
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.files.artefact import Checking
-from cosim.fmi.building.file import is_execution_allowed
+from cosim.fmi.building.execution import is_execution_allowed
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
 from cosim.refinement.study import FMU_SUFFIX, Study, keys_of, read_parts_of_fmu, read_study

@@ -24,7 +24,6 @@ from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile,
 from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, ValidCriterion
 from cosim.scenario.start_values import STAND_IN, waiting_texts
-from cosim.ssp.read import read_parameter_set
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
@@ -156,6 +155,8 @@ class ScenarioFile:
         for name, component in self.scenario.components.items():
             if not isinstance(component, FmuComponent) or not component.parameters:
                 continue
+            from cosim.ssp.read import read_parameter_set
+
             named = [component.parameters] if isinstance(component.parameters, str) else component.parameters
             self.sets[name], values = [self.resolve(file) for file in named], dict[str, Any]()
             for k, path in enumerate(self.sets[name]):

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Sequence, Set
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.blocks.coupling import Jacobi
 from cosim.blocks.summary import experiment_of
@@ -22,9 +22,11 @@ from cosim.files.folders import remove_earlier
 from cosim.files.kinds import kind_by_form
 from cosim.files.yaml_file import Location
 from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
-from cosim.ssp.package import Element, open_package
-from cosim.ssp.read import SspSystem
 from cosim.system.system import build_system
+
+if TYPE_CHECKING:
+    from cosim.ssp.package import Element
+    from cosim.ssp.read import SspSystem
 
 FOLDER, SCENARIO = SYSTEM, "scenario.json"  # inside the results folder
 STOP, STEP = 1.0, 0.01  # defaults [s] if neither the SSP nor its FMUs declare a value
@@ -44,6 +46,9 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
     Returns:
         The scenario file and warnings.
     """
+    from cosim.ssp.package import open_package
+    from cosim.ssp.read import SspSystem
+
     with open_package(path) as package, temporary_folder("ssp") as scratch:
         system = SspSystem(package)
         files: dict[str, Path] = {}  # by unique names

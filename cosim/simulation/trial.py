@@ -20,7 +20,6 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough
 from cosim.master.remote import simulate_in
-from cosim.probing.misbehaviour import misbehaviour
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
@@ -46,6 +45,8 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
     except FmuError as error:
         raise InputError([error.fault(path, path)]) from None
     if worker is not None:
+        from cosim.probing.misbehaviour import misbehaviour
+
         experiment = experiment_of(description)
         start, stop, step = (experiment.get(name, 0.0) for name in ("start", "stop", "step"))
         step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP

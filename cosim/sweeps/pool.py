@@ -1,4 +1,4 @@
-"""Where the runs of a sweep are made: in processes of this machine (joblib), or by the workers of a dask scheduler."""
+"""Where the runs of a sweep are made: in processes of this machine, or by the workers of a dask scheduler."""
 
 from __future__ import annotations
 
@@ -7,28 +7,33 @@ import json
 import logging
 import os
 import shutil
-import signal
-import threading
-import time
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 from uuid import uuid4
 
 from cosim.core.errors import CosimError, Fault, InputError, SweepFailed
 from cosim.core.extras import optional
 from cosim.core.version import __version__
+from cosim.isolation.process import Worker, start_together
 from cosim.sweeps.reading import Sweep
-from cosim.sweeps.runs import Job, RunRequest, RunResult, end_process, make_run_apart
+from cosim.sweeps.runs import MODULES, Job, RunRequest, RunResult, make_run_apart, work_in
 
 ANSWER = 5  # time limit of a dask scheduler's answer [s]
 RUNS_PER_THREAD = 4  # requested at once from a dask cluster
+REQUESTED = 2  # runs for each process here: the one under way, and the next
 
 MakeRuns = Callable[[Iterable[RunRequest]], Iterator[RunResult]]
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[RunResult]:
@@ -37,35 +42,26 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
     Args:
         workers: Number of processes; None means one per core.
     """
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky import get_reusable_executor
-
-    with parallel_config("loky", n_jobs=workers or -1, initializer=_end_with_caller, initargs=(os.getpid(),)):
-        parallel = Parallel(return_as="generator_unordered", max_nbytes=None)
-    results, kill = parallel(delayed(make_run_apart)(job, request) for request in requests), True
+    count = workers or cores()
+    processes, idle, kill = [Worker(*MODULES) for _ in range(count)], SimpleQueue[Worker](), True
+    start_together(processes)
+    for process in processes:
+        idle.put(process)
+    threads = ThreadPoolExecutor(count, initializer=lambda: work_in(idle.get()))
     try:
-        for result in results:  # noqa: UP028 - closed below, without its warning
-            yield result
+        pending = set[Future[RunResult]]()
+        for request in requests:
+            pending.add(threads.submit(make_run_apart, job, request))
+            if len(pending) == REQUESTED * count:
+                done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                yield from (future.result() for future in done)
+        yield from (future.result() for future in as_completed(pending))
         kill = False
     finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # on runs that are given up
-            results.close()
-        end_process(kill=kill)  # With one worker, joblib calls the function in this process.
-        if workers != 1:
-            get_reusable_executor(reuse=True).shutdown(kill_workers=kill)
-
-
-def _end_with_caller(caller: int) -> None:
-    """Let a process of joblib end if its caller is killed; Ctrl-C, which reaches it too, is for the caller."""
-
-    def watch() -> None:
-        while os.getppid() == caller:  # always on Windows, where an idle process ends after minutes
-            time.sleep(1.0)
-        os._exit(1)
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=watch, daemon=True).start()
+        threads.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.end(kill=kill)
+        threads.shutdown()
 
 
 @contextmanager

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import tempfile
 import threading
+import time
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
@@ -17,10 +19,12 @@ import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import SharedCode
-from cosim.core.errors import CosimError, InputError
+from cosim.core.arrays import Array
+from cosim.core.errors import CosimError, Crashed, InputError
 from cosim.core.scratch import process_folder
 from cosim.credibility.validity import validities
 from cosim.files.archive import unpack
+from cosim.files.results import Results
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -28,13 +32,14 @@ from cosim.isolation.rows import GET, Rows
 from cosim.isolation.watch import Watch
 from cosim.master.master import StoppedRun, simulate
 from cosim.master.own_process import in_own_processes
-from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.criteria import evaluate
-from cosim.system.system import System, build_system
+from cosim.system.system import build_system
 
 MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
 CACHED_SYSTEMS = 16  # assembled systems cached per worker
+UNKEPT = 1  # runs of a system before its libraries are kept
+NO_MESSAGES: Mapping[str, Any] = {"first": (), "last": (), "omitted": 0}
 
 
 @dataclass(frozen=True)
@@ -69,12 +74,17 @@ class Job:
 
 @dataclass(frozen=True)
 class RunRequest:
-    """Request for a run: number, overrides, start values by component, and seed."""
+    """Request for a run: number, overrides, start values by component, and seed.
+
+    Attributes:
+        own_copies: Whether the run must load copies of all libraries, which no earlier run has used.
+    """
 
     run: int
     overrides: tuple[str, ...] = ()
     starts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     seed: int | None = None
+    own_copies: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,7 +95,7 @@ class RunResult:
         status: "ok", or the reason of failure.
         values: Values of the criteria, NaN if undefined, e.g. for a settling time never reached.
         met: Outcomes of the criteria.
-        signals: Samples of each signal, empty after a failure.
+        signals: Samples, shape (signals, times), empty after a failure.
         valid: Component → share of the time in the region of its logs, for FMUs with a record of credibility.
     """
 
@@ -93,82 +103,175 @@ class RunResult:
     status: str
     values: Sequence[float]
     met: Sequence[bool]
-    signals: Sequence[Sequence[float]]
+    signals: Array
     valid: Mapping[str, float] = field(default_factory=dict)
 
 
 _of_thread = threading.local()
 
 
+def work_in(worker: Worker) -> None:
+    """Let `make_run_apart` use this worker in this thread."""
+    _of_thread.worker, _of_thread.runs, _of_thread.own_copies = worker, 0, False
+
+
 def make_run_apart(job: Job, request: RunRequest) -> RunResult:
     """Make a run in a process of this thread, so that a crash or an exceeded limit fails this run only."""
-    worker: Worker | None = getattr(_of_thread, "worker", None)
-    if worker is None:
-        worker = _of_thread.worker = Worker(*MODULES)
+    if not hasattr(_of_thread, "worker"):
+        work_in(Worker(*MODULES))
+    worker: Worker = _of_thread.worker
+    own_copies = request.own_copies or _of_thread.own_copies
     try:
         watch = Watch(job.components, job.calls, job.time, job.limits, job.width)
-        result: RunResult = worker.call(make_run, job, request, watch=watch)
+        result: RunResult = worker.call(make_run, job, replace(request, own_copies=own_copies), watch=watch)
+        _of_thread.runs += 1
     except CosimError as error:
-        return _failed(job, request, error)
+        runs, _of_thread.runs = _of_thread.runs, 0
+        if own_copies or runs < UNKEPT or not isinstance(error, Crashed):
+            return _failed(job, request, error)
+        result = make_run_apart(job, replace(request, own_copies=True))  # The kept libraries may be the cause.
+        _of_thread.own_copies = result.status == "ok"
     return result
-
-
-def end_process(*, kill: bool) -> None:
-    """End the process of this thread, if any."""
-    if (worker := vars(_of_thread).pop("worker", None)) is not None:
-        worker.end(kill=kill)
 
 
 def make_run(job: Job, request: RunRequest) -> RunResult:
     """Make a run in this process; a failed run reports its reason."""
     try:
-        scenario, system = assemble(job.scenario, (*job.overrides, *request.overrides))
-    except CosimError as error:
-        return _failed(job, request, error)
-    stages = []
-    for stage in system.stages:
-        component = stage.component
-        if isinstance(component, FmuBlock):  # Each run has its own instance.
-            # Instances in Python share code only; other libraries may keep state of an earlier run.
-            place = _unpack_once(component.path) if component.nominal_step else None
-            starts = {**component.start_values, **request.starts.get(component.name, {})}
-            component = component.with_start_values(starts, place)
-        stages.append(replace(stage, component=component))
-    system = replace(system, stages=tuple(stages), seed=system.seed if request.seed is None else request.seed)
-    progress = getattr(here, "progress", None)
-    rows = Rows.in_memory(scenario.steps + 1, len(system.columns))
-    if progress is not None:
-        progress.made[0] = 0  # clears the count of the previous run
-        rows = replace(rows, made=progress.made, doing=progress.doing)
-        system = in_own_processes(system, job.limits)
-        for stage in system.stages:
-            here.share_log(stage.component)
-    try:
-        results = simulate(system, scenario.steps, scenario.step, rows=rows)
+        swept = assemble(job.scenario, (*job.overrides, *request.overrides))
+        swept.keeps &= not request.own_copies
+        results = swept.simulate(request, job.limits)
     except StoppedRun as stop:
-        if stop.error.exit_code == 130:
+        if _is_stop(stop):
             raise KeyboardInterrupt from None
         return _failed(job, request, stop.error)
     except CosimError as error:
-        if isinstance(error, SharedCode) and progress is not None:
+        if isinstance(error, SharedCode) and hasattr(here, "progress"):
             raise  # Another process makes the run.
         return _failed(job, request, error)
+    scenario = swept.scenario
     if len(results.time) <= scenario.steps:
         return _failed(job, request, f"it ended at t = {results.time[-1]:g} s")
-    validity = validities((stage.component for stage in system.stages), results)
+    validity = validities((stage.component for stage in swept.system.stages), results)
     criteria = evaluate(scenario, results, validity)
     values = [np.nan if c["value"] is None else float(c["value"]) for c in criteria]
-    places = sampled_rows(scenario.steps, job.samples)
-    signals = [results[name][places].tolist() for name in job.signals]
+    columns = [results.columns.index(name) for name in job.signals]
+    signals = np.ascontiguousarray(results.values[np.ix_(sampled_rows(scenario.steps, job.samples), columns)].T)
     shares = {name: entry["share"] for name, entry in validity.items() if entry.get("share") is not None}
     return RunResult(request.run, "ok", values, [bool(c["met"]) for c in criteria], signals, shares)
 
 
+class SweptSystem:
+    """A system that a process simulates again and again.
+
+    Loading takes longer than many a run, so libraries stay loaded from the second run on. Each run has new instances,
+    but a library may keep state of earlier runs. The second run is therefore repeated after the third: if a number
+    differs, or a run with kept libraries fails, each run loads its own copies.
+
+    Attributes:
+        keeps: Whether libraries stay loaded.
+    """
+
+    def __init__(self, path: Path, overrides: tuple[str, ...]) -> None:
+        file = ScenarioFile(path, overrides, option="")
+        self.scenario, self.system = file.scenario, build_system(file)
+        blocks = [s.component for s in self.system.stages if isinstance(s.component, FmuBlock)]
+        # In FMI 1.0, and where a process may have one instance, it cannot be made again.
+        single = any(getattr(b.instance.about, "canBeInstantiatedOnlyOncePerProcess", False) for b in blocks)
+        self.keeps = not single and not self.system.apart and all(b.instance.version > 1 for b in blocks)
+        self._uses = 0
+        self._first: tuple[RunRequest, Results] | None = None
+        self._kept: dict[str, FmuBlock] = {}
+        weakref.finalize(self, _unload, self._kept).atexit = False
+
+    def simulate(self, request: RunRequest, limits: Limits) -> Results:
+        """Simulate one run.
+
+        Raises:
+            StoppedRun: A component failed.
+            CosimError: An FMU does not load.
+        """
+        self._uses += 1
+        begin, has_kept = time.perf_counter(), bool(self._kept)
+        try:
+            results = self._simulate(request, limits)
+        except (StoppedRun, CosimError) as error:
+            _unload(self._kept)
+            if not has_kept or _is_stop(error):
+                raise
+            self.keeps = False
+            return self.simulate(request, limits)
+        if self._uses == UNKEPT and limits.total is not None:  # of a run, also of the one that is repeated
+            self.keeps &= 4.0 * (time.perf_counter() - begin) < limits.total
+        if not self._kept:
+            return results
+        if not has_kept:
+            self._first = request, results
+        elif self._first is not None:
+            (earlier, rows), self._first = self._first, None
+            self.keeps = self._repeats(earlier, rows, limits)
+            if not self.keeps:
+                _unload(self._kept)
+                return self.simulate(request, limits)
+        return results
+
+    def _repeats(self, request: RunRequest, rows: Results, limits: Limits) -> bool:
+        """Return whether a run gives the same rows again with the kept libraries."""
+        try:
+            again = self._simulate(request, limits)
+        except (StoppedRun, CosimError) as error:
+            if _is_stop(error):
+                raise
+            return False
+        return again.values.tobytes() == rows.values.tobytes() and again.exact == rows.exact
+
+    def _simulate(self, request: RunRequest, limits: Limits) -> Results:
+        system, scenario = self.system, self.scenario
+        stages = []
+        for stage in system.stages:
+            component = stage.component
+            if isinstance(component, FmuBlock):
+                starts = {**component.start_values, **request.starts.get(component.name, {})}
+                if component.name in self._kept:
+                    component = self._kept[component.name]
+                    component.start_values = starts
+                    component.log.restore(NO_MESSAGES)
+                else:
+                    # Instances in Python share code only; other libraries may keep state of an earlier run.
+                    place = _unpack_once(component.path) if component.nominal_step else None
+                    component = component.with_start_values(starts, place)
+                    if self.keeps and self._uses > UNKEPT:
+                        component.instance.keeps_library = True
+                        self._kept[component.name] = component
+            stages.append(replace(stage, component=component))
+        system = replace(system, stages=tuple(stages), seed=system.seed if request.seed is None else request.seed)
+        rows = Rows.in_memory(scenario.steps + 1, len(system.columns))
+        progress = getattr(here, "progress", None)
+        if progress is not None:
+            progress.made[0] = 0  # clears the count of the previous run
+            rows = replace(rows, made=progress.made, doing=progress.doing)
+            system = in_own_processes(system, limits)
+            for stage in system.stages:
+                here.share_log(stage.component)
+        return simulate(system, scenario.steps, scenario.step, rows=rows)
+
+
+def _is_stop(error: StoppedRun | CosimError) -> bool:
+    """Return whether a run was stopped from the keyboard."""
+    return (error.error if isinstance(error, StoppedRun) else error).exit_code == 130
+
+
+def _unload(kept: dict[str, FmuBlock]) -> None:
+    """Unload kept libraries and delete their folders."""
+    while kept:
+        _, block = kept.popitem()
+        block.instance.keeps_library = False
+        block.close()
+
+
 @lru_cache(maxsize=CACHED_SYSTEMS)
-def assemble(path: Path, overrides: tuple[str, ...]) -> tuple[Scenario, System]:
-    """Return a scenario and its system; raise InputError for faults."""
-    file = ScenarioFile(path, overrides, option="")
-    return file.scenario, build_system(file)
+def assemble(path: Path, overrides: tuple[str, ...]) -> SweptSystem:
+    """Return the system of a scenario; raise InputError for faults."""
+    return SweptSystem(path, overrides)
 
 
 @cache
@@ -181,9 +284,10 @@ def _unpack_once(path: Path) -> Path:
 def _failed(job: Job, request: RunRequest, reason: CosimError | str) -> RunResult:
     """Return the result of a failed run, with the first of several faults."""
     text = " ".join(str(reason.faults[0] if isinstance(reason, InputError) else reason).split())
-    return RunResult(request.run, text, [np.nan] * job.criteria, [False] * job.criteria, [])
+    return RunResult(request.run, text, [np.nan] * job.criteria, [False] * job.criteria, np.empty((0, 0)))
 
 
+@cache
 def sampled_rows(steps: int, samples: int) -> list[int]:
     """Return evenly spaced rows to record, including both ends."""
     count = min(samples, steps + 1)

@@ -33,19 +33,20 @@ if TYPE_CHECKING:
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 GROUP = 4096  # runs per write
 STORED_EVERY = 0.2  # [s]
+FORMAT = 2  # of the database; one of another format is not continued
 
 
 class Database:
     """Database of finished runs, consistent even after a kill, which loses those of the last moment."""
 
     def __init__(self, path: Path, key: str) -> None:
-        self.path = path
+        self.path, key = path, f"{FORMAT} {key}"
         try:
             self._base = sqlite3.connect(path)
             self._stored = time.monotonic()
             self._base.execute("PRAGMA synchronous = NORMAL")
             with self._full_disk_as_oserror(), self._base:
-                self._base.execute("CREATE TABLE IF NOT EXISTS made (run INTEGER PRIMARY KEY, result TEXT)")
+                self._base.execute("CREATE TABLE IF NOT EXISTS made (run INTEGER PRIMARY KEY, result BLOB)")
                 self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT)")
                 stored = self._base.execute("SELECT key FROM sweep").fetchone()
                 if stored is None:
@@ -70,7 +71,9 @@ class Database:
     def add(self, run: RunResult) -> None:
         """Add a run in place of an earlier one with its number; runs are stored together, after a moment."""
         with self._full_disk_as_oserror():
-            self._base.execute("INSERT OR REPLACE INTO made VALUES (?, ?)", (run.run, json.dumps(vars(run))))
+            about = json.dumps([run.run, run.status, [*run.values], [*run.met], run.signals.shape])
+            content = about.encode() + b"\n" + run.signals.tobytes()
+            self._base.execute("INSERT OR REPLACE INTO made VALUES (?, ?)", (run.run, content))
         if time.monotonic() - self._stored > STORED_EVERY:
             self.store()
 
@@ -92,8 +95,10 @@ class Database:
 
     def runs(self) -> Iterator[RunResult]:
         """Yield the results of all runs in order, without loading them into memory at once."""
-        for (text,) in self._base.execute("SELECT result FROM made ORDER BY run"):
-            yield RunResult(**json.loads(text))
+        for (content,) in self._base.execute("SELECT result FROM made ORDER BY run"):
+            about, _, samples = content.partition(b"\n")
+            run, status, values, met, shape = json.loads(about)
+            yield RunResult(run, status, values, met, np.frombuffer(samples).reshape(shape))
 
     def remove(self) -> None:
         """Close and delete the database, and the folder of a part."""
@@ -137,16 +142,19 @@ def write_table(
     remaining = iter(runs)
     with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
         while part := list(itertools.islice(remaining, GROUP)):
-            rows = []
-            for m in part:
-                cells: dict[str, Any] = {"run": m.run, **{name: values[m.run] for name, values in table.items()}}
-                cells["status"] = m.status
-                if m.status == "ok":
-                    for name, value, is_met in zip(criteria, m.values, m.met, strict=True):
-                        cells |= {name: None if np.isnan(value) else value, f"{name} met": is_met}
-                    cells |= zip(signals, m.signals, strict=True)
-                rows.append(cells)
-            writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+            done = [m for m in part if m.status == "ok"]
+            columns: dict[str, Any] = {name: [values[m.run] for m in part] for name, values in table.items()}
+            columns |= {"run": [m.run for m in part], "status": [m.status for m in part]}
+            for k, name in enumerate(criteria):
+                judged = (m.values[k] if m.status == "ok" else np.nan for m in part)
+                columns[name] = [None if np.isnan(value) else value for value in judged]
+                columns[f"{name} met"] = [m.met[k] if m.status == "ok" else None for m in part]
+            ends = np.cumsum([0, *(m.signals.shape[1] if m.status == "ok" else 0 for m in part)], dtype=np.int32)
+            missing = pa.array([m.status != "ok" for m in part])
+            for k, name in enumerate(signals):
+                samples = np.concatenate([m.signals[k] for m in done]) if done else np.empty(0)
+                columns[name] = pa.ListArray.from_arrays(ends, samples, mask=missing)
+            writer.write_table(pa.Table.from_pydict({name: columns[name] for name in schema.names}, schema=schema))
 
 
 def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.core.drafts import is_full
 from cosim.core.errors import DiskFull, Fault, InputError, SweepFailed, SweepStopped, Terminated
-from cosim.core.extras import optional
+from cosim.core.extras import check_installed
 from cosim.core.settings import Count
 from cosim.core.text import counted, showing
 from cosim.core.version import __version__
@@ -121,7 +121,7 @@ def sweep(
             raise InputError.at(Path("--part"), f"{part!r} is no part; give K/N with K from 1 to N, such as 17/200")
         runs, home = runs[k - 1 :: of], folder / PARTS / f"{k}-of-{of}"
     inputs = [study.yaml.path, study.job.scenario, *study.files]
-    optional("SALib", "cosim sweep")  # reported before any run if it is missing
+    check_installed("SALib", "cosim sweep")  # imported for the report only
     goes_on = resume or join or part is not None
     with ExitStack() as stack:
         home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force, goes_on=goes_on))
@@ -211,11 +211,11 @@ def sweep(
 
 def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     """Return the record of the same sweep if it is complete in this folder; raise InputError for a different sweep."""
+    if not (folder / TABLE).is_file() or not (record := content_of(folder / RECORD)):
+        return None
     try:
         _, about = read_table(folder / TABLE)
     except (OSError, ValueError):
-        return None
-    if not (record := content_of(folder / RECORD)):
         return None
     if about.get("key") != key:
         cure = "give another folder as --out, or use --force to start again"

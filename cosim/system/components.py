@@ -106,8 +106,7 @@ def _fmu(building: Building, name: str, component: FmuComponent) -> FmuBlock | N
             start[variable] = start_value(description, variables, variable, value, name)
         except ValueError as error:
             building.note(("components", name, "start", variable), str(error))
-    ends = (connection.ends for connection in scenario.connections)
-    connected = frozenset(variable for _, _, target, variable in ends if target == name)
+    connected = building.connected.get(name, frozenset())
     if component.interface not in (None, *ways(description)):
         message = f"{path.name} offers {' and '.join(ways(description))} only"
         building.note(("components", name, "interface"), message)

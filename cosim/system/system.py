@@ -137,7 +137,7 @@ class System(Schedule):
                 signals = [s for s, f in pairs if isinstance(f, Recorded) and not f.is_linear]
             elif stage.every > 1 or isinstance(component, Fixes):
                 signals = [*component.inputs, *component.outputs]
-            elif isinstance(component, FmuBlock) and sampled_by(component.path) is not None:
+            elif isinstance(component, FmuBlock) and component.is_sampled:
                 signals = [*component.outputs]
             names |= {f"{component.name}.{s.name}" for s in signals}
         transfers = (*self.held, *chain.from_iterable((*stage.pulls, *stage.late) for stage in self.stages))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import islice
 from typing import Any
 
@@ -91,6 +91,15 @@ class Building:
         units = {column: signal.unit for column, signal in row.items()}
         place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
         self.layout = RowLayout(tuple(row), units, tuple(beside), place, row | beside)
+
+    @cached_property
+    def connected(self) -> dict[str, frozenset[str]]:
+        """Return the connected inputs of each component."""
+        inputs: dict[str, set[str]] = {}
+        for connection in self.scenario.connections:
+            _, _, name, variable = connection.ends
+            inputs.setdefault(name, set()).add(variable)
+        return {name: frozenset(variables) for name, variables in inputs.items()}
 
     @property
     def blocks(self) -> dict[str, FmuBlock]:

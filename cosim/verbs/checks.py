@@ -97,14 +97,19 @@ def check(
     from cosim.files.artefact import FMU
     from cosim.files.kinds import kind_by_form
     from cosim.isolation.process import Worker
-    from cosim.logs.log import read_column_names
     from cosim.master.remote import MODULES
 
     faults: list[Fault] = []
     lines: list[str] = []
     paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
     first = paths[0] if paths else Path("columns")
-    names = columns if isinstance(columns, Mapping) else read_column_names(columns or (), first)
+    names: Mapping[str, str] = {}
+    if isinstance(columns, Mapping):
+        names = columns
+    elif columns:
+        from cosim.logs.log import read_column_names
+
+        names = read_column_names(columns, first)
     with compiling(compile):
         if permission.get() and not load:
             text = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
@@ -124,7 +129,7 @@ def check(
 
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
-    from cosim.fmi.building.file import without_execution
+    from cosim.fmi.building.execution import without_execution
 
     worker = checking.worker
     with without_execution() as skipped:

@@ -6,9 +6,7 @@ import linecache
 import os.path
 import re
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -26,6 +24,7 @@ from cosim.files.files import write_text
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, YamlFile
 from cosim.fmi.building.declared import ModelText, make_model
+from cosim.fmi.building.execution import skipped_files
 from cosim.fmi.building.refined import names_refine, refined_file
 from cosim.model.model import Model
 from cosim.terms.language import Term
@@ -274,28 +273,6 @@ def own_terms(path: Path) -> list[type[Term]]:
     return own
 
 
-_skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
-
-
-@contextmanager
-def without_execution() -> Iterator[list[Path]]:
-    """Prevent the execution of model files; yield skipped files.
-
-    A model in such a file raises NotExecuted.
-    """
-    skipped: list[Path] = []
-    token = _skipped.set(skipped)
-    try:
-        yield skipped
-    finally:
-        _skipped.reset(token)
-
-
-def is_execution_allowed() -> bool:
-    """Return False within `without_execution`."""
-    return _skipped.get() is None
-
-
 def _execute(path: Path) -> tuple[ModelText, ModuleType]:
     """Execute a file; return its text and module.
 
@@ -312,7 +289,7 @@ def _execute(path: Path) -> tuple[ModelText, ModuleType]:
         code = compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise InputError([source.convert_error(error, "does not load")]) from None
-    if (skipped := _skipped.get()) is not None:
+    if (skipped := skipped_files.get()) is not None:
         skipped.append(path)
         raise NotExecuted(path)
     module = ModuleType(name)
