@@ -120,7 +120,7 @@ def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -
         ({"time": [0.0, None, 1.0, 1.5, 2.0], "x": TIME}, ":2:1: "),
         ({"time": [0.0, 1.0, 0.9, 1.5, 2.0], "x": TIME}, ":3:1: "),
         ({"time": TIME, "x": [1.0, math.inf, 2.0, 3.0, 4.0]}, ":2:2: "),
-        ({"time": [], "x": []}, "has no row"),
+        ({"time": [], "x": []}, "has no rows"),
         ({}, "has no columns"),
     ],
 )  # fmt: skip

@@ -3,6 +3,7 @@ that nothing which is read is written over. A refine that is stopped leaves its 
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,7 +78,7 @@ def test_what_is_read_is_not_written_over(project: Path) -> None:
     ):
         (project / name).write_text(content)
         (project / "plant.fmu").write_text("refined")
-        with pytest.raises(InputError, match="is read, and results would be written over it"):
+        with pytest.raises(InputError, match=re.escape(name)):
             call()
         assert (project / name).read_text() == content
         assert (project / "plant.fmu").read_text() == "refined"

@@ -16,13 +16,14 @@ STOPPED = 130  # exit code: stopped from the keyboard
 
 
 def collect_seldom() -> None:
-    """Make garbage collection rare, because nearly all objects read from large files stay in use."""
+    """Run the garbage collector rarely: objects read from large files stay in use, so collection costs time without
+    effect."""
     gc.set_threshold(100_000, 20, 100)
 
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the process silently. Only for code without need of cleanup."""
+    """Let Ctrl-C end the process without a traceback, for code that needs no cleanup."""
     listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # A shell's background jobs ignore SIGINT.
     if listens:
         signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
@@ -32,13 +33,13 @@ def ending_at_once() -> Iterator[None]:
 
 
 def as_program(entry: Callable[[], None]) -> None:
-    """Call the entry function of this process, with its signals as KeyboardInterrupt and `Terminated`."""
+    """Run the entry function of a command; signals raise KeyboardInterrupt or `Terminated`."""
     collect_seldom()
     received: list[int] = []
 
     def terminate(number: int, frame: object) -> None:
         received.append(number)
-        if len(received) == 1:  # later ones and those after the end change nothing
+        if len(received) == 1:  # later signals, and signals after the end, have no effect
             raise Terminated(signal.Signals(number).name)
 
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):

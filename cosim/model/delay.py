@@ -1,4 +1,4 @@
-"""Effects on the command that are available to every model: its delay, and the gain of one input."""
+"""Effects on the command for every model: delay of all inputs, and gain of one input."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Delay(Effect):
     time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, typical=0.04, doc="delay T")
 
     def remember(self, t: Number, start: Values) -> Values:
-        """Return a history with a constant past command."""
+        """Return the initial memory: the start command at all past times."""
         return ((t - self.longest, start),)
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
@@ -41,7 +41,7 @@ class Delay(Effect):
         first = next((k for k in range(len(history) - 1, 0, -1) if history[k][0] <= earliest), 0)
         for k, (since, value) in enumerate(history[first:], first):
             until = history[k + 1][0] if k + 1 < len(history) else t + h
-            since = since if k else begin  # the oldest command has no beginning
+            since = since if k else begin  # the oldest command applies to all earlier times
             overlap = m.maximum(0.0, m.minimum(until, end) - m.maximum(since, begin)) / h
             mean = [a + overlap * v for a, v in zip(mean, value, strict=True)]
         while len(history) > 1 and history[1][0] <= t + h - self.longest:
@@ -53,8 +53,8 @@ class Delay(Effect):
 class Gain(Effect):
     """Gain of one input: u → k·u.
 
-    A model's subclass has a name, the input's name in `input`, and a place in the catalogue. Delays and shaping of the
-    command act before.
+    A model's subclass sets `name` and `input` (the input's name) and is listed in the catalogue. Delays and shaping of
+    the command apply before the gain.
     """
 
     equation = "k·u in place of u"

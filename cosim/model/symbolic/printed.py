@@ -1,4 +1,4 @@
-"""Functions printed as they are, without sympy's differentiation or expansion."""
+"""Sympy functions that are printed verbatim, without differentiation or expansion by sympy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sympy
 
 
 class _Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """A function of numbers with its C and Python text."""
+    """A function of numbers with its text in C and Python."""
 
     is_real = True
     c = python = ""
@@ -21,12 +21,12 @@ class _Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 class Rint(_Printed):
-    """Nearest integer, halves to even, with the slope of the argument instead of zero."""
+    """Nearest integer, halves to even. Its derivative is 1 instead of zero."""
 
     c, python = "rint({})", "float(round({}))"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return the slope 1."""
+        """Return the derivative 1."""
         return sympy.Integer(1)
 
 
@@ -36,17 +36,17 @@ class Below(_Printed):
     c, python = "(({}) < ({}) ? 1.0 : 0.0)", "(1.0 if ({}) < ({}) else 0.0)"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return the slope 0."""
+        """Return the derivative 0."""
         return sympy.Integer(0)
 
 
 class Clip(_Printed):
-    """Symbolic function: the argument x limited to the range from `low` to `high`."""
+    """The argument x limited to the range from `low` to `high`."""
 
     c, python = "fmin(fmax({}, {}), {})", "min(max({}, {}), {})"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return 1 for the active argument, else 0."""
+        """Return the derivative: 1 for the active argument, else 0."""
         x, low, high = self.args
         under, over = Below(x, low), Below(high, x)
         return (1 - under - over, under, over)[argindex - 1]
