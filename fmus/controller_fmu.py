@@ -123,13 +123,13 @@ INITIAL_DEPENDENCIES: Dependencies = {
 
 
 class SampledSlave(Slave):
-    """Sampled slave: a communication step is one sample; a step other than `sample_time` is refused.
+    """Sampled slave: a communication step is one sample; other steps than `sample_time` are rejected.
 
     Attributes:
         who: Noun for messages.
         settings: Default values.
         depends: Dependencies of outputs at a sample, and in initialization mode.
-        running: What runs, with the complete state.
+        running: The running loop or filter, with its complete state.
     """
 
     who: ClassVar[str]
@@ -138,7 +138,7 @@ class SampledSlave(Slave):
     running: Any
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
-        """Return what runs, started at x̂ with P = 0, without an update."""
+        """Return the running object (loop or filter), started at x̂ with P = 0, without an update."""
         raise NotImplementedError
 
     def process(self) -> None:
@@ -160,7 +160,7 @@ class SampledSlave(Slave):
         self.set_outputs(self.published())
 
     def advance(self, t: float, h: float) -> None:
-        """Process one sample; raise ValueError for a step that is no sample."""
+        """Process one sample; raise ValueError if the step is not one sample."""
         if abs(h - self.sample) > 1e-6 * self.sample:
             raise ValueError(f"step of {h} s; the {self.who} is sampled at {self.sample} s (parameter sample_time)")
         self.process()
@@ -179,7 +179,7 @@ class SampledSlave(Slave):
 
 
 class HovercraftController(SampledSlave):
-    """Sampled controller: a communication step is one sample; a step other than `sample_time` is refused.
+    """Sampled controller: a communication step is one sample; other steps than `sample_time` are rejected.
 
     The hosting Python needs numpy, scipy and filterpy. The filter starts at `*_hat_start`.
 
@@ -244,7 +244,8 @@ class HovercraftIntegralController(HovercraftController):
 
 
 def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:
-    """Return output dependencies; commands depend on all inputs and parameters, with an own filter all estimates."""
+    """Return dependencies of the outputs. Commands depend on all inputs and parameters; with `own_filter`, estimates do
+    too."""
     inputs = tuple(p.name for p in ports if p.causality == "input")
     parameters = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real"]
     known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
@@ -313,7 +314,7 @@ SIGNALS = (
     Port("nis", "output", 0.0, "1", NIS),
 )
 OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
-# A command acts until the sample, so no output depends on the command of the same time.
+# Inputs are constant until the next sample, so no output depends on the command of the same time.
 ESTIMATED_FROM: Dependencies = dict.fromkeys(OUTPUTS, ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix"))
 ESTIMATED_AT_START: Dependencies = dict.fromkeys(OUTPUTS, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
 NUMBERS = [p for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)]
@@ -321,7 +322,7 @@ FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
 
 
 class Estimator(SampledSlave):
-    """Sampled estimator: a communication step is one sample; a step other than `sample_time` is refused."""
+    """Sampled estimator: a communication step is one sample; other steps than `sample_time` are rejected."""
 
     who = "estimator"
     depends = ESTIMATED_FROM, ESTIMATED_AT_START

@@ -26,12 +26,12 @@ def frozen(kind: type[Any]) -> type[Any]:
 
 
 def bounded(default: float, unit: str, bounds: tuple[float, float], doc: str) -> Any:
-    """Return a parameter by its default, unit, bounds and meaning."""
+    """Return a parameter from its default, unit, bounds and meaning."""
     return parameter(default, unit=unit, bounds=bounds, doc=doc)
 
 
 def off_at_zero(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> Any:
-    """Return a parameter with the default 0, at which its effect is dormant."""
+    """Return a parameter whose default 0 makes the effect dormant."""
     return parameter(0.0, unit=unit, bounds=bounds, neutral=0.0, typical=typical, doc=doc)
 
 
@@ -57,14 +57,14 @@ class HovercraftEffect(Effect):
         return 1.0, 1.0
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        """Return the contact force of the effect, forward and rightward [N], and its yaw and roll moment [N m].
+        """Return the contact force of the effect (forward, rightward [N]) and its yaw and roll moments [N m].
 
-        The accelerometer senses these forces.
+        The accelerometer measures these forces.
         """
         return 0.0, 0.0, 0.0, 0.0
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
-        """Return unsensed forward and rightward acceleration [m/s²]."""
+        """Return forward and rightward acceleration [m/s²] that the accelerometer does not measure."""
         return 0.0, 0.0
 
 
@@ -332,7 +332,7 @@ class TableTilt(HovercraftEffect):
     """Tilted table: force m·g·(sin θ_X, sin θ_Y) along world X, Y, not sensed by the accelerometer."""
 
     name = "table_tilt"
-    equation = "force m·g·(sin θ_X, sin θ_Y) along world X, Y, not felt by the accelerometer"
+    equation = "force m·g·(sin θ_X, sin θ_Y) along world X, Y, not measured by the accelerometer"
 
     x: float = off_at_zero("rad", (-0.1, 0.1), 0.003, "slope θ_X, downhill along world X")
     y: float = off_at_zero("rad", (-0.1, 0.1), 0.003, "slope θ_Y, downhill along world Y")
