@@ -1,9 +1,7 @@
 """Rig for experiments on the craft in closed loop with its controller.
 
-Without control, a tilt error of 1° spins the hovercraft up within seconds. A tilt dither is therefore applied to
-the
-references, divided by the gain from reference to tilt, so that the controller commands the dither in the same
-sample.
+Without control, a tilt error of 1° spins the hovercraft up within seconds. A tilt dither is therefore applied to the
+references, divided by the gain from reference to tilt, so that the controller commands the dither in the same sample.
 Duties are not controlled, so their signals are applied directly.
 """
 

@@ -156,8 +156,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
 def independent_times(squares: Array) -> float:
     """Return the number K of independent times for which the share of times outside the limits has the same scatter.
 
-    p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over
-    the
+    p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
     runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
     """
     from scipy.integrate import cumulative_simpson

@@ -119,8 +119,7 @@ class DesignFile(Part):
 def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Design the controllers of a craft.
 
-    For the registered craft, the numbers are those of the controllers' default parameters; for another craft they
-    are
+    For the registered craft, the numbers are those of the controllers' default parameters; for another craft they are
     computed.
 
     Returns:

@@ -49,15 +49,21 @@ ESTIMATES = tuple(
 FIXES = (
     Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
     Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right", optional=True),
-    Port("fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True),
+    Port(
+        "fix",
+        "input",
+        0.0,
+        "1",
+        "number of the latest fix, 0 before the first; a change triggers an update",
+        optional=True,
+    ),
 )
 SIGMA = tuple(
-    Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat the estimator believes in")
+    Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat according to the estimator")
     for name, unit in (("x", "m"), ("psi", "rad"))
 )
 STARTS = tuple(
-    Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}; the estimator knows where it starts")
-    for p in ESTIMATES
+    Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}, assumed exact") for p in ESTIMATES
 )
 INTEGRALS = (
     Port("x_integral", "output", 0.0, "m.s", "integral of the error of the measured position"),
@@ -66,10 +72,10 @@ INTEGRALS = (
 LATERAL = (
     Port("y_ref", "input", 0.0, "m", "reference of the drift to the right", optional=True),
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right"),
-    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the filter believes in"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat according to the filter"),
     Port("iterations", "output", 0.0, "1", "iterations of the solver at this sample"),
-    Port("solved", "output", 1.0, "1", "1 where the solver ended in a solution, 0 by its limit of iterations"),
-    Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat; the filter knows where it starts"),
+    Port("solved", "output", 1.0, "1", "1 if the solver found a solution, 0 at its limit of iterations"),
+    Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat, assumed exact"),
 )
 
 
@@ -310,7 +316,7 @@ SIGNALS = (
     *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
     *SIGMA,
-    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the estimator believes in"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat according to the estimator"),
     Port("nis", "output", 0.0, "1", NIS),
 )
 OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")

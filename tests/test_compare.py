@@ -49,7 +49,7 @@ def test_a_tolerance_is_a_share_of_the_range_or_absolute_and_a_difference_of_its
 
 def test_runs_that_share_not_all_signals_or_times_are_told_so() -> None:
     one = ran(x=TIME)
-    with pytest.raises(InputError, match="^b: .* a: y .* x"):
+    with pytest.raises(InputError, match=r"^b: .* a: y .* x"):
         compare_runs(one, ran("b", y=TIME))
     with pytest.raises(InputError, match=r"^b: .* 5 … 6 s .* 0 … 1 s"):
         compare_runs(one, ran("b", TIME + 5, x=TIME))

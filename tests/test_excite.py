@@ -208,5 +208,5 @@ def test_what_is_declared_stands_over_what_is_asked_for(tmp_path: Path) -> None:
     assert (limited.ranges, limited.limits) == ({"fan": (0.0, 100.0)}, {"fan": 5.0})
     with pytest.raises(InputError, match=r"0\.\.100 % for fan"):
         ask(model, ranges=["fan=-10..-5"])
-    with pytest.raises(InputError, match="fan .*20.* --limit fan=VALUE"):
+    with pytest.raises(InputError, match=r"fan .*20.* --limit fan=VALUE"):
         ask(fan(tmp_path, ", (0.0, float('inf'))"))

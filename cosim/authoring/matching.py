@@ -72,8 +72,7 @@ def match_ports(
 ) -> Matches:
     """Connect outputs to inputs of other components; each input gets at most one output.
 
-    Equal names are connected first, then similar names, then a single remaining pair. If several outputs fit
-    equally
+    Equal names are connected first, then similar names, then a single remaining pair. If several outputs fit equally
     well, the input is left to the user.
 
     Args:

@@ -261,9 +261,8 @@ def read_input(request: Request) -> FitInput:
 def _parameters(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:
     """Return the parameters to estimate: those named in the request, or all.
 
-    Candidates are scalar real parameters, and states with a settable start value; parameters come first, in the
-    order of
-    the FMU.
+    Candidates are scalar real parameters, and states with a settable start value; parameters come first, in the order
+    of the FMU.
 
     Raises:
         InputError: Every fault of the names, or there is no parameter.

@@ -1,12 +1,10 @@
 """Covariance of estimates with coloured residuals, and 95 % intervals.
 
-The estimate is θ̂ = θ + A⁻¹·Σ_t K_t'·e_t with K = J/σ², A = J'·J/σ². The residuals of each output are modelled as
-an
-autoregression e = ε/a(q), so that Σ K'·e = Σ K̃'·ε, where K̃ is K filtered backwards by 1/a. The sandwich
-A⁻¹·(Σ K̃'·S·K̃)·A⁻¹ with the covariance S of ε is also valid for residuals that are not white.
+The estimate is θ̂ = θ + A⁻¹·Σ_t K_t'·e_t with K = J/σ², A = J'·J/σ². The residuals of each output are modelled as an
+autoregression e = ε/a(q), so that Σ K'·e = Σ K̃'·ε, where K̃ is K filtered backwards by 1/a. The sandwich A⁻¹·(Σ
+K̃'·S·K̃)·A⁻¹ with the covariance S of ε is also valid for residuals that are not white.
 
-A profile is the deviance 2·(max ln L − ln L) as a function of one parameter, with all others estimated again at
-each
+A profile is the deviance 2·(max ln L − ln L) as a function of one parameter, with all others estimated again at each
 value. Its interval is asymmetric if the model is nonlinear in the parameter.
 """
 

@@ -399,8 +399,8 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
     """Return the runs to compare, and the index of the baseline.
 
     Args:
-        sides: Paths, numbers, names and patterns of runs, and results of functions. Matches of a pattern without
-            rows, such as sweeps, are left out.
+        sides: Paths, numbers, names and patterns of runs, and results of functions. Matches of a pattern without rows,
+            such as sweeps, are left out.
         results: Folder of results, by default `results`.
 
     Raises:

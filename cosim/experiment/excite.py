@@ -1,9 +1,8 @@
 """`cosim excite`: the input that best separates rival hypotheses, and a scenario that applies this input.
 
-Random experiments are simulated without noise and scaled to the limits. The best one separates most pairs of
-rivals;
-among equals it has the largest distance of the closest separated pair. A pair that no input separates has no
-influence on the choice.
+Random experiments are simulated without noise and scaled to the limits. The best one separates most pairs of rivals;
+among equals it has the largest distance of the closest separated pair. A pair that no input separates has no influence
+on the choice.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Separation of rival hypotheses by an input: T-optimality with the filter of the later refinement.
 
 After Atkinson and Fedorov (1975): the value of an input is the remaining difference between two models after the
-parameters of one model have been fitted to the other. Innovations are compared, as in `refine`, so that
-disturbances
+parameters of one model have been fitted to the other. Innovations are compared, as in `refine`, so that disturbances
 hide the same differences. With e the innovations, s their variances and θ the fitted parameters:
 
     D² = min over δ of Σ (e_a − e_b − ∂e_b/∂θ·δ)²/s + Σ (δ/σ)²,  σ the prior of a base parameter

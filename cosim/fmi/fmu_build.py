@@ -1,7 +1,6 @@
 """FMU builds: sources in a uniquely named package, packed by pythonfmu, byte-reproducible.
 
-All Python FMUs of a process share `sys.modules`. Each of cosim's FMUs therefore carries its sources in a package
-whose
+All Python FMUs of a process share `sys.modules`. Each of cosim's FMUs therefore carries its sources in a package whose
 name is a hash of their content, so FMUs do not import modules of each other or of the host.
 """
 

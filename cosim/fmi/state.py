@@ -1,7 +1,6 @@
 """Serialized states of cosim's FMUs, as read by `replay`.
 
-In the JSON of a Python FMU, "own" has everything that determines the future: time, continuous state, and the memory
-of
+In the JSON of a Python FMU, "own" has everything that determines the future: time, continuous state, and the memory of
 each shaping effect. A native FMU writes doubles instead, in the layout of `cosim/fmi/native/instance.c`: a delay's
 command history, then the memory of further effects.
 """

@@ -35,8 +35,7 @@ def white_noise(deviations: Array) -> float:
 def surprise(values: Array) -> Array:
     """Return each reading's deviation from its four neighbours, scaled to the noise level; NaN if unknown.
 
-    The cubic through two neighbours on each side predicts y_k, for equal rows as (−1, 4, 4, −1)/6; white noise σ
-    gives
+    The cubic through two neighbours on each side predicts y_k, for equal rows as (−1, 4, 4, −1)/6; white noise σ gives
     a difference of σ·√(1 + Σ w²). Neighbours of a slow sensor are its own samples, but not across a gap.
     """
     deviations = np.full(values.size, np.nan)

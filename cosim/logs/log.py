@@ -153,8 +153,7 @@ def read_log(
         inputs, outputs: Signals of the model; the log must contain every input and at least one output.
         columns: Name in the file → name in the model, or `time`, if they differ.
         alone: True if `columns` is for this file only, so that a missing column is a fault.
-        declare: For a log without a model: function that returns the unit of a column, or None to ignore the
-            column.
+        declare: For a log without a model: function that returns the unit of a column, or None to ignore the column.
 
     Raises:
         InputError: Every fault of the file.
@@ -376,10 +375,8 @@ def slowness(step: float) -> float:
     """Return a factor on the durations of checks for a log with the step `step` [s].
 
     The factor is 1 for typical steps, larger for long steps and smaller for short ones. Otherwise durations such as
-    0.15 s
-    or 1 s would contain too few rows, e.g. of a tank logged every 0.5 s, or exceed a log, e.g. of a converter
-    logged every
-    50 us.
+    0.15 s or 1 s would contain too few rows, e.g. of a tank logged every 0.5 s, or exceed a log, e.g. of a converter
+    logged every 50 us.
     """
     return min(1.0, step / FAST) if step < USUAL else max(1, math.ceil(step / USUAL - 0.1))
 

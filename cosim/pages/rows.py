@@ -1,7 +1,7 @@
 """Rows of a run with a pyramid of block extremes, and the points needed to draw a signal.
 
-Level 0 contains the rows. A block of level k + 1 contains the smallest and largest value of `FACTOR` blocks of
-level k. Time is a column like the others: its extremes are the first and last time of a block.
+Level 0 contains the rows. A block of level k + 1 contains the smallest and largest value of `FACTOR` blocks of level k.
+Time is a column like the others: its extremes are the first and last time of a block.
 """
 
 from __future__ import annotations
@@ -56,9 +56,8 @@ def _picked(values: Array, places: Places) -> Array:
 class Picture:
     """Rows or blocks of a time range, and their pixel columns.
 
-    If there are few rows, all are used. Otherwise each pixel column has the extremes of all its rows, for any
-    spacing of
-    their times. One row beyond each end is included.
+    If there are few rows, all are used. Otherwise each pixel column has the extremes of all its rows, for any spacing
+    of their times. One row beyond each end is included.
 
     Attributes:
         parts: Levels and indices of their blocks.

@@ -300,8 +300,7 @@ def open_page(url: str, title: str) -> bool:
     """Open an address in the browser; return True if a browser was started.
 
     The browser gets a file that only this user can read and that redirects to the address. The command line of a
-    browser,
-    which all users can read, then has no token.
+    browser, which all users can read, then has no token.
     """
     if not (os.name == "nt" or sys.platform == "darwin" or any(os.environ.get(name) for name in DISPLAYS)):
         return False

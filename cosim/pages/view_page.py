@@ -163,9 +163,8 @@ class Viewer:
     def _spectrum(self, request: Request, content: Any) -> Response:
         """Return, for each curve, the number of points, 1, log10 of the frequencies [Hz], and the power density [dB].
 
-        The power spectral density is computed by Welch's method from the rows between two times, interpolated at
-        the median
-        row spacing. A curve with few rows has no points.
+        The power spectral density is computed by Welch's method from the rows between two times, interpolated at the
+        median row spacing. A curve with few rows has no points.
         """
         from scipy.signal import welch
 

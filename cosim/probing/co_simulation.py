@@ -97,8 +97,7 @@ def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
     """Return (position, velocity, gain) for pairs of outputs with position = gain · integral of velocity.
 
     The integral uses the trapezoidal rule. Its error may be as large as that of Euler's method with the step of the
-    log.
-    If an FMU rounds communication points to its own steps, single increments jitter, and longer increments are
+    log. If an FMU rounds communication points to its own steps, single increments jitter, and longer increments are
     used.
     """
     width = good[0][1].shape[1]

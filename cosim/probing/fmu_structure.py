@@ -72,9 +72,8 @@ class Connection:
 class Damping:
     """A settable parameter b that damps a velocity v: f(x; b + δ) − f(x; b) = −δ·v·d(x).
 
-    The vector d(x) has the derivatives per force along v. It shows how every force along v acts. Its unit is the
-    unit of b
-    times the unit of v.
+    The vector d(x) has the derivatives per force along v. It shows how every force along v acts. Its unit is the unit
+    of b times the unit of v.
 
     Attributes:
         parameter: Name of b.

@@ -144,8 +144,8 @@ class Run:
 
     Attributes:
         time: Times of the rows [s].
-        states, inputs, values: One row for each time; values are derivatives and outputs in
-            model exchange, else outputs.
+        states, inputs, values: One row for each time; values are derivatives and outputs in model exchange, else
+            outputs.
         stop: Error that ended the simulation early.
     """
 

@@ -135,8 +135,7 @@ def _connections(
 ) -> Iterator[Connection]:
     """Yield the springs and dampers between pairs.
 
-    By reciprocity, a connection changes both accelerations in the constant ratio of the inertias. For coordinates
-    that
+    By reciprocity, a connection changes both accelerations in the constant ratio of the inertias. For coordinates that
     share an inertia, such as those of a double pendulum, the ratio changes with the motion.
     """
     slopes, along = np.array(points.slopes), np.concatenate([run.states for run in runs if run.time.size])
@@ -341,8 +340,7 @@ def dampings(
 ) -> tuple[Damping, ...]:
     """Return the settable damping of each pair that has no input acting on it alone.
 
-    With another value of the parameter, the derivatives change in proportion to the pair's velocity and to the
-    change,
+    With another value of the parameter, the derivatives change in proportion to the pair's velocity and to the change,
     independent of the other velocities and inputs, and no output changes directly.
     """
     states, inputs, _ = prober.fmu.names

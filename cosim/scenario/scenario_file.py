@@ -352,8 +352,7 @@ def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
     """Return a manifest's scenario with missing or changed files replaced by copies in `folder`.
 
     A file missing at its path is searched by name in `folder` or in the system of an SSP there. A file with changed
-    content
-    is replaced too, if the file in `folder` has the recorded hash.
+    content is replaced too, if the file in `folder` has the recorded hash.
     """
     components: dict[str, Any] = {}
     for name, component in scenario.components.items():

@@ -1,8 +1,7 @@
 """Writing of SSP files for other importing tools.
 
 libcosim and ecos identify elements by prefix, accept no nested systems, and read only inline parameter sets of
-components; FMPy requires a connection to each input connector. The written system therefore has no connectors of
-its
+components; FMPy requires a connection to each input connector. The written system therefore has no connectors of its
 own, components have their outputs and connected inputs, and each component has an inline set of start values. For
 FMPy's `simulate_ssp`, pass `resources/start.ssv` as `parameter_set`; its names are prefixed by the component.
 """

@@ -167,9 +167,8 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
 def changes_of(building: Building) -> Events:
     """Return communication point → component → variable → value set by events.
 
-    An event takes effect at the first communication point at or after its time. If several events take effect at
-    the same
-    point, the one with the later time is used.
+    An event takes effect at the first communication point at or after its time. If several events take effect at the
+    same point, the one with the later time is used.
     """
     scenario, blocks = building.scenario, building.blocks
     changes: dict[int, dict[str, dict[str, Any]]] = {}

@@ -1,7 +1,6 @@
 """The recorded part of a run: which signals and which rows.
 
-All rows are computed, and the recorded part is selected before writing. Recording settings therefore change no
-value
+All rows are computed, and the recorded part is selected before writing. Recording settings therefore change no value
 and no verdict.
 """
 

@@ -121,9 +121,8 @@ class _Graph:
     def sort_transfers(self, plan: Plan) -> tuple[tuple[Transfer, ...], tuple[Stage, ...], tuple[Loop, ...]]:
         """Return held transfers, stages with their transfers, and loops with their transfers.
 
-        The transfer of a known signal occurs before the step (pull) or after it (late), or its value is held. A
-        sampled FMU
-        computes its outputs for the end of its step from the inputs at its start.
+        The transfer of a known signal occurs before the step (pull) or after it (late), or its value is held. A sampled
+        FMU computes its outputs for the end of its step from the inputs at its start.
         """
         loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
         held: list[Transfer] = []

@@ -78,8 +78,7 @@ def check(
         files: One file or several: scenarios, studies, sweeps, protocols, models, logs, SSPs, FMUs.
         model: Model of the logs (base, a model.yaml, FILE.py:Class). By default, a log with an input of the base model
             is compared with it, and other logs are checked without a model.
-        load: Load FMUs and make one step, and execute named Python files, in a worker process. False executes
-            nothing.
+        load: Load FMUs and make one step, and execute named Python files, in a worker process. False executes nothing.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
         columns: Column of the logs → variable, or "time".
 

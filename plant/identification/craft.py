@@ -258,7 +258,11 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
                 return float(optimize.brentq(gap, *bracket, xtol=1e-9, rtol=1e-9))
             gaps += pair
     reached = [g + length for g in gaps if np.isfinite(g)]
-    span = f"the reachable distances are {min(reached):.4g} to {max(reached):.4g}" if reached else "no distance is reachable"
+    span = (
+        f"the reachable distances are {min(reached):.4g} to {max(reached):.4g}"
+        if reached
+        else "no distance is reachable"
+    )
     raise ValueError(f"{span} within the bounds {low:g} … {high:g}; check the distance and the signs of the inputs")
 
 

@@ -4,8 +4,7 @@ Filter and FMU integrate by RK4 in equal substeps. In a substep of h, a mode of 
 R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, instead of exp(λh). If |R| > 1, the mode grows although the model decays.
 
 A `substep` stated by the class is kept unless it is unstable; the default is kept if it is accurate. Otherwise the
-longest accurate fraction 1/n of `rate` is chosen. A model that needs more than MOST_SUBSTEPS is stiff if all modes
-too
+longest accurate fraction 1/n of `rate` is chosen. A model that needs more than MOST_SUBSTEPS is stiff if all modes too
 fast for RK4 decay within a row. The implicit method then uses substeps accurate for the remaining modes.
 """
 

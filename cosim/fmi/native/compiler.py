@@ -117,9 +117,8 @@ def cross_command(target: Platform) -> list[str]:
 def commands(names: Sequence[str] = ()) -> dict[Platform, list[str]]:
     """Return platform → compiler command, by default for this machine.
 
-    The cross compiler, which also targets old versions of glibc, is used for platforms named by the user and if
-    there is
-    no local compiler.
+    The cross compiler, which also targets old versions of glibc, is used for platforms named by the user and if there
+    is no local compiler.
 
     Raises:
         KeyError: A platform is unknown.

@@ -251,8 +251,7 @@ class ModelPrinter:
     def _questions(self) -> Iterator[str]:
         """Yield three C functions on effects.
 
-        `wake` marks an effect as active if a parameter is not neutral. `remembers` returns true if an active effect
-        has
+        `wake` marks an effect as active if a parameter is not neutral. `remembers` returns true if an active effect has
         memory. `counting` returns the name of an active effect that depends on the substep, or NULL.
         """
         effects, remembering = self.trace.effects, {e.name for e, _ in self.remembering}

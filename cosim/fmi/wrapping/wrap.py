@@ -227,8 +227,8 @@ def wrap(
 
     Args:
         values: Start values of the terms' parameters, and of real variables of the original.
-        substep: Longest step [s] in co-simulation with constant forces and shaped inputs, if the original accepts
-            any step; by default the communication step. Model exchange needs a substep for terms with memory.
+        substep: Longest step [s] in co-simulation with constant forces and shaped inputs, if the original accepts any
+            step; by default the communication step. Model exchange needs a substep for terms with memory.
 
     Raises:
         FmuError: The original is invalid.
