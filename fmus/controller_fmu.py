@@ -250,8 +250,10 @@ class HovercraftIntegralController(HovercraftController):
 
 
 def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:
-    """Return dependencies of the outputs. Commands depend on all inputs and parameters; with `own_filter`, estimates do
-    too."""
+    """Return dependencies of the outputs. Commands depend on all inputs and parameters.
+
+    With `own_filter`, estimates do too.
+    """
     inputs = tuple(p.name for p in ports if p.causality == "input")
     parameters = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real"]
     known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))

@@ -95,8 +95,10 @@ class Request:
         return [*self.estimation, *self.sealed]
 
     def fault(self, place: Sequence[str | int], message: str, file: Path | None = None) -> Fault:
-        """Return a fault of a key of the study; without a study, of a file or of the option with the name of the
-        key."""
+        """Return a fault of a key of the study.
+
+        Without a study, the fault is that of a file or of the option with the name of the key.
+        """
         if self.yaml is None:
             return Fault(file or Path(f"--{place[0]}"), 0, 0, message)
         return self.yaml.fault(tuple(place), message, key=place[0] == "vary")

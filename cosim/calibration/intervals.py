@@ -70,8 +70,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
     inverse = scaled_inverse(information)
 
     def sandwich(tables: Sequence[Array]) -> tuple[Array, Array, Sequence[Autoregression]]:
-        """Return the covariance of the estimates, the covariance of the channels' innovations, and their
-        autoregressions."""
+        """Return the covariance of the estimates, that of the channels' innovations, and the autoregressions."""
         models = [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
         innovations, filtered = [], []
         for table, slope in zip(tables, slopes, strict=True):

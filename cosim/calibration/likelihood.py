@@ -149,8 +149,10 @@ class Likelihood:
         return {**self.given, **chosen}
 
     def tables(self, x: Array) -> list[Array] | None:
-        """Return the residuals of all logs, None if a simulation fails. Logs with unchanged values are not simulated
-        again."""
+        """Return the residuals of all logs, None if a simulation fails.
+
+        Logs with unchanged values are not simulated again.
+        """
         tables, best = [], getattr(self, "best", None)
         for k in range(len(self.logs.drives)):
             values = self.values(x, k)
@@ -213,8 +215,10 @@ class Likelihood:
         return slopes
 
     def _choose_step(self, j: int, k: int) -> tuple[float, Array | None]:
-        """Return a step for the differences of an unknown in log k, and the slope. The step is small unless solver
-        rounding is visible."""
+        """Return a step for the differences of an unknown in log k, and the slope.
+
+        The step is small unless solver rounding is visible.
+        """
 
         def size(slope: Array) -> float:
             return float(np.sqrt(np.nansum(slope * slope)))

@@ -190,8 +190,10 @@ def fit(
 def _proof(
     parameters: Sequence[Parameter], estimate: Estimate, opened: Sequence[Drive], closed: Sequence[Drive]
 ) -> list[Part]:
-    """Return the errors on the logs of the estimate, and on sealed logs. Values per log are replaced by their mean
-    there."""
+    """Return the errors on the logs of the estimate, and on sealed logs.
+
+    Values per log are replaced by their mean there.
+    """
     assert estimate.likelihood is not None
     likelihood, horizon = estimate.likelihood, estimate.logs.horizon or FREE_RUN
     varied, first = {p.name for p in parameters}, {p.name: p.start for p in parameters if not p.is_start}

@@ -394,8 +394,7 @@ def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion |
 
 
 def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:
-    """Return True if a signal is constant between rows, according to a run's record, or to integer values in both
-    runs."""
+    """Return True if a signal is constant between rows, by a run's record or because both runs have integers."""
     recorded = [run for run in (a, b) if "discrete" in run.manifest]
     if not recorded:
         return all(name in run.results.whole for run in (a, b))

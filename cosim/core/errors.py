@@ -87,8 +87,10 @@ class FmuError(CosimError):
     exit_code = 3
 
     def fault(self, file: Path, name: Path | None = None) -> Fault:
-        """Return the error as a fault of a file. The prefix `name` (default: the file's path) is removed from the
-        message."""
+        """Return the error as a fault of a file.
+
+        The prefix `name` (default: the file's path) is removed from the message.
+        """
         beginning = f"{name or file} "
         return Fault(file, 0, 0, str(self).removeprefix(beginning), self.exit_code)
 

@@ -16,8 +16,7 @@ STOPPED = 130  # exit code: stopped from the keyboard
 
 
 def collect_seldom() -> None:
-    """Run the garbage collector rarely: objects read from large files stay in use, so collection costs time without
-    effect."""
+    """Run the garbage collector rarely, because objects read from large files stay in use."""
     gc.set_threshold(100_000, 20, 100)
 
 

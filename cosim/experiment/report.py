@@ -67,8 +67,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
 
 
 def _limits(excitation: Excitation, units: Mapping[str, str]) -> list[Mapping[str, Any]]:
-    """Return a table row for each limited signal: allowed excursion, excursion of the model, and largest of any
-    rival."""
+    """Return a table row for each limited signal: allowed excursion, the model's, and the largest of any rival."""
     model, trials = excitation.question.loaded.model, {"": excitation.trial, **excitation.rivals}
     starts = dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
     rows: list[Mapping[str, Any]] = []

@@ -159,8 +159,10 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_directory(stream: BinaryIO, size: int) -> None:
-    """Check the archive's directory. The number of files is checked first, because zipfile reads the whole
-    directory."""
+    """Check the archive's directory.
+
+    The number of files is checked first, because zipfile reads the whole directory.
+    """
     stream.seek(max(0, size - END_SIZE - COMMENT - END_SIZE))
     tail = stream.read()
     end = tail.rfind(END)

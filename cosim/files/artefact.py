@@ -104,8 +104,10 @@ class Artefact:
         return {name.partition("/")[0] for name in self.files if "/" in name}
 
     def is_left_in(self, folder: Path, *, unfinished: bool = False) -> bool:
-        """Return True if a folder contains results of the verb; `unfinished` also accepts results of a stopped
-        command."""
+        """Return True if a folder contains results of the verb.
+
+        `unfinished` also accepts results of a stopped command.
+        """
         return any((folder / mark).is_file() for mark in (*self.marks, *self.unfinished * unfinished))
 
 

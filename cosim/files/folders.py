@@ -255,8 +255,10 @@ def version_of(record: Mapping[str, Any]) -> str:
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """Return a file's JSON mapping. It is empty if the file is unreadable or has a number beyond the range of
-    doubles."""
+    """Return a file's JSON mapping.
+
+    It is empty if the file is unreadable or has a number beyond the range of doubles.
+    """
     try:
         stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
         try:

@@ -351,8 +351,10 @@ def _increases(column: Column) -> bool:
 
 
 def date_of(text: Any) -> datetime | None:
-    """Return the date of a spreadsheet cell, an ISO 8601 text, or day.month.year with a time of day; None for other
-    values."""
+    """Return the date of a spreadsheet cell, an ISO 8601 text, or day.month.year with a time of day.
+
+    The result is None for other values.
+    """
     if isinstance(text, datetime):
         return text
     cell = str(text).strip()

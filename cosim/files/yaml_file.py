@@ -408,8 +408,10 @@ class Document:
 
     @cached_property
     def _root(self) -> Any:
-        """Root node with id (scalar, sequence, mapping), tag, value and start_mark; a scalar also has a style. None if
-        empty."""
+        """Root node with id (scalar, sequence, mapping), tag, value and start_mark; a scalar also has a style.
+
+        The node of an empty document is None.
+        """
         text = self._text
         if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
             with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.

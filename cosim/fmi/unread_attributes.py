@@ -1,5 +1,4 @@
-"""Attributes of a description that FMPy ignores: dependencies and negated aliases of FMI 1.0, differences, inverse
-display units."""
+"""Attributes that FMPy ignores: dependencies and negated aliases of FMI 1.0, differences, inverse display units."""
 
 from __future__ import annotations
 

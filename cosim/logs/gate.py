@@ -378,8 +378,10 @@ def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], m
 
 
 def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
-    """Yield warnings for a reversed axis, exchanged axes and jumps; the test assumes motion mostly along the
-    heading."""
+    """Yield warnings for a reversed axis, exchanged axes and jumps.
+
+    The test assumes motion mostly along the heading.
+    """
     x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))
     good = np.flatnonzero(np.isfinite(x + y + heading))[:: max(1, round(SPACING / log.step))]
     if good.size < LEAST_POSITIONS:

@@ -61,8 +61,7 @@ def input_unit_findings(
 
 
 def other_unit(name: str, unit: str, ratio: float, around: tuple[float, float] = SAME_SIZE) -> str:
-    """Return advice on the unit of a column, if another unit would bring the ratio of sizes (log to model) into a
-    range; otherwise ""."""
+    """Return advice on the unit of a column if another unit fits the ratio of sizes (log to model), else ""."""
     if not unit or 1.0 / OTHER_SIZE < ratio < OTHER_SIZE:
         return ""
     sizes = {other: factor(other, unit) for other in (*alternatives(unit), "rpm")}
@@ -71,8 +70,7 @@ def other_unit(name: str, unit: str, ratio: float, around: tuple[float, float] =
 
 
 def output_findings(log: Log, model: Mapping[str, Array]) -> list[Finding]:
-    """Return findings on outputs that are late, in another unit, sign-reversed or in another column, relative to the
-    model."""
+    """Return findings on outputs that are late, in another unit, sign-reversed or swapped relative to the model."""
     return [*scales(log, model), *swaps(log, model), *delays(log, model)]
 
 

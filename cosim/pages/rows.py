@@ -159,8 +159,10 @@ class Recording:
         return float(time[0]), float(time[-1])
 
     def blocks(self, name: str, level: int, places: Places) -> tuple[Array, Array]:
-        """Return the smallest and largest values of blocks of a level (of rows at level 0); infinite values are
-        missing."""
+        """Return the smallest and largest values of blocks of a level (of rows at level 0).
+
+        Infinite values are missing.
+        """
         if not level:
             values = finite(self.take(name, places))
             return values, values

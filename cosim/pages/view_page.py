@@ -103,8 +103,10 @@ class Viewer:
     # -- requests -------------------------------------------------------------------------------------
 
     def _about(self, request: Request, _: Any) -> Response:
-        """Return the runs, with names and units of numeric signals and names of text signals; equal signal lists are
-        shared."""
+        """Return the runs, with names and units of numeric signals and names of text signals.
+
+        Equal signal lists are shared.
+        """
         sets: list[Any] = []
         runs = []
         for number, run in enumerate(self.runs):
@@ -144,8 +146,7 @@ class Viewer:
         return self._arrays(points, self._curves(wanted.curves))
 
     def _plane(self, request: Request, content: Any) -> Response:
-        """Return, for each pair of signals of an x-y plot, the number of points, the row spacing, then time, x and
-        y."""
+        """Return, for each pair of signals of an x-y plot: number of points, row spacing, then time, x and y."""
         wanted = _read(Wanted, content)
 
         def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
@@ -218,8 +219,10 @@ class Viewer:
         return self._arrays(value, self._curves(wanted.curves), [np.full(2, np.nan)])
 
     def _texts(self, request: Request, content: Any) -> Response:
-        """Return the text of each signal at its last row before or at a time; null before the first row, and for a lost
-        run."""
+        """Return the text of each signal at its last row before or at a time.
+
+        Null before the first row, and for a lost run.
+        """
         wanted = _read(Wanted, content)
 
         def text(run: ViewedRun, name: str) -> list[str | None]:

@@ -1,5 +1,4 @@
-"""Checks for misbehaviour that a single step does not reveal: repetition, working folder, reset, saved states,
-memory."""
+"""Checks of an FMU beyond a single step: repetition, working folder, reset, saved states, memory."""
 
 from __future__ import annotations
 
@@ -25,8 +24,10 @@ LEAK = 1e6  # growth per instance that exceeds allocator overhead [bytes]
 
 
 def misbehaviour(fmu: Path) -> Iterator[str]:
-    """Yield a sentence on each misbehaviour of an FMU along small sines. An FMU that fails at its start yields
-    nothing."""
+    """Yield a sentence on each misbehaviour of an FMU along small sines.
+
+    An FMU that fails at its start yields nothing.
+    """
     with Prober(fmu) as prober:
         way, *_ = ways(prober.description)
         if prober.description.fmiVersion.startswith("1"):

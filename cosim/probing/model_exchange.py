@@ -155,8 +155,7 @@ def _connections(
 
 
 def _parameters(prober: Prober, course: Course, points: Points, has_events: bool) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with its effects, measured at points, or along a simulation if there are
-    events."""
+    """Return each settable parameter with its effects at points, or with events along a simulation."""
     places = points.places[:: points.spacing(PLACES)]
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
@@ -310,8 +309,10 @@ def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run
 
 
 def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Array]]) -> tuple[Array, Array]:
-    """Return the states after initialization, and derivatives with outputs at points; NaN if the FMU rejects a
-    point."""
+    """Return the states after initialization, and derivatives with outputs at points.
+
+    NaN if the FMU rejects a point.
+    """
     with fmu.opened(course) as (block, _):
         block.start()
         states, _ = block.current_point()

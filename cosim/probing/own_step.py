@@ -1,5 +1,7 @@
-"""Internal step of an FMU for co-simulation, found by simulation; it affects the choice of interface for a
-refinement."""
+"""Internal step of an FMU for co-simulation, found by simulation.
+
+It affects the choice of interface for a refinement.
+"""
 
 from __future__ import annotations
 

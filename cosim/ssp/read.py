@@ -405,8 +405,7 @@ class SspSystem(Reader):
             yield SignalLink(source, target, linear, element)
 
     def hops_to(self, last: Connection) -> list[Connection]:
-        """Return the chain of connections that ends with `last`, back to an FMU or to an unconnected system
-        connector."""
+        """Return the chain of connections that ends with `last`, from an FMU or an unconnected system connector."""
         hops = [last]
         while hops[0].start[0] not in self.parts:
             before = self.into.get(hops[0].start)
@@ -416,8 +415,7 @@ class SspSystem(Reader):
         return hops
 
     def signal(self, end: End, *, is_variable: bool = False) -> Signal:
-        """Return the signal of an end, in the unit of its connector, otherwise (or with `is_variable`) of its
-        variable."""
+        """Return the signal of an end, in the unit of its connector, else (or with `is_variable`) of its variable."""
         part, connector = self.parts.get(end[0]), None if is_variable else self.connectors.get(end)
         variable = None if part is None else part.variables.get(end[1])
         unit = None if connector is None else connector.unit
@@ -465,8 +463,7 @@ class SspSystem(Reader):
                     self.warn(parameter.element, f"parameter {name} matches no variable and is ignored{hint}")
 
     def targets(self, place: Place, name: str) -> Iterator[tuple[End, Sequence[Connection]]]:
-        """Yield the FMU variables addressed by a hierarchical name, with the connections from a system's connector to
-        them."""
+        """Yield the FMU variables of a hierarchical name, with the connections from a system's connector to them."""
         if place in self.parts:
             if name in self.parts[place].variables:
                 yield (place, name), ()

@@ -121,8 +121,10 @@ def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
 
 
 def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
-    """Return the interval [s] that an event sets for a clock; None if the target is not a clock. Raise ValueError if
-    unsuitable."""
+    """Return the interval [s] that an event sets for a clock; None if the target is not a clock.
+
+    Raise ValueError if unsuitable.
+    """
     clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
     if clock is None:
         return None

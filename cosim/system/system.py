@@ -91,8 +91,7 @@ class System(Schedule):
 
     @property
     def discrete(self) -> frozenset[str]:
-        """Return the columns whose values are constant until they change, instead of being interpolated between
-        rows."""
+        """Return the columns whose values are constant until they change, so they are not interpolated."""
         names = set[str]()
         for stage in self.stages:
             component, signals = stage.component, [s for s in stage.component.outputs if s.discrete or s.is_whole]

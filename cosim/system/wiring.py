@@ -336,8 +336,7 @@ def _signals(component: Component, side: str) -> tuple[Signal, ...]:
 
 
 def _check_faults(building: Building) -> None:
-    """Check the injected faults of a scenario: each needs a connection, a time within the run, and its required
-    keys."""
+    """Check the injected faults of a scenario: connection, time within the run, required keys."""
     scenario = building.scenario
     targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"delay": "delay", "dropout": "probability"} | dict.fromkeys(("bias", "scale", "stuck", "spike"), "value")

@@ -157,8 +157,10 @@ class RememberingTerm(InputTerm):
     """An input term with memory, which is updated once per substep."""
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the changed input from `t` to `t + h` [s], and the new memory. Initially the memory equals the
-        input."""
+        """Return the changed input from `t` to `t + h` [s], and the new memory.
+
+        Initially the memory equals the input.
+        """
         raise NotImplementedError
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:

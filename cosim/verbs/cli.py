@@ -145,8 +145,7 @@ def files_in(folder: Path, *names: str) -> dict[str, str]:
 
 @contextmanager
 def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float], None] | None]:
-    """Yield a function of (completed, all steps) or (stage, share) that shows progress: a bar on a terminal, lines with
-    -v, else None."""
+    """Yield a function of (completed, all steps) or (stage, share) for progress: a bar, lines with -v, else None."""
     is_terminal, start = sys.stderr.isatty(), time.monotonic()
     if OUTPUT.quiet or not (is_terminal or OUTPUT.verbose):
         yield None
@@ -271,8 +270,10 @@ VERSION = typer.Option("--version", callback=_show_version, is_eager=True, help=
 
 @functools.cache
 def command_line(chosen: str = "") -> typer.Typer:
-    """Return the command line. If a verb is chosen, only its options are built, because other verbs need more
-    imports."""
+    """Return the command line.
+
+    If a verb is chosen, only its options are built, because other verbs need more imports.
+    """
     keys = {"help_option_names": ["-h", "--help"]}
     line = typer.Typer(context_settings=keys, no_args_is_help=True, pretty_exceptions_enable=False)
 

@@ -1,5 +1,4 @@
-"""Checks of recordings and planned runs: ranges, phases of a test, saturated, swapped or sign-reversed cells,
-results."""
+"""Checks of recordings and planned runs: ranges, phases, saturated, swapped or sign-reversed cells, results."""
 
 from __future__ import annotations
 

@@ -169,8 +169,7 @@ def _readings(logs: Sequence[Log], name: str, window: Window | None) -> Iterator
 
 
 def _noise(logs: Sequence[Log], model: Model, window: Window | None) -> Result:
-    """Return the pooled variance S² of eq 5.44 for each output, and the variance about a line with its 95 % χ²
-    interval."""
+    """Return the pooled variance S² (eq 5.44) of each output, and the variance about a line with 95 % χ² interval."""
     result = Result("rest", [])
     for q in model.outputs:
         if not (parts := list(_readings(logs, q.name, window))):

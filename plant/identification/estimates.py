@@ -83,8 +83,10 @@ class Result:
 
 @dataclass(frozen=True)
 class Measurement:
-    """The recordings of a test, its cells and the assumed bench; `truth` is the simulated bench, None for a measured
-    one."""
+    """The recordings of a test, its cells and the assumed bench.
+
+    `truth` is the simulated bench, None for a measured one.
+    """
 
     recordings: Sequence[Recording]
     cells: Cells

@@ -192,8 +192,7 @@ class Check:
         return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, values)
 
     def draw_effect_value(self, p: Parameter, awake: bool, k: int) -> Any:
-        """Return a random parameter value of an effect: neutral if dormant, otherwise near its default or typical
-        size."""
+        """Return a random parameter value of an effect: neutral if dormant, else near its default or typical size."""
         if isinstance(p.default, bool):
             return p.default
         if p.neutral is not None and not awake:

@@ -40,8 +40,10 @@ class Platform:
     target: str
 
     def folder(self, fmi: int) -> str:
-        """Return the folder below `binaries`. A platform without a name in FMI 2.0 uses its FMI 3.0 name, as in FMI
-        2.0.4."""
+        """Return the folder below `binaries`.
+
+        A platform without a name in FMI 2.0 uses its FMI 3.0 name, as in FMI 2.0.4.
+        """
         return self.name if fmi == 2 else self.fmi3
 
 

@@ -47,8 +47,7 @@ HEAD = "/* Generated from FMI's headers. */"
 
 
 def function_table(header: str) -> str:
-    """Return C code with the struct `Functions` of function pointers, and the table `SYMBOLS` of their names and
-    offsets."""
+    """Return C code: a struct `Functions` of function pointers, and a table `SYMBOLS` of names and offsets."""
     names = [name for _, name, _ in TYPEDEF.findall(COMMENT.sub("", header))]
     table = [f"    {name}TYPE *{name[4:]};" for name in names]
     symbols = [f'    {{"{name}", offsetof(Functions, {name[4:]})}},' for name in names]
@@ -282,8 +281,10 @@ def wrap(
 
 
 def _interfaces(file: str, about: Any, terms: TermCode, substep: float | None) -> dict[str, str]:
-    """Return interface → modelIdentifier of all interfaces in which the terms act; raise CannotWrap if there is
-    none."""
+    """Return interface → modelIdentifier of all interfaces in which the terms act.
+
+    Raise CannotWrap if there is none.
+    """
     exchange, steps = about.modelExchange, about.coSimulation
     variables, names = {v.name for v in about.modelVariables}, [p.name for p in terms.parameters]
     if taken := [name for name in names if name in variables]:

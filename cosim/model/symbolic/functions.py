@@ -106,8 +106,7 @@ class Body:
         return [term for term in every if term]
 
     def shaping_function(self, language: Language, name: str) -> str:
-        """Return the text of `name(h, u, memory, p, out)`, which stores shaped command and new memory for a substep
-        h."""
+        """Return the text of `name(h, u, memory, p, out)`: shaped command and new memory for a substep h."""
         return language.function(name, "h u memory p", self.shaping.results, self._places, self.shaping.stages)
 
     @property
