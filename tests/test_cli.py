@@ -1,4 +1,4 @@
-"""What the command line makes of odd files and odd terminals: an answer, never a traceback, never a wait."""
+"""The command line with unusual files and terminals: it responds with a message, without a traceback or a hang."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two runs held against each other: tolerances, units, times, texts; any number of runs against a baseline."""
+"""Comparison of runs with a baseline: tolerances, units, times, texts; two or more runs."""
 
 from __future__ import annotations
 

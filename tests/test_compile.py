@@ -1,4 +1,4 @@
-"""Sources of an FMU without a library for this platform: compiled and run where the user asks, and only there."""
+"""FMUs without a library for this platform: their sources are compiled and executed only on request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From FMUs of others to a run: what they have, a first scenario of them, one run without a file."""
+"""First steps with FMUs of other tools: `info`, a first scenario by `init`, and `simulate`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fixes: a sensor that measures now and then, answers late, and loses some."""
+"""Fix sensors: sampled, delayed and lost measurements."""
 
 from __future__ import annotations
 

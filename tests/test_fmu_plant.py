@@ -1,4 +1,4 @@
-"""The plant FMU is the plain equations, and refuses what makes no sense."""
+"""The plant FMU agrees with the plain equations and rejects invalid values."""
 
 from __future__ import annotations
 

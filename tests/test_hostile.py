@@ -1,4 +1,4 @@
-"""Files that mean harm, or are merely enormous: refused at once, with a reason, and nothing written."""
+"""Malicious or very large files: rejected at once, with a reason, and nothing is written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model of one's own, or a model.yaml, with something wrong in it: every fault has its line and its cure."""
+"""Faulty user models and model.yaml files: every fault has its line and its cure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`--nearest`: where a refine is named, the model that came nearest in it, with `build` and `run`."""
+"""`--nearest` of `build` and `run`: the nearest model of a refine instead of the refined one."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""What a verdict must stand: replays of the model as it is, effects it has too much of, sensors beside effects, and
-that nothing which is read is written over. A refine that is stopped leaves its results whole or not at all."""
+"""Robustness of verdicts: superfluous effects in the model, sensor errors together with effects, protected inputs.
+
+A stopped refine writes either all of its results or none.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replay: what the FMU itself would have done, row by row, from wherever it starts."""
+"""Replay: simulated outputs of the FMU along a log, from different initial states."""
 
 from __future__ import annotations
 

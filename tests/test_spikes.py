@@ -1,4 +1,4 @@
-"""Readings that a recorder made up are left out, what a system does is not."""
+"""Outliers of the recorder are removed, sharp motion of the system is not."""
 
 from __future__ import annotations
 

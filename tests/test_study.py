@@ -1,4 +1,4 @@
-"""What is wrong with a study is told all at once, each with its place; a log stands in it once, however written."""
+"""Faults of a study are reported all at once, each with its place; a log may occur only once."""
 
 from __future__ import annotations
 

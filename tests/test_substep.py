@@ -1,4 +1,4 @@
-"""The substep follows the fastest mode of the model, alike in kernel and FMUs; what runs away is no traceback."""
+"""The substep follows the fastest mode of the model in filter and FMUs; unstable models give a message."""
 
 from __future__ import annotations
 

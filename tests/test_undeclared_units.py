@@ -1,4 +1,4 @@
-"""Units that only a header says: of columns, of times, of what a replay leaves; a model may declare none."""
+"""Units known only from headers: of columns, times and replay results; models without declared units."""
 
 from __future__ import annotations
 

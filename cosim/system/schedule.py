@@ -227,7 +227,7 @@ def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interp
     graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
     order = scenario.order if algorithm.sequential else None
-    if order is not None:  # The order must name each component with inputs exactly once.
+    if order is not None:  # It names each component with inputs exactly once.
         missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
         unknown = [name for name in order if name not in components]
         for name in unknown:
