@@ -115,7 +115,7 @@ def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -
     ("columns", "told"),
     [
         ({"x": [1.0, 0.0, 2.0, 3.0, 4.0]}, 'the first column is "x"; it must be "time"'),
-        ({"time": TIME, "x": [[1.0], [2.0], [], [3.0], [4.0]]}, "column x has list"),
+        ({"time": TIME, "x": [[1.0], [2.0], [], [3.0], [4.0]]}, "column x has the type list"),
         ({"time": TIME, "x": list("abcde")}, "column x has text"),
         ({"time": [0.0, None, 1.0, 1.5, 2.0], "x": TIME}, ":2:1: "),
         ({"time": [0.0, 1.0, 0.9, 1.5, 2.0], "x": TIME}, ":3:1: "),
