@@ -122,12 +122,10 @@ def _select(names: Sequence[str], matrix: Array, sizes: Array, reasons: list[str
 
 
 def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, Array]:
-    """Return a combination of parameters without effect on the outputs, confirmed by simulation, and the singular
-    values.
+    """Return a parameter combination without effect on the outputs, confirmed by simulation, and singular values.
 
-        Candidates are the right singular vectors of the scaled sensitivities. A combination is confirmed if a step of
-        10 %
-        along it changes the outputs a hundred times less than the same step of one parameter alone.
+    Candidates are the right singular vectors of the scaled sensitivities. A combination is confirmed if a step of 10 %
+    along it changes the outputs a hundred times less than the same step of one parameter alone.
     """
     point = likelihood.best
     good = [np.isfinite(t) for t in point.tables]

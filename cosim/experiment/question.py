@@ -218,10 +218,9 @@ def _fitted_rival(
     candidates: Mapping[str, Candidate],
     values: Mapping[str, float],
 ) -> Rival:
-    """Return a rival with the parameters of its best significant fit without other rivals; unchanged without such a
-    fit.
+    """Return a rival with the parameters of its best significant fit alone; unchanged without such a fit.
 
-        A fit without significance is often close to the neutral value, at which no input separates the rival.
+    A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
     if r.name not in candidates or r.name in content.hidden:  # not fitted, or not significant
         return r

@@ -168,12 +168,10 @@ class Derivations:
         self._notes: dict[Signal, list[str]] = {}
 
     def define(self, name: str, definition: Definition) -> list[dict[str, Any]]:
-        """Define or replace a derived signal of the run of its first signal. Return it and all signals that depend on
-        it.
+        """Define or replace a derived signal in the run of its first signal; return all signals with new values.
 
-            Raises:
-                InputError: The name is that of a signal of the run, the signal depends on itself, or the formula is
-                    wrong.
+        Raises:
+            InputError: The name is that of a signal of the run, the signal depends on itself, or the formula is wrong.
         """
         made = next(iter(definition.of.values()))[0], name
         rows = self._runs[made[0]].rows

@@ -124,10 +124,9 @@ class Viewer:
         return Json({"runs": runs, "sets": sets, "layouts": layouts, "notes": self._notes})
 
     def _points(self, request: Request, content: Any) -> Response:
-        """Return for each curve: number of points, 1 if these are rows, 1 if times follow; then time, smallest and
-        largest values.
+        """Return for each curve: number of points, 1 for rows, 1 if times follow; then time, smallest, largest values.
 
-            Curves of the same run share the times of the first one.
+        Curves of the same run share the times of the first one.
         """
         wanted = _read(Wanted, content)
         if not wanted.begin < wanted.end:

@@ -190,10 +190,9 @@ class Responses:
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 
     def _response(self, name: str, share: float, parts: int) -> tuple[Array, float]:
-        """Return the differences of all outputs from the row of an input step on, and the step size times the row's
-        length.
+        """Return the output differences from the row of an input step on, and the step size times the row's length.
 
-            The two communication steps after it are divided into parts.
+        The two communication steps after it are divided into parts.
         """
         row = int(share * (self._course.time.size - 3))
         course = self._course.parted(row, parts)

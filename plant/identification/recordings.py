@@ -33,14 +33,13 @@ COLUMNS = (*Bench.inputs[:3], *Bench.outputs[:3])  # of a recording, beside the 
 
 @dataclass(frozen=True)
 class Recording:
-    """A run on the bench: commands, constant between rows, and the voltages of the cells after simulation or
-    measurement.
+    """A run on the bench: commands, constant between rows, and the simulated or measured cell voltages.
 
-        Attributes:
-            volts: Cell → voltage of each row.
-            low_pass, loads, thrust: Of a simulated run: filter time, loads at the hub, factor on the thrust.
-            noise: Of a simulated run: voltage added to each reading, shape (cells, rows).
-            path, lines: Of a measured run: its file, and the line of each row.
+    Attributes:
+        volts: Cell → voltage of each row.
+        low_pass, loads, thrust: Of a simulated run: filter time, loads at the hub, factor on the thrust.
+        noise: Of a simulated run: voltage added to each reading, shape (cells, rows).
+        path, lines: Of a measured run: its file, and the line of each row.
     """
 
     label: str

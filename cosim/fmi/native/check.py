@@ -118,10 +118,9 @@ class Check:
         return None
 
     def compare(self, case: Case, at: EvaluationPoint, code: GeneratedCode) -> Iterator[Difference]:
-        """Yield each compared quantity: derivatives, outputs, shaped commands, and memory of effects, also at the
-        start.
+        """Yield each compared quantity: derivatives, outputs, shaped commands, memory of effects (also initial).
 
-            A delay is skipped because it has hand-written C code.
+        A delay is skipped because it has hand-written C code.
         """
         names = {e.name for e in case[0]}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}

@@ -66,14 +66,14 @@ class SymbolicModel:
         return sympified(function(self.time, self.state, self.command))
 
     def shaping(self, step: Any, *, only_changes: bool = False) -> Iterator[Shaped]:
-        """Yield the shaping of the command by each effect. Later effects use plain symbols, as sympy is slow with
-        nesting.
+        """Yield the shaping of the command by each effect.
 
-            Delays are left out, since a history is no expression.
+        Later effects use plain symbols, as sympy is slow with nesting. Delays are left out, since a history is no
+        expression.
 
-            Args:
-                step: Symbol of the substep's length.
-                only_changes: Keep the symbols of unchanged values, and number the others by the index of the effect.
+        Args:
+            step: Symbol of the substep's length.
+            only_changes: Keep the symbols of unchanged values, and number the others by the index of the effect.
         """
         import sympy
 
