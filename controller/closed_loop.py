@@ -1,8 +1,8 @@
-"""Rig for experiments on the craft under its own controller.
+"""Rig for experiments on the craft in closed loop with its controller.
 
-Without control, a tilt error of 1° spins the hovercraft up within seconds. An addition to the tilts is therefore
-applied to the references, divided by the gain from reference to tilt: the controller commands the addition in the same
-sample. Duties are not controlled and can be played directly.
+Without control, a tilt error of 1° spins the hovercraft up within seconds. A tilt dither is therefore applied to the
+references, divided by the gain from reference to tilt, so that the controller commands the dither in the same sample.
+Duties are not controlled, so their signals are applied directly.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ class ClosedLoop(OpenLoop):
             low, high = ranges.get(name, (-math.inf, math.inf))
             if not low < 0.0 < high:
                 raise InputError.at(
-                    Path("--range"), f"{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"
+                    Path("--range"),
+                    f"{name}={low:g}..{high:g}: the controller tilts in both directions; give a range around 0",
                 )
             tilts.append(min(limits[name], -low, high))
         self.settings = Settings(tilt_max=min(tilts), sample_time=model.rate)
@@ -111,7 +112,7 @@ class ClosedLoop(OpenLoop):
 
     def components(self) -> Iterator[str]:
         """Yield the lines of references and controller."""
-        yield "  references: {block: playback, file: references.csv} # the dither on the tilts is in them"
+        yield "  references: {block: playback, file: references.csv} # including the tilt dither"
         yield f"  controller: {{fmu: controller.fmu, start: {{tilt_max: {self.settings.tilt_max:.9g}}}}}"
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:

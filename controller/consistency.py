@@ -107,8 +107,8 @@ class Consistency(NamedTuple):
         parts = []
         if not low <= self.mean <= high:
             times, relation = (self.factor, "larger") if self.mean > high else (1.0 / self.factor, "smaller")
-            parts.append(f"square errors are {times:.3g} times {relation} than it believes")
-        chance = f"of the times, where {100 * SIDE:.3g} % are chance and {100 * self.most:.2g} % the most"
+            parts.append(f"mean square errors are {times:.3g} times {relation} than the claimed variance")
+        chance = f"of the times ({100 * SIDE:.3g} % expected by chance, at most {100 * self.most:.2g} %)"
         if verdict == BOTH:
             above, below = 100 * self.above, 100 * self.below
             parts.append(f"{OPTIMISTIC} at {above:.3g} % and {PESSIMISTIC} at {below:.3g} % {chance}")
@@ -131,10 +131,10 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
     from scipy.stats import beta, chi2, t
 
     if not np.isfinite(squares).all() or squares.size == 0:
-        raise ValueError("normalised squares are finite, and there is one at least")
+        raise ValueError("normalised squares must be finite, and there must be at least one")
     runs, count = squares.shape
     if runs < 2:
-        raise ValueError("one run tells nothing of the scatter between runs; give two at least")
+        raise ValueError("the scatter between runs needs at least two runs")
 
     def range_of_mean(number: int, tail: float) -> tuple[float, float]:
         low, high = chi2.ppf([tail, 1.0 - tail], number * degrees) / number
@@ -154,7 +154,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
 
 
 def independent_times(squares: Array) -> float:
-    """Return the number K of independent times for which the share of exceeded limits scatters equally.
+    """Return the number K of independent times for which the share of times outside the limits has the same scatter.
 
     p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
     runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
@@ -260,14 +260,14 @@ def consistency(
         InputError: Too few or too many runs or steps, or too little memory.
     """
     bounds = (("runs", runs, MIN_RUNS), ("steps", steps, MIN_STEPS), ("seed", seed, 0))
-    refuse(Fault(Path(name), 0, 0, f"is {v}; give {least} or more") for name, v, least in bounds if v < least)
+    refuse(Fault(Path(name), 0, 0, f"is {v}; use at least {least}") for name, v, least in bounds if v < least)
     check_size(runs, steps)
     rows = []
     for k, case in enumerate(CASES):
         try:
             squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
         except MemoryError:
-            message = f"there is not enough memory for {runs:,} runs of {steps:,} steps; give fewer"
+            message = f"not enough memory for {runs:,} runs of {steps:,} steps; use fewer"
             raise InputError.at(Path("--runs"), message, exit_code=4) from None
         for name, (values, degrees, at) in squares.items():
             result, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
@@ -285,7 +285,7 @@ def check_size(runs: int, steps: int) -> None:
     """
     if runs * steps <= MAX_SAMPLES:
         return
-    option, most = "--runs", f"{MAX_SAMPLES // steps:,} at most with {steps:,} steps"
+    option, most = "--runs", f"at most {MAX_SAMPLES // steps:,} with {steps:,} steps"
     if MIN_RUNS * steps > MAX_SAMPLES:
         option, most = "--steps", f"{MAX_SAMPLES // MIN_RUNS:,} at most"
     message = f"{runs:,} runs of {steps:,} steps are more than the {MAX_SAMPLES:,} samples that fit into memory"

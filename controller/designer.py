@@ -66,7 +66,7 @@ OF_PREDICTION: dict[Place, str] = {
 }
 WEIGHTS = {"Q": [*Q_THESIS], "R": [*R_THESIS], "Q_integral": [*Q_INTEGRAL]}
 POLES_OF = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
-Objections = list[tuple[Place, str]]  # reasons against a design, or warnings of it, at the place of an option
+Objections = list[tuple[Place, str]]  # reasons against a design, or warnings, at the place of an option
 
 
 def _complex(value: Any) -> Any:
@@ -93,9 +93,9 @@ class DesignFile(Part):
     Q_integral: weights of the integrals of x and ψ
     Q_lateral: weights of y and its rate
     R_duty: weight of the duty of each motor [1/%²]
-    duty_limits: least and greatest duty [%]
-    speed_max: greatest speed forward or back [m/s]
-    horizon: how far is predicted [s]
+    duty_limits: smallest and largest duty [%]
+    speed_max: largest speed forward or backward [m/s]
+    horizon: prediction horizon [s]
     estimator: Kalman filter of the controller
     thrust_nominal: thrust per propeller in ground effect T_N [N], in place of the model's
     lag: lag of the design model [s], in place of the model's
@@ -119,7 +119,8 @@ class DesignFile(Part):
 def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Design the controllers of a craft.
 
-    The craft as registered has the numbers of the controllers' own parameters; those of another are computed from it.
+    For the registered craft, the numbers are those of the controllers' default parameters; for another craft they are
+    computed.
 
     Returns:
         Start values by file of an FMU, and warnings.
@@ -174,8 +175,8 @@ def controller_starts(
         poles = [complex(pole) for pole in options["poles"]]
         objections += [(("poles", k), message) for k, message in pole_faults(poles)]
     if predicts and options["R"][0] != options["R"][1]:
-        reason = f"{options['R']} weighs one tilt more; the predictive law takes one weight for both"
-        objections.append((("R",), f"{reason}: write the same number twice"))
+        reason = f"{options['R']} has different weights for the tilts; the predictive law has one weight for both"
+        objections.append((("R",), f"{reason}: give the same number twice"))
     if objections:
         return values, objections, []
     if predicts:
@@ -183,11 +184,11 @@ def controller_starts(
         reasons = conflicts(settings) + (craft_faults(settings) if name == TIME_VARIANT else [])
         for names, reason in reasons:
             place = next((placed[n][0] for n in names if n in placed), ())
-            objections.append((place, f"the settings are not possible together: {reason}"))
+            objections.append((place, f"the settings contradict each other: {reason}"))
         if not objections:
             try:
                 replace(kind(), **values)
-            except ValueError as error:  # a number of the craft out of its bounds
+            except ValueError as error:  # a number of the craft is outside its bounds
                 objections = [((), str(error))]
         return values, objections, []
     try:
@@ -210,7 +211,7 @@ def _judged(
     if large := [p for p in gains if p.fault(values[p.name])]:
         size, limit = max(abs(values[p.name]) for p in large), large[0].bounds[1]
         axis = "turning" if large[0].name[-1] in "347" else "forward"  # columns of K and K_i for ψ
-        reason = f"asks for a gain of {size:.3g}, and the controller takes {limit:g} at most; ask for a slower loop"
+        reason = f"results in a gain of {size:.3g}, above the controller's limit of {limit:g}; design a slower loop"
         return [(_place_of(axis, options, name), reason)], []
     names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
     p = FullSettings(**{n: v for n, v in values.items() if n in names})
@@ -219,8 +220,8 @@ def _judged(
     except np.linalg.LinAlgError:  # The estimator has no steady gain.
         return [], []
     objections, warnings = Objections(), Objections()
-    nearer = f"take poles nearer to {', '.join(f'{pole:g}' for pole in POLES)}"
-    cure = nearer if name == PLACED else "weigh the tilts more, or the states less"
+    nearer = f"use poles closer to {', '.join(f'{pole:g}' for pole in POLES)}"
+    cure = nearer if name == PLACED else "increase the weights of the tilts, or reduce those of the states"
     for mode in worst_modes(modes):
         place, pole = _place_of(mode.axis, options, name), mode.pole
         shown = f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
@@ -229,16 +230,19 @@ def _judged(
             f"{mode.axis} axis has a pole at {shown} rad/s"
         )
         if mode.grows:
-            objections.append((place, f"is not stable as it flies, {loop}; {cure}"))
+            objections.append((place, f"is unstable in the sampled loop, {loop}; {cure}"))
         else:
             kept = 100 * math.exp(-2 * math.pi * mode.damping / math.sqrt(1 - mode.damping**2))
-            damped = f"hardly damped by {mode.damping:.2g}: a swing keeps {kept:.0f} % of its size"
+            damped = (
+                f"with the small damping ratio {mode.damping:.2g}: {kept:.0f} % of an oscillation remain "
+                "after one period"
+            )
             warnings.append((place, f"{loop}, {damped}; {cure}"))
     return objections, warnings
 
 
 def _place_of(axis: str, options: Mapping[str, Any], name: str) -> Place:
-    """Return the option that determines an axis' speed: its fastest pole, or changed weights."""
+    """Return the option that determines the speed of an axis: its fastest pole, or changed weights."""
     if name == PLACED:
         return "poles", max(POLES_OF[axis], key=lambda k: abs(complex(options["poles"][k])))
     return (next((key for key, ours in WEIGHTS.items() if options.get(key) not in (None, ours)), "Q"),)

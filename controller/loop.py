@@ -1,4 +1,4 @@
-"""Controller at run time: an estimator with a control law, from estimate and references to commands, each sample."""
+"""Controller at run time: an estimator with a control law, from estimate and references to commands at each sample."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from controller.settings import Floats, IntegralSettings, Numbers, Settings
 
 
 class LawInput(NamedTuple):
-    """Input of a law at a sample besides the estimate (x, vx, ψ, ψ̇, a).
+    """Input of a control law at a sample, besides the estimate (x, vx, ψ, ψ̇, a).
 
     Attributes:
         started: False at the start, before the first measurement.
@@ -51,7 +51,7 @@ class Law(Stateful):
         return []
 
     def words(self, start: float) -> str:
-        """Return remarks on a run from `start` [s], "" for none."""
+        """Return remarks on a run that began at `start` [s]; "" if there are none."""
         return ""
 
 
@@ -62,7 +62,7 @@ def feedback(gain: Sequence[Numbers], error: Numbers, limit: float) -> Floats:
 
 
 def control_error(x_hat: Numbers, seen: LawInput) -> list[float]:
-    """Return x̂ less the reference of the five states, at rest."""
+    """Return the deviation of x̂ from the reference of the five states at rest."""
     return [a - b for a, b in zip(x_hat, (seen.x_ref, 0.0, seen.psi_ref, 0.0, 0.0), strict=True)]
 
 

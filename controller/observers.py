@@ -1,4 +1,4 @@
-"""Estimators of a controller or beside one, on filterpy: Kalman filters of the thesis and the extended one (§5.6)."""
+"""State estimators of the controllers, based on filterpy: Kalman filters of the thesis, and an extended one (§5.6)."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ OBSERVED = [k for k in range(len(NAMES)) if k not in FILTERED]
 
 
 class Stateful:
-    """An object whose complete state is in attributes, also of its parts: numbers, lists and arrays.
+    """An object whose complete state is in named attributes, including those of its parts: numbers, lists and arrays.
 
     Attributes:
-        memory: Their names, such as `filter.x`.
+        memory: Names of these attributes, such as `filter.x`.
     """
 
     memory: tuple[str, ...] = ()
@@ -107,14 +107,14 @@ class Estimator(Stateful):
         return tuple(math.sqrt(max(0.0, v)) for v in self.variances)
 
     def update(self, readings: Numbers, *model: Any) -> float:
-        """Update the filter, and return the normalised squared innovation; `model` as filterpy takes it."""
+        """Update the filter, and return the normalised squared innovation; `model` has filterpy's further arguments."""
         kf = self.filter
         kf.update(np.array(readings), *model)
         return float(kf.y @ kf.SI @ kf.y)
 
 
 def kalman_filter(p: FilterSettings, x_hat: Matrix) -> KalmanFilter:
-    """Return a filter with known start: P = 0, V and W of eqs 5.46 and 5.47."""
+    """Return a filter with a known initial state: P = 0, V and W of eqs 5.46 and 5.47."""
     kf = KalmanFilter(dim_x=5, dim_z=3, dim_u=2)
     kf.x = np.array(x_hat, dtype=float)
     kf.P = np.zeros((5, 5))

@@ -26,7 +26,7 @@ POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
 SOLVED, AT_LIMIT = (1, 2), -4  # flags of DAQP: optimal, also with an exceeded soft limit; too many iterations
 HARD, SOFT = 0, 8  # kinds of limits in DAQP
 ZERO_MULTIPLIER = 1e-9  # multipliers below are zero
-SERIES_LIMIT = 0.25  # |λ|·h up to which the series of φ₁ is used, with error (|λ|·h)⁵/120
+SERIES_LIMIT = 0.25  # multipliers below this value are zero
 
 
 class Condensed(NamedTuple):
@@ -148,7 +148,7 @@ class PredictiveLaw(Law):
         found, last = both[1:], both[-1]
         counts = np.flatnonzero(np.diag(self.Q))
         weighed = np.sqrt(np.diag(self.Q)[counts])[:, None] * found[:-1, counts]
-        # One small product per step: threads would make the last digits of a large product random, and slower.
+        # One small product per step: with threads, the last digits of a large product vary, and it is slower.
         costs = (weighed[..., k:].transpose(0, 2, 1) @ weighed).sum(axis=0) + last[:, k:].T @ self.P @ last
         H = costs[:, k:] + np.kron(np.diag(np.bincount(of_step)), self.scale[:, None] * self.R * self.scale)
         return Condensed(H, costs[:, :k], found[:, :, :k], found[:, :, k:])
@@ -178,13 +178,13 @@ class PredictiveLaw(Law):
         count, first, flag = self.given_up
         if not count:
             return ""
-        why = f"its limit of {self.most_iterations} iterations (iterations_max) came first"
+        why = f"the limit of {self.most_iterations} iterations (iterations_max) was reached"
         if flag != AT_LIMIT:
-            why = f"there it found no solution (flag {flag} of daqp)"
+            why = f"no solution was found (flag {flag} of daqp)"
         at = f"{start + first * self.sample:.6g} s"
         return (
-            f"the solver gave up in {count} of {self.samples} samples, first at t = {at}: {why}; the command is then "
-            "the one without limits, cut off at them"
+            f"the solver failed in {count} of {self.samples} samples, first at t = {at}: {why}; the command is then "
+            "computed without limits and clipped"
         )
 
     def estimator(self, p: Any, x_hat: Numbers, fix: float) -> Estimator:

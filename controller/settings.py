@@ -36,7 +36,7 @@ def gain(default: float, tilt: str, state: str, source: str = ", eq 6.5") -> Any
 
 
 def of_craft(name: str, about: str = "") -> Any:
-    """Declare a parameter of the craft again, with words before its meaning."""
+    """Declare a parameter of the craft for a controller; `about` precedes its meaning."""
     p = CRAFT[name]
     return bounded(p.default, p.unit, p.bounds, about + p.doc)
 
@@ -92,7 +92,7 @@ class FilterSettings(Noise):
     estimator: str = "appendix_f"
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each impossible value."""
+        """Return a sentence on each invalid value."""
         faults = super().invalid_values()
         if self.estimator not in self.estimators:
             allowed = f"it is {'one of ' * (len(self.estimators) > 1)}{', '.join(self.estimators)}"
@@ -180,20 +180,22 @@ def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
     if not p.duty_min < p.duty_nominal < p.duty_max:
         low = not p.duty_min < p.duty_nominal
         said = (
-            f"no duty of {p.duty_min:g} to {p.duty_max:g} % holds the craft, which hovers at {p.duty_nominal:.6g} %:"
-            " the predictive law has no solution; widen the limits about it"
+            f"the duty limits {p.duty_min:g} to {p.duty_max:g} % exclude hovering at {p.duty_nominal:.6g} %:"
+            " the predictive law has no solution; widen the limits"
         )
         found.append((("duty_min" if low else "duty_max", "duty_nominal"), said))
     for names, why in (
-        (("weight_tilt", "weight_duty"), "so that there is one best command"),
-        (("weight_x", "weight_y", "weight_psi"), "so that no position is left to itself"),
+        (("weight_tilt", "weight_duty"), "so that the optimal command is unique"),
+        (("weight_x", "weight_y", "weight_psi"), "so that every position is controlled"),
     ):
-        found += [((n,), f"{n} is {getattr(p, n):g}; it is above 0, {why}") for n in names if not getattr(p, n) > 0]
+        found += [
+            ((n,), f"{n} is {getattr(p, n):g}; it must be above 0, {why}") for n in names if not getattr(p, n) > 0
+        ]
     if not p.prediction_step <= p.horizon <= 1000 * p.prediction_step:
-        said = f"the horizon of {p.horizon:g} s has 1 to 1000 steps of prediction_step, {p.prediction_step:g} s"
+        said = f"the horizon of {p.horizon:g} s must have 1 to 1000 steps of prediction_step = {p.prediction_step:g} s"
         found.append((("horizon", "prediction_step"), said))
     if not p.tilt_max > 0:
-        found.append((("tilt_max",), "tilt_max is above 0; with 0 nothing can be commanded"))
+        found.append((("tilt_max",), "tilt_max must be above 0"))
     return found
 
 
@@ -234,7 +236,7 @@ class PredictionSettings(Settings):
     )
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each impossible value."""
+        """Return a sentence on each invalid value."""
         return [*super().invalid_values(), *(said for _, said in conflicts(self))]
 
 
@@ -270,8 +272,8 @@ class ExtendedSettings(Noise):
     axes: str = "own"
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each impossible value."""
-        stranger = [] if self.axes in AXES else [f"axes is {self.axes!r}; it is one of {', '.join(AXES)}"]
+        """Return a sentence on each invalid value."""
+        stranger = [] if self.axes in AXES else [f"axes is {self.axes!r}; allowed: {', '.join(AXES)}"]
         return [*super().invalid_values(), *stranger]
 
 
@@ -314,7 +316,7 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     estimator: str = "extended"
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each impossible value."""
+        """Return a sentence on each invalid value."""
         return super().invalid_values() or [said for _, said in craft_faults(self)]
 
 
@@ -339,6 +341,6 @@ def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
         craft_of(p)
     except ValueError as error:
         names = "thrust_nominal", "thrust_slope", "duty_nominal", "yaw_damping"
-        said = f"thrust_nominal {p.thrust_nominal:g} N at {p.duty_nominal:g} % and {p.thrust_slope:g} gf/% give a craft"
-        return [(names, f"{said} that cannot be: {error}")]
+        said = f"thrust_nominal {p.thrust_nominal:g} N at {p.duty_nominal:g} % and {p.thrust_slope:g} gf/%"
+        return [(names, f"{said} are not possible for the craft: {error}")]
     return []

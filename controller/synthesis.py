@@ -1,4 +1,4 @@
-"""Offline design: numbers of a craft, LQR gains from weights with `control`, pole placement, stability as it flies."""
+"""Offline design: parameters of a craft, LQR gains from weights, pole placement, stability of the sampled loop."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from plant.hovercraft import Hovercraft
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
 Q_INTEGRAL = (0.3, 0.05)  # diagonal for the integrals of x and ψ, chosen here
-STABLE_DECAY = 1e-6  # [rad/s] least distance of a pole of an LQR from the imaginary axis
+STABLE_DECAY = 1e-6  # [rad/s] smallest distance of a pole of an LQR from the imaginary axis
 SIDES = ("right", "left")
 # Operating point of the viscous friction: about the mean of the manoeuvre. At rest, the slope of dry friction is no
 # damping.
@@ -101,7 +101,7 @@ def lqr_gain(
         ValueError: No stabilising gain exists, or the weights are invalid.
     """
     if len(Q) != 5 or len(R) != 2 or len(Q_integral) not in (0, 2) or min(Q) < 0 or min(*R, *Q_integral) <= 0:
-        raise ValueError("Q has five diagonal entries ≥ 0, R two > 0 and Q_integral none or two > 0; correct them")
+        raise ValueError("Q needs five diagonal entries ≥ 0, R two > 0, and Q_integral none or two > 0")
     import control  # 1 s to import: only where a gain is designed
 
     integrated = np.eye(5)[[0, 2]] if len(Q_integral) else None
@@ -109,11 +109,13 @@ def lqr_gain(
         K, _, poles = control.lqr(*design_model(p), np.diag([*Q, *Q_integral]), np.diag(R), integral_action=integrated)
         # An integrator without weight remains uncontrolled, and the solver does not report it.
         slowest = max(np.real(poles))
-        reason = f"a pole stays at {slowest:.2g} rad/s" if slowest > -STABLE_DECAY else ""
+        reason = f"a pole is at {slowest:.2g} rad/s" if slowest > -STABLE_DECAY else ""
     except np.linalg.LinAlgError as error:
         reason = str(error)
     if reason:
-        raise ValueError(f"no stabilising gain for these weights: {reason}; weigh every position above 0")
+        raise ValueError(
+            f"no stabilising gain exists for these weights: {reason}; give every position a weight above 0"
+        )
     return np.asarray(K, dtype=float)
 
 
@@ -146,12 +148,12 @@ def pole_faults(poles: Sequence[complex]) -> Iterator[tuple[int, str]]:
         for k, a in enumerate(of):
             pole = format_pole(a)
             if a.real >= 0.0:
-                yield first + k, f"{pole} rad/s is not stable; the real part of a pole is below 0"
+                yield first + k, f"{pole} rad/s is not stable; the real part of a pole must be below 0"
             elif a.real > -MIN_DECAY:
-                text = f"{pole} rad/s is too slow: nearer to 0 it cannot be distinguished from one that grows"
-                yield first + k, f"{text}; take -{MIN_DECAY:g} rad/s or further left"
+                text = f"{pole} rad/s is too slow: so close to 0 it cannot be distinguished from an unstable pole"
+                yield first + k, f"{text}; use at most -{MIN_DECAY:g} rad/s"
             if any(abs(a - b) <= SAME_POLE * abs(a) for b in of[:k]):
-                yield first + k, f"{pole} stands twice in the {axis} axis; one input places a pole once"
+                yield first + k, f"{pole} occurs twice in the {axis} axis; with one input, poles must be distinct"
             if a.imag and not any(abs(a.conjugate() - b) <= SAME_POLE * abs(a) for b in of):
                 yield first + k, f"{pole} needs {format_pole(a.conjugate())} in the same axis"
 

@@ -49,15 +49,21 @@ ESTIMATES = tuple(
 FIXES = (
     Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
     Port("y_meas", "input", 0.0, "m", "fix of y, the drift to the right", optional=True),
-    Port("fix", "input", 0.0, "1", "number of the latest fix, 0 before the first; a new one is used", optional=True),
+    Port(
+        "fix",
+        "input",
+        0.0,
+        "1",
+        "number of the latest fix, 0 before the first; a change triggers an update",
+        optional=True,
+    ),
 )
 SIGMA = tuple(
-    Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat the estimator believes in")
+    Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat according to the estimator")
     for name, unit in (("x", "m"), ("psi", "rad"))
 )
 STARTS = tuple(
-    Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}; the estimator knows where it starts")
-    for p in ESTIMATES
+    Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}, assumed exact") for p in ESTIMATES
 )
 INTEGRALS = (
     Port("x_integral", "output", 0.0, "m.s", "integral of the error of the measured position"),
@@ -66,10 +72,10 @@ INTEGRALS = (
 LATERAL = (
     Port("y_ref", "input", 0.0, "m", "reference of the drift to the right", optional=True),
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right"),
-    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the filter believes in"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat according to the filter"),
     Port("iterations", "output", 0.0, "1", "iterations of the solver at this sample"),
-    Port("solved", "output", 1.0, "1", "1 where the solver ended in a solution, 0 by its limit of iterations"),
-    Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat; the filter knows where it starts"),
+    Port("solved", "output", 1.0, "1", "1 if the solver found a solution, 0 at its limit of iterations"),
+    Port("y_hat_start", "parameter", 0.0, "m", "start value of y_hat, assumed exact"),
 )
 
 
@@ -123,13 +129,13 @@ INITIAL_DEPENDENCIES: Dependencies = {
 
 
 class SampledSlave(Slave):
-    """Sampled slave: a communication step is one sample; a step other than `sample_time` is refused.
+    """Sampled slave: a communication step is one sample; other steps than `sample_time` are rejected.
 
     Attributes:
         who: Noun for messages.
         settings: Default values.
         depends: Dependencies of outputs at a sample, and in initialization mode.
-        running: What runs, with the complete state.
+        running: The running loop or filter, with its complete state.
     """
 
     who: ClassVar[str]
@@ -138,7 +144,7 @@ class SampledSlave(Slave):
     running: Any
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
-        """Return what runs, started at x̂ with P = 0, without an update."""
+        """Return the running object (loop or filter), started at x̂ with P = 0, without an update."""
         raise NotImplementedError
 
     def process(self) -> None:
@@ -160,7 +166,7 @@ class SampledSlave(Slave):
         self.set_outputs(self.published())
 
     def advance(self, t: float, h: float) -> None:
-        """Process one sample; raise ValueError for a step that is no sample."""
+        """Process one sample; raise ValueError if the step is not one sample."""
         if abs(h - self.sample) > 1e-6 * self.sample:
             raise ValueError(f"step of {h} s; the {self.who} is sampled at {self.sample} s (parameter sample_time)")
         self.process()
@@ -179,7 +185,7 @@ class SampledSlave(Slave):
 
 
 class HovercraftController(SampledSlave):
-    """Sampled controller: a communication step is one sample; a step other than `sample_time` is refused.
+    """Sampled controller: a communication step is one sample; other steps than `sample_time` are rejected.
 
     The hosting Python needs numpy, scipy and filterpy. The filter starts at `*_hat_start`.
 
@@ -244,7 +250,10 @@ class HovercraftIntegralController(HovercraftController):
 
 
 def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:
-    """Return output dependencies; commands depend on all inputs and parameters, with an own filter all estimates."""
+    """Return dependencies of the outputs. Commands depend on all inputs and parameters.
+
+    With `own_filter`, estimates do too.
+    """
     inputs = tuple(p.name for p in ports if p.causality == "input")
     parameters = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real"]
     known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
@@ -307,11 +316,11 @@ SIGNALS = (
     *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
     *SIGMA,
-    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat the estimator believes in"),
+    Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat according to the estimator"),
     Port("nis", "output", 0.0, "1", NIS),
 )
 OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
-# A command acts until the sample, so no output depends on the command of the same time.
+# Inputs are constant until the next sample, so no output depends on the command of the same time.
 ESTIMATED_FROM: Dependencies = dict.fromkeys(OUTPUTS, ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix"))
 ESTIMATED_AT_START: Dependencies = dict.fromkeys(OUTPUTS, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
 NUMBERS = [p for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)]
@@ -319,7 +328,7 @@ FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
 
 
 class Estimator(SampledSlave):
-    """Sampled estimator: a communication step is one sample; a step other than `sample_time` is refused."""
+    """Sampled estimator: a communication step is one sample; other steps than `sample_time` are rejected."""
 
     who = "estimator"
     depends = ESTIMATED_FROM, ESTIMATED_AT_START

@@ -69,7 +69,7 @@ def _design(place: dict[str, int]) -> str:
         branch += _assigned(places, [("d->H", measurement_matrix(own, estimator))])
         lines += [f"    {line}" for line in branch]
     names = ", ".join(ESTIMATORS)
-    lines.append(f'}} else return refuse(m, "estimator is %s; it is one of {names}", estimator);')
+    lines.append(f'}} else return refuse(m, "estimator is %s; allowed: {names}", estimator);')
     common = {
         "d->L": settings.gain_matrix,
         "d->V": settings.process_variances,
@@ -83,7 +83,7 @@ def _design(place: dict[str, int]) -> str:
 
 
 def _assigned(places: dict[Any, str], arrays: Iterable[tuple[str, Any]]) -> Iterator[str]:
-    """Yield the assignments in C of the entries of vectors and matrices by name."""
+    """Yield C assignments for the entries of vectors and matrices by name."""
     import sympy
 
     printer = LANGUAGE.printer(places)

@@ -58,7 +58,7 @@ def _sampled(slave: str, about: str, *documented: str, printed: bool = False) ->
     """Return the recipe of a controller or estimator with the docstrings of its parts.
 
     Args:
-        printed: True to include the printed Jacobians, which spare the FMU sympy.
+        printed: True to include generated Jacobians, so that the FMU does not need sympy.
     """
     kind = resolve(f"fmus.{slave}")
     step, (at_sample, at_start) = Settings().sample_time, kind.depends

@@ -48,14 +48,14 @@ CONSISTENCY = Verb(
 )
 ARTEFACTS = (
     Artefact(
-        "an answer of `cosim consistency`",
-        "scripts read it; `cosim consistency` makes one",
+        "a result of `cosim consistency`",
+        "read it with a script; `cosim consistency` writes one",
         keys=(frozenset({"runs", "steps", "seed", "rows"}),),
         verb="cosim consistency",
         marks=("consistency.json",),
         files=("consistency.json", "report.html"),
         folder="the folder of a consistency test",
-        folder_step="its report.html opens in a browser, scripts read consistency.json",
+        folder_step="open its report.html in a browser; consistency.json is for scripts",
     ),
     Artefact(
         "a design of controllers",

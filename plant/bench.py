@@ -33,7 +33,7 @@ from plant.powertrain import (
 )
 
 REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT = 5.0, 7.5, 10.0  # [%, %, m], App. D.2: motor off, upright, no ground below
-FASTEST_FILTER = 0.005  # [s] fastest low pass that the integration can follow
+FASTEST_FILTER = 0.005  # [s] smallest time constant of the low pass that the integration can follow
 CHANNELS = ("z", "x", "m")
 
 STATES = (
@@ -169,5 +169,5 @@ class Bench(Model):
         return Equations(derivative, output)
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Return settled low passes of the unloaded cells."""
+        """Return start values: the low passes have settled on the voltages of the unloaded cells."""
         return {f"filtered_{c}": getattr(self, f"{c}_zero") for c in CHANNELS}

@@ -25,7 +25,7 @@ def frozen(kind: type[Any]) -> type[Any]:
 
 
 def bounded(default: float, unit: str, bounds: tuple[float, float], doc: str) -> Any:
-    """Return a parameter by its default, unit, bounds and meaning."""
+    """Return a parameter from its default, unit, bounds and meaning."""
     return parameter(default, unit=unit, bounds=bounds, doc=doc)
 
 
@@ -51,14 +51,14 @@ class HovercraftEffect(Effect):
         return 1.0, 1.0
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        """Return the contact force of the effect, forward and rightward [N], and its yaw and roll moment [N m].
+        """Return the contact force of the effect (forward, rightward [N]) and its yaw and roll moments [N m].
 
-        The accelerometer senses these forces.
+        The accelerometer measures these forces.
         """
         return 0.0, 0.0, 0.0, 0.0
 
     def acceleration(self, m: Namespace, gravity: Number, psi: Number, vx: Number, vy: Number, psi_dot: Number) -> Pair:
-        """Return unsensed forward and rightward acceleration [m/s²]."""
+        """Return forward and rightward acceleration [m/s²] that the accelerometer does not measure."""
         return 0.0, 0.0
 
 

@@ -213,7 +213,7 @@ class Hovercraft(Model):
                 d_ax, d_ay = term.acceleration(m, g, psi, vx, vy, psi_dot)
                 ax, ay = ax + d_ax, ay + d_ay
             rate, extra, own = (lag(tilt_right, right, tau), lag(tilt_left, left, tau)), (), state[OWN:]
-            for term in tilt_terms:  # only these have states of their own
+            for term in tilt_terms:  # only these effects have states of their own
                 rate, more = term.tilt_rate(m, rate, (tilt_right, tilt_left), (right, left), own[: len(term.states)])
                 extra, own = (*extra, *more), own[len(more) :]
             return (

@@ -1,4 +1,4 @@
-"""Inputs held or interpolated between rows: what the logs say of the way that the study took them."""
+"""Inputs held constant or interpolated between rows: evidence from the logs for the other choice."""
 
 from __future__ import annotations
 

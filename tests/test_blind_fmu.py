@@ -1,4 +1,4 @@
-"""The FMUs of the blind suite: sound in FMPy, and what their truths say."""
+"""FMUs of the blind suite: valid in FMPy, and consistent with their recorded true effects."""
 
 from __future__ import annotations
 

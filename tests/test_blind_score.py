@@ -1,4 +1,4 @@
-"""How the blind suite counts, that its seeds stay what they are, and the harness with a refiner that knows."""
+"""Scoring of the blind suite, stability of its seeds, and the harness with a refiner that knows the true effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes made while a run goes on act at a communication point, and the manifest repeats them to the byte."""
+"""Changes during a run take effect at a communication point, and the manifest repeats them byte for byte."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop closed as plain functions: Fig 6.2, the roll it does not show, and gains judged on the craft that flies."""
+"""The closed loop as plain functions: Fig 6.2, the roll motion, and gains tested on the nonlinear craft."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two runs held against each other: tolerances, units, times, texts; any number of runs against a baseline."""
+"""Comparison of runs with a baseline: tolerances, units, times, texts; two or more runs."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def test_a_tolerance_is_a_share_of_the_range_or_absolute_and_a_difference_of_its
 
 def test_runs_that_share_not_all_signals_or_times_are_told_so() -> None:
     one = ran(x=TIME)
-    with pytest.raises(InputError, match="b: shares no signal with a: it has y; that has x"):
+    with pytest.raises(InputError, match=r"^b: .* a: y .* x"):
         compare_runs(one, ran("b", y=TIME))
-    with pytest.raises(InputError, match=r"b: shares no time with a: it has 5 … 6 s, that 0 … 1 s"):
+    with pytest.raises(InputError, match=r"^b: .* 5 … 6 s .* 0 … 1 s"):
         compare_runs(one, ran("b", TIME + 5, x=TIME))
     lost = compare_runs(ran(x=TIME, y=TIME), ran("b", x=TIME), 1.0)
     assert lost.reasons == ["1 signal of a is missing in b: y"]
@@ -208,8 +208,8 @@ def test_the_command_compares_runs_of_a_pattern(runs: Path, monkeypatch: pytest.
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["1"], "is one run; name at least two"),
-        (["1", "2", "--baseline", "s/*"], "3 runs match; name one as the baseline"),
+        (["1"], "at least two"),
+        (["1", "2", "--baseline", "s/*"], "3 runs match"),
         (["1", "9"], "no results with the number 9"),
         (["1", "x*"], "no results match"),
         (["1", "3", "--out", "results/s/0002"], "results/s/0002"),  # what is there is of others

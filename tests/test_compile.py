@@ -1,4 +1,4 @@
-"""Sources of an FMU without a library for this platform: compiled and run where the user asks, and only there."""
+"""FMUs without a library for this platform: their sources are compiled and executed only on request."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_sources_are_compiled_where_it_is_asked_for_alone(tmp_path: Path, compil
     fmu = bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True)
     assert "--compile" in refusal(fmu)
     cosim.check(fmu, load=False)
-    with pytest.raises(InputError, match="--compile: is to load FMUs, which --no-load"):
+    with pytest.raises(InputError, match=r"--compile: .* --no-load"):
         cosim.check(fmu, load=False, compile=True)
     with pytest.raises(FmuError, match="--compile"):
         cosim.simulate(fmu)

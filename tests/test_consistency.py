@@ -1,4 +1,4 @@
-"""Estimators held against what they believe: NEES and NIS over Monte Carlo runs."""
+"""Consistency of estimators: NEES and NIS over Monte Carlo runs."""
 
 from __future__ import annotations
 

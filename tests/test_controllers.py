@@ -1,4 +1,4 @@
-"""The laws of control: what each does, by itself and in its FMU."""
+"""Control laws: their behaviour as functions and in their FMUs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model of one's own: the drive of examples/drive, on simulated logs and, where they are, on the EMPS recordings."""
+"""A user's model: the drive of examples/drive, on simulated logs and, if present, on the EMPS recordings."""
 
 from __future__ import annotations
 

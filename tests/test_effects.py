@@ -1,4 +1,4 @@
-"""The craft, and the catalogue of effects: each against the model written a second time; what both refuse."""
+"""The craft and its catalogue of effects, compared with an independent implementation; rejected inputs of both."""
 
 from __future__ import annotations
 

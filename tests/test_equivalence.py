@@ -1,4 +1,4 @@
-"""Hypotheses that act alike for every input: one claim under both names, and no experiment that cannot exist."""
+"""Hypotheses with equal effects for every input: one claim with both names, and no experiment to separate them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Model exchange where calls fail, events crowd and solvers give up: told in a line, the rows before kept."""
+"""Model exchange with failing calls, dense events and solver failures: a one-line message, earlier rows kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A planned input keeps its limits whichever rival is true, or is no success."""
+"""A planned input keeps its limits for every rival, otherwise it is not a success."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What both FMUs say of themselves: valid, complete, and true."""
+"""Model descriptions of plant and controller FMU: valid, complete and correct."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The FMU state holds everything that decides the future, bit for bit."""
+"""The FMU state contains everything that determines the future, bit for bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables as people have them, in every command that reads one."""
+"""Tables in common foreign layouts, with every command that reads tables."""
 
 from __future__ import annotations
 

@@ -128,12 +128,12 @@ def test_csv_has_the_shortest_digits_that_read_back_as_the_same_number(tmp_path:
     ("columns", "told"),
     [
         ({"x": [1.0, 0.0, 2.0, 3.0, 4.0]}, 'the first column is "x"; it must be "time"'),
-        ({"time": TIME, "x": [[1.0], [2.0], [], [3.0], [4.0]]}, "column x has list"),
+        ({"time": TIME, "x": [[1.0], [2.0], [], [3.0], [4.0]]}, "column x has the type list"),
         ({"time": TIME, "x": list("abcde")}, "column x has text"),
         ({"time": [0.0, None, 1.0, 1.5, 2.0], "x": TIME}, ":2:1: "),
         ({"time": [0.0, 1.0, 0.9, 1.5, 2.0], "x": TIME}, ":3:1: "),
         ({"time": TIME, "x": [1.0, math.inf, 2.0, 3.0, 4.0]}, ":2:2: "),
-        ({"time": [], "x": []}, "has no row"),
+        ({"time": [], "x": []}, "has no rows"),
         ({}, "has no columns"),
     ],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The gate: a sound log passes, and each thing that is wrong with a log is found, once, where it is."""
+"""Checks of logs: a correct log passes, and each fault is found once, at its place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replay of FMUs that keep something no output shows: a rate of the tilt, a play, a delay's commands."""
+"""Replay of FMUs with states that no output measures: tilt rate, backlash, delayed commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that mean harm, or are merely enormous: refused at once, with a reason, and nothing written."""
+"""Malicious or very large files: rejected at once, with a reason, and nothing is written."""
 
 from __future__ import annotations
 
@@ -100,10 +100,10 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "parent": (lambda p: archive(p, **{"resources/../../../evil": b""}), "outside its folder"),
     "drive": (lambda p: archive(p, **{"C:/evil": b""}), "outside its folder"),
     "entities": (described(ENTITIES), "DOCTYPE"),
-    "deep": (described(5000 * "<a>" + 5000 * "</a>"), "nested too deep"),
+    "deep": (described(5000 * "<a>" + 5000 * "</a>"), "nested more than"),
     "elements": (described(f"<a>{600_000 * '<b/>'}</a>"), "more than the 500000 elements"),
-    "large": (described(DESCRIPTION + 21_000_000 * " "), "21 MB, more than the 20 MB"),
-    "identifier": (described(DESCRIPTION.replace('Identifier="m"', 'Identifier="../../m"')), "is no name of a file"),
+    "large": (described(DESCRIPTION + 21_000_000 * " "), "21 MB; the limit is 20 MB"),
+    "identifier": (described(DESCRIPTION.replace('Identifier="m"', 'Identifier="../../m"')), "../../m"),
     "empty": (lambda p: archive(p, None), "has no modelDescription.xml"),
     "nothing": (lambda p: p.write_bytes(b""), "is empty; give"),
 }
@@ -167,8 +167,8 @@ ENORMOUS = {
     "lengths": ("a.csv", "time,a,b,c\n" + 100_100 * "1,2\n", "100099 further rows"),
     "yaml": ("a.yaml", "name: " + 900_000 * "x", "write it as JSON"),
     "marks": ("a.yaml", "name: [" + 101_000 * "," + "]", "write it as JSON"),
-    "json": ("a.json", '{"a":' * 5000, "nested too deep"),
-    "bytes": ("a.yaml", 8_100_000 * "x", "8 MB, more than the 8 MB that are read"),
+    "json": ("a.json", '{"a":' * 5000, "nested more than"),
+    "bytes": ("a.yaml", 8_100_000 * "x", "8 MB, more than the limit of 8 MB"),
     "results": (
         "a.yaml",
         "name: x\nduration: 1e6\nstep: 1\ncomponents:\n  a:\n    block: reference\n    signals: {"

@@ -1,4 +1,4 @@
-"""The estimator of ch. 5 and Appendix F, its two variants, and what none of them can see."""
+"""The estimator of ch. 5 and Appendix F, its two variants, and their unobservable states."""
 
 from __future__ import annotations
 

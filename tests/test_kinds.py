@@ -1,4 +1,5 @@
-"""Every command, given every kind of file that it does not read: what it is, who reads it, exit 2, nothing written."""
+"""Every command with every kind of file that it does not read: the message names kind and reading command, exit code
+2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs: what is read is what was measured, and every fault has its place and its cure."""
+"""Reading of logs: values as measured, and faults with place and cure."""
 
 from __future__ import annotations
 

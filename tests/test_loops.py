@@ -164,7 +164,7 @@ def test_feedthrough_stated_in_the_scenario_is_not_measured(tmp_path: Path) -> N
     assert [loop.members for loop in build_system(written(direct, direct)).loops] == [("a", "b")]
     for wrong, words in (
         ("feedthrough: [y0]", r'stated\.yaml:4:.*b has no input "y0"'),
-        (f"{direct}, step: 0.2", r"stated\.yaml:4:.*b has a step of its own"),
+        (f"{direct}, step: 0.2", r"stated\.yaml:4:.*b has its own step"),
     ):
         with pytest.raises(InputError, match=words):
             build_system(written(direct, wrong))
@@ -223,8 +223,8 @@ def test_a_delayed_loop_that_grows_without_bound_ends_with_loop_residual_and_tim
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ("loops: {}\norder: [a, b]\n", "leave one out"),
-        ("loops: {}\nalgorithm: jacobi\n", "jacobi solves no algebraic loops"),
+        ("loops: {}\norder: [a, b]\n", "order"),
+        ("loops: {}\nalgorithm: jacobi\n", "jacobi"),
         ("loops: {tolerance: 0}\n", "loops.tolerance"),
         ("loops: {iterations: 0}\n", "loops.iterations"),
         ("loops: {method: guess}\n", "loops.method"),

@@ -1,4 +1,4 @@
-"""The regulator of ch. 6: gain, saturation, and the noise it is told."""
+"""The regulator of ch. 6: gain, saturation, and noise settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every command has on a terminal and in a script: -h, -q, -v, --json alone on stdout, also of a failure."""
+"""Common options of all commands: -h, -q, -v, and --json with only JSON on stdout, also after a failure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""FMUs that crash, hang or grow, a run that is stopped and a disk that is full: told in one line, the rows kept."""
+"""FMUs that crash, hang or grow, stopped runs and full disks: a one-line message, and the rows so far are kept."""
 
 from __future__ import annotations
 

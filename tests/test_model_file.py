@@ -1,4 +1,4 @@
-"""A model of one's own, or a model.yaml, with something wrong in it: every fault has its line and its cure."""
+"""Faulty user models and model.yaml files: every fault has its line and its cure."""
 
 from __future__ import annotations
 
@@ -145,10 +145,10 @@ def test_a_model_file_is_read_as_it_is_however_soon_after_a_change(
     [
         ("Late, Play", 'delay = "time"', 'delay = "tim"', 'late has no parameter "tim"; did you mean "time"?'),
         ("Play, Late", "", "", "put it before play in the catalogue"),
-        ("Late, Play", 'equation = "play of', 'delay = "width"; equation = "play of', "let one of them do it"),
+        ("Late, Play", 'equation = "play of', 'delay = "width"; equation = "play of', "play and late both"),
         ("Late", 'memory = (Quantity("torque", "N.m", "torque held back"),)', "memory = ()", "1 inputs and has 0"),
         ("Late", "return command, memory", "return command, memory + 1", "a step with"),
-        ("Play", "return (inside,), (inside,)", "return (inside,), ()", "1 commands and 1 of memory"),
+        ("Play", "return (inside,), (inside,)", "return (inside,), ()", "1 commands, 1 of memory"),
     ],
 )
 def test_a_delay_comes_first_and_alone(tmp_path: Path, catalogue: str, old: str, new: str, message: str) -> None:

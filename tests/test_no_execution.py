@@ -1,4 +1,5 @@
-"""What a file names as Python is executed by nobody who only looks, and in a worker by `check` and `run`."""
+"""Python files named in other files are not executed by inspecting commands, and only in a worker by `check` and
+`run`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""FMUs with code of one name: each executes its own, in every command; what one process cannot hold gets another."""
+"""FMUs with different code of the same name: each executes its own, in separate processes if necessary."""
 
 from __future__ import annotations
 

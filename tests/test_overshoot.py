@@ -1,4 +1,4 @@
-"""What §4.5.4 saw and left out: bench steps with overshoot, refined, and the craft with that actuator."""
+"""Overshoot of §4.5.4: bench steps, their refinement, and the craft with this actuator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters per log: each group of logs has its own value, and a sealed log of no known group learns it as it goes."""
+"""Parameters per log: a value for each group of logs; for a sealed log of a new group the filter estimates it."""
 
 from __future__ import annotations
 

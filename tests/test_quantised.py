@@ -1,4 +1,4 @@
-"""A sensor that reads in coarse cells is noisy by its cells, and makes no dead band of the actuator."""
+"""A quantised sensor has quantisation noise, which is not mistaken for a dead band of the actuator."""
 
 from __future__ import annotations
 

@@ -122,14 +122,14 @@ def test_the_last_row_is_recorded_also_between_two_multiples(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("record", "of", "message"),
     [
-        ("{every: 0.025}", "ref.x", ":4:17: 0.025 s is no whole number of steps of 0.01 s"),
+        ("{every: 0.025}", "ref.x", ":4:17: 0.025 s is not a whole number of steps of 0.01 s"),
         ("{every: 20}", "ref.x", ":4:17: 20 s is longer than the run"),
         ("{every: -1}", "ref.x", ":4:17"),
         ("{signals: [ref.x, ref.z]}", "ref.x", ':4:27: no signal matches "ref.z"; did you mean "ref.y"?'),
         ("{signals: [rex.*]}", "more.x", 'no component "rex"; did you mean "ref"?'),
         ("{signals: []}", "ref.x", "record.signals is a list"),
         ("ref.x", "ref.x", ":4:9: record is 'ref.x'"),
-        ("{signals: [more.x]}", "ref.x", "ref.x is not recorded, and the criterion needs it"),
+        ("{signals: [more.x]}", "ref.x", "ref.x is not recorded"),
     ],
 )
 def test_a_fault_of_record_has_its_place_and_cure(tmp_path: Path, record: str, of: str, message: str) -> None:

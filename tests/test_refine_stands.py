@@ -1,5 +1,7 @@
-"""What a verdict must stand: replays of the model as it is, effects it has too much of, sensors beside effects, and
-that nothing which is read is written over. A refine that is stopped leaves its results whole or not at all."""
+"""Robustness of verdicts: superfluous effects in the model, sensor errors together with effects, protected inputs.
+
+A stopped refine writes either all of its results or none.
+"""
 
 from __future__ import annotations
 
@@ -77,8 +79,9 @@ def test_what_is_read_is_not_written_over(project: Path) -> None:
     ):
         (project / name).write_text(content)
         (project / "plant.fmu").write_text("refined")
-        with pytest.raises(InputError, match="is read, and results would be written over it"):
+        with pytest.raises(InputError, match="--out") as refused:
             call()
+        assert refused.value.exit_code == 2
         assert (project / name).read_text() == content
         assert (project / "plant.fmu").read_text() == "refined"
 

@@ -191,7 +191,7 @@ def test_a_run_is_listed_while_it_goes_on_and_after_its_kill(here: Path) -> None
         do("run --resume", folder / "0001", code=2)
         do(quick)  # the next number, while the first goes on
         assert outcomes() == {"deeds/0001": "running", "deeds/0002": "ok"}
-        assert "nothing is removed" in do("gc --yes")
+        assert "nothing to remove" in do("gc --yes")
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -287,8 +287,8 @@ def test_what_means_no_results_is_an_error_of_the_input(runs: Path, words: str) 
 def test_removal_takes_earlier_runs_and_never_the_newest(runs: Path) -> None:
     (runs.parent / "mine").mkdir()
     (runs.parent / "mine" / "notes.txt").write_text("of the user")
-    assert "nothing is removed" in do("gc --older 1 --yes")
-    assert "nothing is removed" in do("gc tank --yes")
+    assert "nothing to remove" in do("gc --older 1 --yes")
+    assert "nothing to remove" in do("gc tank --yes")
     do("gc --keep 1 --yes")
     assert names() == ["tank/0002", "tank/0003"]
     assert json.loads("{" + do("gc tank/* --yes --json").partition("{")[2])["removed"] == ["tank/0002"]

@@ -78,7 +78,7 @@ def test_an_algorithm_of_a_third_party_is_stepped_by_both_loops(
     assert [stage.component.name for stage in build_system(backwards).stages] == ["r", "b", "a"]
     third = type("Third", (Algorithm,), {"name": "third", "plan": lambda *given: Plan(("a",), (False,) * 3)})
     monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, third()))
-    with pytest.raises(InputError, match="third steps a; it must"):
+    with pytest.raises(InputError, match="third steps a; "):
         build_system(scenario(tmp_path, components, wires, algorithm="third"))
 
 
@@ -97,7 +97,7 @@ def test_a_foreign_fmu_beside_a_native_one_keeps_its_subnormal_numbers(native_pl
     ("booleans", "items", "told"),
     [
         ([(0.3, 1), (0.5, 0), (0.8, 1)], [(0.4, 2), (0.6, 1)], ""),
-        ([(0.3, 1)], [(0.4, 3)], "a.e_in at t = 0.4 s: 3, which comes from r.e, is none"),
+        ([(0.3, 1)], [(0.4, 3)], "a.e_in at t = 0.4 s: 3 from r.e"),
         ([(0.4, 2)], [], "a.b_in at t = 0.4 s: the input 2 is outside 0 … 1"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Results that somebody sent: no command hangs, breaks off with a traceback or writes control characters."""
+"""Results from untrusted sources: no command hangs, shows a traceback or writes control characters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The six tasks of examples/tanks/tasks.sh, with the FMUs and the log of another tool, each command as it stands."""
+"""The six tasks of examples/tanks/tasks.sh, with the FMUs and the log of another tool."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A value of a known signal acts from its time until the next, whatever steps the run."""
+"""A known signal value applies from its time to the next, for any step size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Units that only a header says: of columns, of times, of what a replay leaves; a model may declare none."""
+"""Units known only from headers: of columns, times and replay results; models without declared units."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ def test_a_unit_that_says_nothing_changes_nothing_and_is_told(tmp_path: Path, un
 @pytest.mark.parametrize(
     ("column", "connection", "last", "said"),
     [
-        ("u [mV]", "", 0.8, "it is taken as V, so mV are converted"),
-        ("u [foo]", "", 800.0, 'a.r_in has no unit in its FMU, and "foo" is no unit known here'),
+        ("u [mV]", "", 0.8, "assumed V, converted from mV"),
+        ("u [foo]", "", 800.0, 'a.r_in has no unit in its FMU, and "foo"'),
         ("u [mV]", ", factor: 1.0", 800.0, ""),
         ("u [V]", "", 800.0, ""),
     ],
@@ -94,7 +94,7 @@ def test_a_recorded_column_that_nobody_needs_may_hold_text(tmp_path: Path) -> No
     path = tmp_path / "in.csv"
     path.write_text("time,u,mode,late\n0,1,RUN,\n1,2,STOP,3\n")
     assert [s.name for s in playback("log", path, ["u"]).outputs] == ["u"]
-    with pytest.raises(InputError, match=r'in.csv:2:3: "RUN" in column mode is no number'):
+    with pytest.raises(InputError, match=r'in.csv:2:3: "RUN" in column mode is not a number'):
         read_columns(path, ["u", "mode"])
 
 
@@ -104,7 +104,7 @@ def test_a_recorded_column_that_nobody_needs_may_hold_text(tmp_path: Path) -> No
 def test_a_unit_that_is_none_of_time_is_a_fault_everywhere(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time [m],x\n0,0\n1,2\n")
     for read in (read_results, read_columns):
-        with pytest.raises(InputError, match=r'a.csv:1:1: "m" is no unit of time; known here: s, ms'):
+        with pytest.raises(InputError, match=r'a.csv:1:1: "m" is not a unit of time; known units: s, ms'):
             read(tmp_path / "a.csv")
 
 

@@ -39,7 +39,7 @@ def test_check_names_the_unit_of_a_column(tmp_path: Path, column: str, factor: f
     table[:, header.index(column)] *= factor
     write_table(tmp_path / "log.csv", header, table.tolist())
     (found,) = warnings_of(tmp_path / "log.csv")
-    assert f'is its unit {unit}? Then call the column "{column} [{unit}]"' in found
+    assert f'"{column} [{unit}]"' in found
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_an_input_far_beyond_its_bound_is_a_fault_if_a_unit_explains_it(log: Log
     log = replace(log, inputs={"u": np.linspace(0.0, 11_000.0, log.rows)})
     for unit, bounds, words in (
         ("V", (-12.0, 12.0), '"u [mV]"'),
-        ("%", (0.0, 100.0), "is it scaled"),
+        ("%", (0.0, 100.0), "scaled"),
         ("V", (-12_000.0, 12_000.0), ""),
     ):
         found = [*input_unit_findings(replace(log, units={**log.units, "u": unit}), {}, {"u": bounds})]
@@ -59,13 +59,13 @@ def test_an_input_far_beyond_its_bound_is_a_fault_if_a_unit_explains_it(log: Log
 
 
 WRONG_COLUMNS = {
-    "sign": "ax moves against the model",
-    "swapped": "are the columns swapped?",
+    "sign": "ax moves opposite to the model",
+    "swapped": "columns may be swapped",
     "delay": "trails the model by",
-    "positions in cm": 'is its unit cm? Then call the column "x_world [cm]"',
+    "positions in cm": '"x_world [cm]"',
     "exchanged axes": "moves sideways unless x_world and y_world are exchanged",
-    "a mirrored axis": "moves sideways unless x_world, y_world or psi is turned round",
-    "a jump of an angle": "and psi_dot shows no such motion",
+    "a mirrored axis": "moves sideways unless the sign of x_world, y_world or psi",
+    "a jump of an angle": "but psi_dot shows no such motion",
     "a jump of a position": "x_world jumps by 0.5",
     "half a log mirrored": "psi does not follow the integral of psi_dot",
 }

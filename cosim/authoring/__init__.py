@@ -1,1 +1,1 @@
-"""Drafts, diagrams and SSP exports of scenarios, and runs of a single FMU."""
+"""Scenario drafts, diagrams and SSP exports, and runs of a single FMU."""

@@ -1,4 +1,4 @@
-"""A first scenario of FMUs: component names, times from their default experiments, connections by name and unit."""
+"""A first scenario for given FMUs: component names, times from default experiments, connections by name and unit."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from cosim.scenario.start_values import settable
 from cosim.system.events import default_block
 from cosim.system.system import System, build_system
 
-STOP, STEPS = 1.0, 500  # defaults without an FMU's declaration: duration [s], number of steps
+STOP, STEPS = 1.0, 500  # defaults if the FMUs declare none: duration [s], number of steps
 LONGEST = 24  # characters of a component's name, which precedes every signal
 SPELLING = str.maketrans(
     {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"}
 )
-MOST_STEPS = 20_000  # steps of a first run, which must answer soon
+MOST_STEPS = 20_000  # maximum number of steps of a first run, so that it is short
 SLACK = 1e-9  # relative tolerance for a whole number of steps
 MAX_PORTS = 6  # inputs and outputs in a message
 BY = "# Written by `cosim {}`."
@@ -66,10 +66,10 @@ class DraftPart:
 
 @dataclass(frozen=True)
 class Times:
-    """Start, duration and step of a run [s], own steps of components, and reasons.
+    """Start, duration and step of a run [s], steps of single components, and the reasons for these values.
 
     Attributes:
-        notes: Deviations from the request.
+        notes: Deviations from the user's request.
     """
 
     start: float
@@ -157,7 +157,7 @@ def times_of(
     if start is None:
         start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
-    duration, why_duration = STOP, "no FMU says how long; a guess"
+    duration, why_duration = STOP, "a guess; no FMU declares a duration"
     if stop is not None:
         duration, why_duration = difference(stop, start), why_stop
     elif ends:
@@ -171,32 +171,34 @@ def times_of(
         finest = min(steps, key=lambda n: steps[n])
         h, why_step = float(f"{steps[finest]:.12g}"), f"the step of {finest}"
     elif usual_step is not None:
-        h, why_step = min(usual_step, duration), "the usual one of its rows"
+        h, why_step = min(usual_step, duration), "the typical spacing of its rows"
     else:  # rounded down to 1, 2 or 5 × 10^n
-        why_step, guess = "no FMU says how fine; a guess", duration / STEPS
+        why_step, guess = "a guess; no FMU declares a step", duration / STEPS
         power = 10.0 ** math.floor(math.log10(guess) + 1e-9)
         h = float(f"{max(m * power for m in (1, 2, 5) if m * power <= guess * (1 + 1e-9)):.12g}")
     if step is not None and h > duration * (1 + SLACK):
-        text = f"--step {h:g}: is longer than the run, {duration:g} s ({why_duration}); give a shorter one"
+        text = f"--step {h:g} is longer than the run of {duration:g} s ({why_duration}); give a shorter step"
         raise InputError.at(parts[0].path, f"{text}, or a later --stop")
     count = max(1, math.ceil(duration / h - SLACK))
     if stop is None and count > most:
-        why_duration = f"{most} steps; {why_duration} would be {duration:g} s"
+        why_duration = f"limited to {most} steps; {why_duration}: {duration:g} s"
         count, duration = most, most * h
     notes, end = list[str](), start + duration
     if stop is not None and step is None and not own:
         fitting = duration / count
         if abs(fitting - h) > SLACK * h:
-            notes.append(Note(f"the step is {fitting:g} s, not {h:g} s ({why_step}), to end at {end:g} s"))
-            why_step = f"{count} to the end; not {h:g} s, {why_step}"
+            notes.append(
+                Note(f"the step is {fitting:g} s instead of {h:g} s ({why_step}), so that the run ends at {end:g} s")
+            )
+            why_step = f"{count} to the end; instead of {h:g} s, {why_step}"
         h = fitting
     else:
         own = {n: required for n, required in own.items() if required > h * (1 + SLACK)}
         whole = float(f"{count * h:.12g}")
         if abs(whole - duration) > SLACK * duration:
-            text = f"the run ends at {start + whole:g} s, not at {end:g} s ({why_duration})"
-            notes.append(Note(f"{text}: in whole steps of {h:g} s ({why_step})"))
-            why_duration = f"whole steps; {why_duration} is {duration:g} s"
+            text = f"the run ends at {start + whole:g} s instead of {end:g} s ({why_duration})"
+            notes.append(Note(f"{text}, after a whole number of steps of {h:g} s ({why_step})"))
+            why_duration = f"a whole number of steps; {why_duration}: {duration:g} s"
         duration = whole
     why_start = why_start or "of the default experiments"
     return Times(start, duration, h, own, why_duration, why_step, why_start, tuple(notes))
@@ -206,30 +208,28 @@ def times_of(
 
 
 def write_draft(path: Path, fmus: Sequence[Path]) -> tuple[Matches, str, list[str]]:
-    """Write a commented scenario of FMUs, with guesses marked; return connections, coupling algorithm and warnings.
+    """Write a commented scenario of FMUs, with guesses marked. Return connections, coupling algorithm and warnings.
 
-    Connections are by name and unit. An existing file is never overwritten.
+    Connections are made by name and unit. An existing file is never overwritten.
 
     Raises:
         InputError: An FMU is faulty, no output fits an input, or `path` exists.
     """
     if path.is_dir():
-        raise InputError.at(path, "is a folder; name the file to write as --out")
+        raise InputError.at(path, "is a folder; give the file to write as --out")
     if path.exists():
-        raise InputError.at(
-            path, "is there already; it is never written over; give another name as --out, or move it away"
-        )
+        raise InputError.at(path, "already exists and is never overwritten; give another --out, or move the file")
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError.at(path, "a scenario is YAML; name a .yaml or .yml file as --out")
+        raise InputError.at(path, "a scenario needs the ending .yaml or .yml; give such a file as --out")
     if not path.parent.is_dir():
-        raise InputError.at(path.parent, "no such folder; make it first")
+        raise InputError.at(path.parent, "no such folder; create it first")
     parts = parts_of(fmus)
     inputs, outputs = [p for part in parts for p in part.inputs], [p for part in parts for p in part.outputs]
     sizes = {name: size for part in parts for name, size in part.sizes.items()}
     matches = match_ports(outputs, inputs, sizes)
     every = matches.connections
     kept = [m for m in every if not m.guess]
-    if _algorithm(parts, kept) is DEFAULT:  # leave out guesses that close an algebraic loop
+    if _algorithm(parts, kept) is DEFAULT:  # leave out guesses that would close an algebraic loop
         for guess in (m for m in every if m.guess):
             kept += [guess] if _algorithm(parts, [*kept, guess]) is DEFAULT else []
         dropped = tuple((m.target, (text(m.source), *m.others)) for m in every if m not in kept)
@@ -249,7 +249,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> tuple[Matches, str, list[st
 
 
 def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorithm:
-    """Return the default coupling algorithm; with an algebraic loop, the algorithm without stepping order."""
+    """Return the default coupling algorithm; for an algebraic loop, the algorithm without stepping order."""
     blocks = {part.name: part.block for part in parts}
     edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
     try:
@@ -260,10 +260,10 @@ def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorith
 
 
 def _no_fit(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:
-    """Return why no output fits any input."""
+    """Return the reason why no output fits any input."""
     text_ = f"{' and '.join(p.name for p in fmus)} cannot be connected"
     if not outputs or not inputs:
-        return f"{text_}: they have no {'inputs' if outputs else 'outputs'}; run each alone by `cosim simulate`"
+        return f"{text_}: they have no {'inputs' if outputs else 'outputs'}; simulate each with `cosim simulate`"
     lists = []
     for ports in (outputs, inputs):
         names = []
@@ -271,11 +271,11 @@ def _no_fit(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port
             size = sizes.get(text(port))
             names.append(f"{text(port)} [{port[1].unit or port[1].kind}{f', {size} elements' if size else ''}]")
         lists.append(", ".join(names))
-    text_ += f": no output ({lists[0]}) fits an input of another ({lists[1]}) by type"
+    text_ += f": no output ({lists[0]}) fits an input of another FMU ({lists[1]}) by type"
     element = next((f"{port[0]}.{port[1].name}" for port in (*inputs, *outputs) if text(port) in sizes), None)
     if element is None:
         return f"{text_} and unit"
-    cure = f"a scenario may connect elements of an array one by one, as {element}"
+    cure = f"connect single elements of an array in the scenario, such as {element}"
     return f"{text_}, unit and number of elements; {cure}"
 
 
@@ -292,20 +292,20 @@ def scenario_text(
     """Return the text of a first scenario, to be written into `folder`.
 
     Args:
-        played: Recording that plays inputs, whose connections come first, and its interpolation.
+        played: Recording that supplies inputs (its connections come first), and its interpolation.
         verb: Command that writes the scenario.
     """
     guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
     lines = [
-        BY.format(verb) + " It runs as it is: `cosim run`, `cosim check` and `cosim graph` take it.",
-        "# Every key stands in docs/scenario.md and in `cosim schema scenario`.",
+        BY.format(verb) + " It runs unchanged: try `cosim run`, `cosim check` and `cosim graph`.",
+        "# docs/scenario.md and `cosim schema scenario` describe all keys.",
     ]
     if guesses:
         verb_form = "is a guess" if guesses == 1 else "are guesses"
-        lines.append(f"# {counted(guesses, 'connection')} below {verb_form}, marked so: look there first.")
+        lines.append(f"# {counted(guesses, 'connection')} below {verb_form}, marked as a guess: check them first.")
     if choices:
         inputs = f"{counted(choices, 'input')} {'is' if choices == 1 else 'are'} left open"
-        lines.append(f"# {inputs}, which several outputs fit alike: uncomment the one that is meant.")
+        lines.append(f"# {inputs} with several fitting outputs: uncomment the right one.")
     lines += [
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
@@ -313,9 +313,7 @@ def scenario_text(
     ]
     lines += [f"start_time: {_whole(times.start)} # s: {times.why_start}"] if times.start else []
     if algorithm is not DEFAULT:
-        lines.append(
-            f"algorithm: {algorithm.name} # each FMU needs another's output of the same time; or state `order: [...]`"
-        )
+        lines.append(f"algorithm: {algorithm.name} # algebraic loop between the FMUs; or state `order: [...]`")
     lines.append("components:")
     for part in parts:
         lines += _component(folder, part, times)
@@ -330,7 +328,7 @@ def scenario_text(
     lines += _connections(matches)
     signals = (o for part in parts for o in part.outputs if o[1].kind in ("Real", "Float64"))
     if first := next(signals, None):
-        lines.append("# criteria: # what must hold; a missed one is told and exits 5")
+        lines.append("# criteria: # requirements; a missed criterion is reported, with exit code 5")
         lines.append(f"#   peak: {{of: {scalar(text(first))}, max: 1}}")
     return "\n".join(lines) + "\n"
 
@@ -346,7 +344,7 @@ def _component(folder: Path, part: DraftPart, times: Times) -> Iterator[str]:
     yield f"  {part.name}: # {_comment(about)}"
     yield f"    fmu: {scalar(relative(part.path, folder))}"
     if part.name in times.own:
-        yield f"    step: {times.own[part.name]:.12g} # s: it takes no other"
+        yield f"    step: {times.own[part.name]:.12g} # s: the only accepted step"
     parameters = [v for v in d.modelVariables if v.causality == "parameter" and settable(v) and not v.shape]
     if part.start:
         yield "    start:"
@@ -371,14 +369,14 @@ def _connections(matches: Matches) -> Iterator[str]:
             is_converted = (m.source[1].conversion(m.target[1]) or (1.0, 0.0)) != (1.0, 0.0)
             why.append(f"{a} to {b}, converted" if is_converted else b)
         elif a or b:
-            why.append(f"{a or b} on one side, no unit on the other")
+            why.append(f"{a or b} on one side, no unit on the other side")
         why += [f"or from {', '.join(m.others)}"] if m.others else []
         yield f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_comment('; '.join(why))}"
     for port, candidates in matches.unconnected:
         unit = f", {_comment(port[1].unit)}" if port[1].unit else ""
         alike = len(matches.choices.get(text(port), ()))
-        choice = f"; the first {alike} fit alike:" if alike else "; fits:" if candidates else ""
-        yield f"  # {_comment(text(port))}{unit}: not connected, stays at its start value{choice}"
+        choice = f"; the first {alike} fit equally well:" if alike else "; fits:" if candidates else ""
+        yield f"  # {_comment(text(port))}{unit}: not connected, keeps its start value{choice}"
         yield from (f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates)
 
 
@@ -389,10 +387,10 @@ def relative(path: Path, folder: Path) -> str:
 
 
 def scalar(value: Any, literal: bool = False) -> str:
-    """Return a value in YAML flow style, text quoted if necessary.
+    """Return a value in YAML flow style; text is quoted if necessary.
 
     Args:
-        literal: Whether to omit quotes.
+        literal: Omit quotes.
     """
     if not isinstance(value, str):
         return json.dumps(value)
@@ -407,7 +405,7 @@ def _comment(value: str) -> str:
 def write_sound(path: Path, lines: str, fmu: Path) -> System:
     """Write a scenario and return its system.
 
-    If the scenario has faults, InputError names the FMU as their place, because the user has not written the scenario.
+    Faults of the scenario are reported as faults of the FMU, because the user has not written the scenario.
     """
     path.write_text(lines, encoding="utf-8")
     try:

@@ -1,4 +1,4 @@
-"""Export of a scenario as an SSP for other importing tools; anything SSP cannot express is a fault with remedy."""
+"""Export of a scenario as an SSP for other tools. Parts that SSP cannot store are faults, reported with a cure."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
 
 @dataclass(frozen=True)
 class Exported:
-    """A written SSP, with notes on omitted parts of the scenario."""
+    """A written SSP, with notes on parts of the scenario that were not exported."""
 
     path: Path
     notes: tuple[str, ...]
@@ -63,14 +63,14 @@ def export_ssp(
         path: SSP file; None writes NAME.ssp into the current folder.
         overrides: Texts "path=value" that replace values of the scenario.
         nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
-        insert_gains: Convert by a small FMU in C on each connection that converts, for importers that ignore linear
-            transformations. A value then takes one more step.
+        insert_gains: Insert a small FMU in C into each connection with a conversion, for importers that ignore linear
+            transformations. Each delays its value by one step.
 
     Returns:
-        The path, and notes about parts that SSP cannot hold.
+        The path, and notes on parts that SSP cannot store.
 
     Raises:
-        InputError: Every fault of the scenario, and every part that SSP or its importers cannot hold.
+        InputError: Every fault of the scenario, and every essential part that SSP or its importers do not support.
     """
     file = ScenarioFile(Path(scenario), [*overrides, "noise=off"])
     if nearest:
@@ -82,9 +82,9 @@ def export_ssp(
     if target.is_dir():
         target = target / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', s.name) or 'system'}.ssp"
     if target.suffix.lower() != ".ssp":
-        raise InputError.at(target, f"an SSP is known by its ending; name it so: {target.with_suffix('.ssp').name}")
+        raise InputError.at(target, f"an SSP needs the ending .ssp; use {target.with_suffix('.ssp').name}")
     if target.exists() and any(other.exists() and target.samefile(other) for other in (file.path, *file.files)):
-        raise InputError.at(target, "is read, and would be written over; give another file as --out")
+        raise InputError.at(target, "is an input and would be overwritten; give another file as --out")
     with temporary_folder("export") as folder:
         models = [
             _source(file, name, component, folder)
@@ -114,7 +114,7 @@ def export_ssp(
 
 
 def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
-    """Yield notes on parts missing in the SSP, and on what importing tools lack.
+    """Yield notes on parts missing in the SSP, and on features that importing tools lack.
 
     Args:
         converted: Inputs of connections with a linear transformation.
@@ -122,8 +122,9 @@ def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
     scenario = file.scenario
     if converted:
         yield Note(
-            f"the values of {join_names(converted)} are converted by linear transformations of SSP: libcosim and cosim "
-            "make them, FMPy and ecos ignore them. --insert-gains puts small FMUs in their place"
+            f"the values of {join_names(converted)} are converted by linear transformations of SSP: libcosim and "
+            "cosim apply "
+            "them, FMPy and ecos ignore them. --insert-gains replaces them by small FMUs"
         )
     if any(connection.noise for connection in scenario.connections):
         yield Note("noise was not exported: SSP cannot store it")
@@ -135,25 +136,25 @@ def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
     if scenario.algorithm != IMPORTERS.name:
         ours = algorithms()[scenario.algorithm].title
         yield Note(
-            f"libcosim, ecos and FMPy step by {IMPORTERS.title}, this scenario by {ours}, so their results may "
-            f"differ; compare theirs with `cosim run --set algorithm={IMPORTERS.name} --set noise=off`"
+            f"libcosim, ecos and FMPy use {IMPORTERS.title} coupling, this scenario {ours}, so their results may "
+            f"differ; compare them with `cosim run --set algorithm={IMPORTERS.name} --set noise=off`"
         )
 
 
 def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
-    """Yield a fault for each part of a scenario that SSP or importing tools cannot hold."""
+    """Yield a fault for each part of a scenario that SSP or importing tools do not support."""
     scenario = file.scenario
     for key in ("faults", "events"):
         if getattr(scenario, key):
             yield file.fault(
-                (key,), f"{key} cannot be exported, as SSP has no place for them; remove them, or add --set {key}=[]"
+                (key,), f"{key} cannot be exported, because SSP cannot store them; remove them, or add --set {key}=[]"
             )
     for name, component in scenario.components.items():
         where = ("components", name)
         if isinstance(component, FixComponent):
             yield file.fault(
                 (*where, "block"),
-                "fixes cannot be exported, as SSP has no place for them; connect the signals without this block",
+                "fixes cannot be exported, because SSP cannot store them; connect the signals without this block",
             )
         if not isinstance(component, FmuComponent):
             continue
@@ -161,33 +162,34 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
             yield file.fault(
                 (*where, "step"),
                 (
-                    f"a communication step of its own: an SSP has one; give the scenario step {component.step:g}, or "
-                    "leave it out here"
+                    "this component has its own step, but an SSP has one step for all; set the step of the "
+                    f"scenario to {component.step:g}, or "
+                    "remove it here"
                 ),
             )
         description = system.fmus[name][1]
         if description.fmiVersion.startswith("3"):
-            yield file.fault((*where, "fmu"), "is FMI 3.0; SSP 1.0 and its importers take FMI 1.0 and 2.0")
+            yield file.fault((*where, "fmu"), "is FMI 3.0; SSP 1.0 and its importers support FMI 1.0 and 2.0")
         elif (component.interface or ways(description)[0]) != "co-simulation":
-            yield file.fault(where, "is run by model exchange; the importers of SSPs run co-simulation")
+            yield file.fault(where, "uses model exchange; importers of SSPs support co-simulation only")
     for k, connection in zip(file.places["connections"], scenario.connections, strict=True):
         for message in _objections(file, system, connection):
             yield file.fault(("connections", k), message)
 
 
 def _objections(file: ScenarioFile, system: System, connection: Connection) -> Iterator[str]:
-    """Yield reasons why importing tools cannot hold a connection."""
+    """Yield reasons why importing tools do not support a connection."""
     signals, (from_, to) = system.signals, (connection.source, connection.target)
     if from_ not in signals or to not in signals:
-        yield "arrays are not what SSP 1.0 can connect; connect their elements"
+        yield "SSP 1.0 cannot connect arrays; connect their elements"
         return
     source, target = signals[from_], signals[to]
     for end, signal in ((from_, source), (to, target)):
         if signal.kind not in {"", *TYPES}:
-            yield f"{end} is {signal.kind}; importers connect {', '.join(TYPES)}"
+            yield f"{end} is {signal.kind}; importers support {', '.join(TYPES)}"
     if source.kind and target.kind and source.kind != target.kind:
         text = f"{from_} is {source.kind}, {to} {target.kind}: importers of SSPs convert no types"
-        yield f"{text}; give both one type"
+        yield f"{text}; use the same type"
 
 
 # -- models ---------------------------------------------------------------------------------------
@@ -204,11 +206,11 @@ def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
     start: dict[str, tuple[str, Value]] = {}
     for n, value in block.start_values.items():
         v = variables[n]
-        if v.type == "Enumeration":  # items become names
+        if v.type == "Enumeration":  # items are exported by name
             items = {number: item for item, number in enumeration_items(v).items()}
             start[n] = v.type, items.get(value, str(value))
             continue
-        is_default = v.start is not None  # the start value of the FMU need not be exported
+        is_default = v.start is not None  # the start value of the FMU itself need not be exported
         if is_default and v.type == "Boolean":
             is_default = (str(v.start) in {"true", "1", "True"}) == bool(value)
         elif is_default:
@@ -246,18 +248,18 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
         raise InputError(
-            [file.fault(("components", name), f"becomes an FMU of C, which cannot be compiled: {error}")]
+            [file.fault(("components", name), f"is exported as an FMU in C, but compilation fails: {error}")]
         ) from None
     return SspFmu(name, fmu, [SspConnector(n, "output", "Real", s.unit) for n, s in signals.items()])
 
 
 def _gain(file: ScenarioFile, name: str, linear: tuple[float, float], units: tuple[str, str], folder: Path) -> SspFmu:
-    """Return an FMU in C that converts a signal."""
+    """Return a linear conversion as an FMU in C."""
     try:
         fmu = build_gain(name, linear, units, folder / f"{name}.fmu", file.scenario.step)
     except (NoCompiler, CompilerFailed) as error:
         raise InputError(
-            [file.fault(("connections",), f"a gain becomes an FMU of C, which cannot be compiled: {error}")]
+            [file.fault(("connections",), f"a gain is exported as an FMU in C, but compilation fails: {error}")]
         ) from None
     ports = zip(("u", "y"), ("input", "output"), units, strict=True)
     return SspFmu(name, fmu, [SspConnector(port, kind, "Real", unit) for port, kind, unit in ports])

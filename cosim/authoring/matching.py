@@ -15,16 +15,16 @@ from cosim.fmi.fmi_types import is_compatible
 
 WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 IGNORED_WORDS = {"in", "out", "input", "output", "signal", "value"}
-MIN_SCORE = 0.6  # required score: similar names, or less similar ones of the same unit
+MIN_SCORE = 0.6  # required scores: for similar names, and for less similar names with the same unit
 # score changes: equal units, a unit on one side only, an output already connected
 SAME_UNIT, ONE_UNIT, USED_OUTPUT = 0.3, -0.15, -0.4
 # words of reference signals, never connected to measurements
 REFERENCES = {"ref", "reference", "set", "setpoint", "sp", "target", "desired", "des"}
-PREFIX_SIMILARITY, LETTER_SIMILARITY = 0.8, 0.5  # of words: one begins with the other, or by common letters
-MAX_CANDIDATES = 5  # listed per input
+PREFIX_SIMILARITY, LETTER_SIMILARITY = 0.8, 0.5  # for words: one begins with the other, or share of common letters
+MAX_CANDIDATES = 5  # fitting outputs listed per input
 MIN_LEAD = 0.1  # difference of scores too small for a decision
 
-Port = tuple[str, Signal]  # component, signal
+Port = tuple[str, Signal]  # (component, signal)
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class Match:
     """A connection found by matching names and units.
 
     Attributes:
-        guess: Basis of the match; "" for equal names.
-        others: Further fitting outputs.
+        guess: Reason of a guessed match; "" for equal names.
+        others: Other fitting outputs.
     """
 
     source: Port
@@ -58,26 +58,27 @@ class Matches:
 
     @property
     def any_candidate(self) -> bool:
-        """Return whether some output fits some input."""
+        """Return True if some output fits some input."""
         return bool(self.connections) or any(candidates for _, candidates in self.unconnected)
 
 
 def text(port: Port) -> str:
-    """Return a port as `component.variable`; an element of an array has the name of the array."""
+    """Return a port as `component.variable`; an array element is shown by the name of the array."""
     return f"{port[0]}.{port[1].array or port[1].name}"
 
 
 def match_ports(
     outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int] = MappingProxyType({})
 ) -> Matches:
-    """Connect outputs to inputs of other components, each once.
+    """Connect outputs to inputs of other components; each input gets at most one output.
 
-    Equal names come first, then similar ones, then what alone is left. Equally likely outputs are left to the user.
+    Equal names are connected first, then similar names, then a single remaining pair. If several outputs fit equally
+    well, the input is left to the user.
 
     Args:
         sizes: Number of elements of each array, by name `component.variable`.
     """
-    open_ = {text(i): i for i in inputs}  # without a decision
+    open_ = {text(i): i for i in inputs}  # inputs without a decision
     candidates: dict[str, list[Port]] = {}
     for name, (owner, signal) in open_.items():  # outputs whose type, unit and size agree
         candidates[name] = [
@@ -124,7 +125,7 @@ def match_ports(
     for name, ranked in likely.items():
         choices[name] = _alike(ranked)
         del open_[name]
-    only: dict[str, Port] = {}  # outputs that alone are left for an input
+    only: dict[str, Port] = {}  # the only fitting output left for an input
     for name, target in open_.items():
         free = [o for o in candidates[name] if text(o) not in used]
         free = [o for o in free if _is_reference(o[1].name) == _is_reference(target[1].name)]
@@ -133,7 +134,7 @@ def match_ports(
     demand = Counter(map(text, only.values()))
     for name, source in only.items():
         if demand[text(source)] == 1:
-            connect(source, open_[name], "nothing else is left that fits")
+            connect(source, open_[name], "the only fitting output left")
     unconnected = []
     for name, target in ((text(i), i) for i in inputs):
         if name not in connections:
@@ -144,12 +145,12 @@ def match_ports(
 
 
 def _alike(ranked: Sequence[tuple[float, Port]]) -> list[Port]:
-    """Return the outputs whose scores differ too little from the best for a decision."""
+    """Return the outputs whose scores are too close to the best for a decision."""
     return [source for score, source in ranked if ranked[0][0] - score < MIN_LEAD]
 
 
 def _score(a: Signal, b: Signal) -> float:
-    """Return the score of a connection: similarity of the names, 0 … 1, and agreement of the units."""
+    """Return the score of a connection: similarity of the names (0 … 1) plus a bonus for equal units."""
     unit = SAME_UNIT if _units_agree(a, b) else ONE_UNIT if bool(a.unit) != bool(b.unit) else 0.0
     first, second = sorted((_words(a.name), _words(b.name)), key=len)
     if not first or _is_reference(a.name) != _is_reference(b.name):

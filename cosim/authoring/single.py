@@ -44,7 +44,7 @@ from cosim.logs.log import read_column_names
 from cosim.simulation.run_signals import Run
 from cosim.simulation.workflow import run
 
-MAX_STEPS = 1_000_000  # requested by the FMU's own times
+MAX_STEPS = 1_000_000  # number of steps if the FMU declares no step
 
 
 def simulate(
@@ -95,7 +95,7 @@ def simulate(
     path = Path(fmu)
     (description,) = read_fmus([path])
     if columns and input is None:
-        raise InputError.at(Path("--column"), "names columns of a file, and none is given; give it as --input FILE")
+        raise InputError.at(Path("--column"), "renames columns of a file, but no file is given; add --input FILE")
     settings = normalize_settings(set)
     values = settings if isinstance(settings, Mapping) else start_pairs(path, settings, description)
     (part,) = parts_of([path], values)
@@ -109,20 +109,26 @@ def simulate(
         if csv is not None:
             matches, unused, time = _read_recording(csv, part, read_column_names(column_names(columns), csv))
             if unused:
-                notes.append(Note(f"{csv.name}: {part.name} has no inputs {', '.join(unused)}: they drive nothing"))
+                notes.append(
+                    Note(f"{csv.name}: {part.name} has no inputs {', '.join(unused)}; these columns are ignored")
+                )
             begin, last = float(time[0]), float(time[-1])
             declared, first = first, begin if first is None else max(first, begin)
             source, end = csv, last if stop is None else stop
             if first > begin:
-                notes.append(Note(f"{csv.name}: begins at {begin:g} s, the run at {first:g} s as {part.name} says"))
+                notes.append(
+                    Note(
+                        f"{csv.name}: begins at {begin:g} s, but the run at {first:g} s, the start time of {part.name}"
+                    )
+                )
             elif first > (declared or 0.0):
-                notes.append(Note(f"the run begins at {first:g} s, where {csv.name} does"))
+                notes.append(Note(f"the run begins at {first:g} s, the first time of {csv.name}"))
             if end > last * (1 + SLACK):
-                notes.append(Note(f"{csv.name}: ends at {last:g} s; its last row is held until {end:g} s"))
+                notes.append(Note(f"{csv.name}: ends at {last:g} s; its last values are kept until {end:g} s"))
             steps = np.diff(time)
-            steps = steps[steps > 0.0]  # Equal times are a jump.
+            steps = steps[steps > 0.0]  # Equal times mark a jump.
             usual = STOP / STEPS
-            if steps.size:  # without the digits that the times do not hold
+            if steps.size:  # rounded to the digits that the times contain
                 far = float(np.max(np.abs(time)))
                 usual = difference(far + float(np.median(steps)), far) or float(np.median(steps))
             more = {
@@ -131,7 +137,7 @@ def simulate(
                 "why_start": f"{csv.name} begins" if first == begin else "",
             }
         if end is not None and end <= (first or 0.0):
-            text_ = f"ends at {end:g} s, the run begins at {first or 0.0:g} s; give a later --stop"
+            text_ = f"the end {end:g} s is before the start {first or 0.0:g} s of the run; give a later --stop"
             raise InputError.at(source, text_)
         times = times_of([part], start=first, stop=end, step=step, most=MAX_STEPS, **more)
         check_writable(place, (scenario.name,), [path, *([csv] if csv else [])])
@@ -146,13 +152,13 @@ def simulate(
 
 
 def _read_recording(path: Path, part: DraftPart, names: Mapping[str, str]) -> tuple[Matches, list[str], Array]:
-    """Return the connections of a recording's columns to inputs, its other columns, and its times [s].
+    """Return the connections from a recording's columns to inputs, the unused columns, and the times [s].
 
     Args:
         names: Column → input, if their names differ.
 
     Raises:
-        InputError: No column is an input, or one has a start value.
+        InputError: No column is an input, or a column's input also has a start value.
     """
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.inputs}
@@ -169,10 +175,12 @@ def _read_recording(path: Path, part: DraftPart, names: Mapping[str, str]) -> tu
     driving = [column for column in columns if column in fed]
     if not driving:
         found = f"its columns: {', '.join(columns) or 'none'}; inputs of {part.name}: {', '.join(inputs) or 'none'}"
-        cure = "say which column is one, as --column COLUMN=INPUT"
+        cure = "assign a column with --column COLUMN=INPUT"
         raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({found}); {cure}")])
     refuse(
-        Fault(part.path, 0, 0, f"--set {n}={part.start[n]}: {path.name} plays it; leave out --set, or the column")
+        Fault(
+            part.path, 0, 0, f"--set {n}={part.start[n]}: {path.name} already supplies {n}; remove --set, or the column"
+        )
         for n in map(fed.__getitem__, driving)
         if n in part.start
     )
@@ -186,7 +194,7 @@ def _read_recording(path: Path, part: DraftPart, names: Mapping[str, str]) -> tu
 
 
 def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
-    """Return start values from NAME=VALUE texts; text stays as written."""
+    """Return start values from NAME=VALUE texts; values of text type are not converted."""
     names = {v.name for v in description.modelVariables}
     words = {v.name for v in description.modelVariables if v.type in {"String", "Binary"}}
     values: dict[str, Any] = {}
@@ -194,7 +202,14 @@ def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, 
     for assignment in texts:
         name, sign, value = split_assignment(assignment, names)
         if not sign or not name:
-            faults.append(Fault(fmu, 0, 0, f'--set "{short(assignment)}" is not NAME=VALUE; for example --set mass=2'))
+            faults.append(
+                Fault(
+                    fmu,
+                    0,
+                    0,
+                    f'--set "{short(assignment)}" does not have the form NAME=VALUE; for example --set mass=2',
+                )
+            )
             continue
         values[name] = value
         if name not in words:

@@ -16,14 +16,14 @@ ARTEFACTS = (
         check="cosim.calibration.workflow:check_fit_study",
     ),
     Artefact(
-        "an answer of `cosim fit`",
-        "`cosim.read` reads its folder; `cosim fit LOG.csv --fmu X.fmu` makes one",
+        "a result of `cosim fit`",
+        "`cosim.read` reads its folder; `cosim fit LOG.csv --fmu X.fmu` writes one",
         keys=(frozenset({"schema_version", "parameters", "simulations"}),),
         verb="cosim fit",
         marks=("fit.json",),
         files=("fit.json", "fitted.ssv", "fitted.fmu", "report.html"),
         folder="the folder of a fit",
-        folder_step="its report.html opens in a browser, its fitted.ssv holds the values",
+        folder_step="open its report.html in a browser; its fitted.ssv has the values",
         reader="cosim.calibration.fitted:read_fitted",
     ),
 )

@@ -1,4 +1,4 @@
-"""The estimate: screening, combinations, free runs or windows, largest likelihood, covariance."""
+"""Estimation: screening, parameter combinations, free runs or windows, maximum likelihood, covariance."""
 
 from __future__ import annotations
 
@@ -19,31 +19,33 @@ from cosim.logs.channel_noise import noise_level
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import horizons
 
-DRIFTS = 5.0  # error of free runs over that of windows, after the fit, from which free runs are useless
-STAYS = 0.2  # effect of a start value in the last quarter relative to its largest, from which it does not fade
-GROWS = 1e3  # effect of a start value in the last quarter relative to the first, from which a plant is unstable
-REFINEMENTS = 3  # times that central differences may move the estimate
-CLOSE = 0.05  # gain in log-likelihood of a move of a third of a standard error, over which slopes do not change
-ABOVE = 1.5  # standard deviation of a residual relative to its white part, from which something is missing
-COLOURED = 2.0  # variance of the mean of a residual relative to white noise, from which it is not white
+DRIFTS = 5.0  # ratio of errors, free runs to windows, after the fit, above which free runs are useless
+# effect of a start value in the last quarter of a log relative to its largest effect, above which it does not fade
+STAYS = 0.2
+GROWS = 1e3  # effect of a start value in the last quarter relative to the first, above which the plant is unstable
+REFINEMENTS = 3  # number of times that central differences may move the estimate
+CLOSE = 0.05  # gain in log-likelihood of a third of a standard error, below which slopes are not recomputed
+ABOVE = 1.5  # standard deviation of a residual relative to its white part, above which the model is incomplete
+COLOURED = 2.0  # variance of the mean of a residual relative to white noise, above which it is not white
 NAMED_REASONS = 3
 Report = Callable[[str, float], None]
 
 
 class Estimate:
-    """An estimate on its way, and its result.
+    """State of an estimate, and its result.
 
     Attributes:
         likelihood: Likelihood with the best values so far; None before the first simulation of all logs.
         screened: Choice among the parameters, empty if they were named.
-        combinations: Parameters that are not identifiable one by one; `held` has those that keep their value.
+        combinations: Parameters that are identifiable only in combination; `held` is the parameter that keeps its
+            value.
         singular: Singular values of the scaled sensitivities.
         idle: Named parameters without effect.
-        reason: Reason for windows in place of free runs, "" for free runs.
-        has_windows: Whether every log has windows.
+        reason: Reason for windows instead of free runs, "" for free runs.
+        has_windows: True if every log has windows.
         dropped: Named start values that windows cannot estimate.
         settled: True if the last search ended at a maximum.
-        profiles: Parameter → its profile; None for one that is not estimated or has no interval.
+        profiles: Parameter → its profile; None if it is not estimated or has no interval.
     """
 
     def __init__(self, logs: Logs, report: Report) -> None:
@@ -63,14 +65,14 @@ class Estimate:
         self.profiles = dict[str, ProfileEntry | None]()
 
     def run(self, parameters: Sequence[Parameter], *, screening: bool, profiled: Sequence[str] = ()) -> None:
-        """Estimate parameters, with `screening` only determined ones.
+        """Estimate the parameters; with `screening`, only those that the logs determine.
 
         Args:
             profiled: Parameters whose likelihood is profiled.
 
         Raises:
             InputError: The logs determine no parameter.
-            SimulationError: The FMU fails with the values before the fit.
+            SimulationError: The FMU fails with the initial values.
         """
         likelihood = self._begin(parameters)
         if screening:
@@ -100,7 +102,7 @@ class Estimate:
             self.profiles[name] = profile(likelihood, self.covariance, places[name]) if name in alone else None
 
     def _begin(self, parameters: Sequence[Parameter]) -> Likelihood:
-        """Return the likelihood of these parameters with its value before the fit; windows need no start values."""
+        """Return the likelihood of the parameters, evaluated at the initial values. Windows need no start values."""
         logs = self.logs
         while True:
             own = [p for p in parameters if p.per_log and not (p.is_start and logs.horizon)]
@@ -123,7 +125,7 @@ class Estimate:
         self.reason, self.logs.horizon = reason, max(horizons(d.log)[-1] for d in self.logs.drives)
 
     def _fit(self, likelihood: Likelihood) -> Likelihood:
-        """Move to the largest likelihood, and measure central differences there."""
+        """Maximize the likelihood, and compute central differences at the maximum."""
         self.report("measuring sensitivities", 0.0)
         likelihood.slopes = likelihood.measure_slopes()
         sigma, shared = likelihood.best.sigma[:, None], np.array([u.log is None for u in likelihood.unknowns])
@@ -144,7 +146,7 @@ class Estimate:
             likelihood = likelihood.restricted(~is_held)
         self.likelihood = likelihood
         if self.logs.horizon is None and self.has_windows and self._start_effects(likelihood)[0] > GROWS:
-            return likelihood  # the plant is unstable: windows come next
+            return likelihood  # the plant is unstable: windows are used next
         for number in range(REFINEMENTS):
             before = likelihood.best.cost
             self.settled = likelihood.maximize(lambda k: self.report(f"fitting, iteration {k + 1}", 0.0))
@@ -155,7 +157,7 @@ class Estimate:
         return likelihood
 
     def above_noise(self) -> list[str]:
-        """Return the outputs whose residual is larger than its white part and is not white."""
+        """Return the outputs with a residual that is neither white nor at noise level."""
         assert self.likelihood is not None
         assert self.covariance is not None
         point, names = self.likelihood.best, []
@@ -166,10 +168,10 @@ class Estimate:
         return names
 
     def _start_effects(self, likelihood: Likelihood) -> tuple[float, bool]:
-        """Return the largest growth of the effect of a start value from the first quarter to the last of its log.
+        """Return the largest growth of a start value's effect from the first to the last quarter of its log.
 
         Returns:
-            The growth, and whether the effect of some start value does not fade over its log.
+            The growth; True if the effect of some start value does not fade over its log.
         """
         growth, stays = 0.0, False
         for j, unknown in enumerate(likelihood.unknowns):
@@ -181,16 +183,18 @@ class Estimate:
         return growth, stays
 
     def _why_windows(self, likelihood: Likelihood) -> str:
-        """Return why free runs are useless, or ""."""
+        """Return the reason why free runs are useless, or ""."""
         growth, stays = self._start_effects(likelihood)
         if growth > GROWS:
-            return f"the plant is unstable: a small change of the start grows {growth:.0e} times over a log"
+            return (
+                f"the plant is unstable: a small change of the start value grows by a factor of {growth:.0e} over a log"
+            )
         if not stays:
             return ""
         logs, point = self.logs, likelihood.best
 
         def squares(k: int, values: Mapping[str, float]) -> Array:
-            """Return the mean square errors over windows of a log, infinite after a failure."""
+            """Return the mean square errors over windows of a log; infinite after a failure."""
             table = logs.errors(k, values, horizons(logs.drives[k].log)[-1])
             if table is None:
                 return np.full(len(logs.channels), np.inf)
@@ -206,11 +210,11 @@ class Estimate:
         if not ratio[worst] > DRIFTS:
             return ""
         return (
-            f"the effect of the start does not fade, and a free run misses {logs.channels[worst]} "
-            f"{ratio[worst]:.0f} times as far as windows, even after a fit"
+            f"the effect of the start value does not fade, and the error of {logs.channels[worst]} in a free run is "
+            f"{ratio[worst]:.0f} times that in windows, even after a fit"
         )
 
 
 def _nothing_identifiable(reasons: Iterable[str]) -> InputError:
-    message = f"no parameter is identifiable from these logs: {'; '.join(reasons)}; name parameters as --vary, or log"
+    message = f"no parameter is identifiable from these logs: {'; '.join(reasons)}; name parameters with --vary, or log"
     return InputError.at(Path("--vary"), f"{message} other inputs")

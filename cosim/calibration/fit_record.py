@@ -17,7 +17,7 @@ Form = Literal["ratio", "product", "sum", "difference", "combination"]
 
 
 class ProfileEntry(BaseModel):
-    """Likelihood of a parameter with all others estimated anew at each value."""
+    """Profile likelihood of a parameter: all other parameters are estimated again at each value."""
 
     values: list[Finite]
     deviance: list[Finite] = Field(
@@ -36,9 +36,11 @@ class ParameterEntry(BaseModel):
     start: Finite = Field(description="value before the fit")
     low: Finite | None = Field(description="bound, null without one")
     high: Finite | None
-    tolerance: Finite | None = Field(description="half-width of the 95 % interval of a prior about start; null: none")
+    tolerance: Finite | None = Field(
+        description="half-width of the 95 % interval of a prior around start; null without prior"
+    )
     ci95: tuple[Finite, Finite] | None = Field(description="95 % confidence interval; null if not identifiable alone")
-    status: Status = Field(description="held: kept at start, see combinations, or without effect")
+    status: Status = Field(description="held: fixed at start because of a combination, or without effect")
     profile: ProfileEntry | None = None
 
 
@@ -55,7 +57,7 @@ class LogEntry(BaseModel):
 class StartEntry(LogEntry):
     """A start value of one log."""
 
-    named: bool = Field(description="true: named by the user; false: shown by a measured output")
+    named: bool = Field(description="true: named by the user; false: equal to a measured output")
 
 
 class ChoiceEntry(BaseModel):
@@ -68,7 +70,7 @@ class ChoiceEntry(BaseModel):
 
 
 class CombinationEntry(BaseModel):
-    """Parameters of which the logs determine one combination only."""
+    """Parameters that the logs determine only in combination."""
 
     names: list[str]
     held: str
@@ -77,7 +79,7 @@ class CombinationEntry(BaseModel):
 
     @property
     def sentence(self) -> str:
-        """Return the combination in words."""
+        """Return the combination as a sentence."""
         if self.form == "combination":
             return f"{join_names(self.names)} are not identifiable one by one from these logs"
         return f"{join_names(self.names)} are only identifiable as their {self.form} {self.expression}"
@@ -89,12 +91,14 @@ class ChannelErrors(BaseModel):
     unit: str
     before: Finite | None
     after: Finite | None
-    noise_floor: Finite | None = Field(description="of the fitted model against itself, with the noise of the log")
-    excess_left: Finite | None = Field(description="share of the mean square error above the floor that remains")
+    noise_floor: Finite | None = Field(
+        description="error of the fitted model on data simulated with itself and the noise of the log"
+    )
+    excess_left: Finite | None = Field(description="remaining share of the mean square error above the noise floor")
 
 
 class PartErrors(BaseModel):
-    """Errors on a set of logs, by the replays of `cosim replay`."""
+    """Errors on a set of logs, from the same replays as `cosim replay`."""
 
     horizon: Finite | None = Field(description="decisive horizon [s], null for free runs")
     channels: dict[str, ChannelErrors]
@@ -127,7 +131,7 @@ class Record(BaseModel):
     per_log: list[LogEntry] = []
     given: dict[str, Any] = Field(description="further values set by --start")
     correlation: list[list[Finite]] | None = Field(description="of the estimated parameters, in their order")
-    singular_values: list[Finite] = Field(description="of the sensitivities per value, in standard deviations")
+    singular_values: list[Finite] = Field(description="singular values of the sensitivities, in standard deviations")
     combinations: list[CombinationEntry]
     screening: list[ChoiceEntry]
     noise: dict[str, NoiseEntry]

@@ -1,4 +1,4 @@
-"""A request to fit an FMU, from options or a study file with the place of each of its parts, and what it estimates."""
+"""A fit request, from options or from a study file with the place of each key, and the parameters to estimate."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from cosim.refinement.study import FileName, LogLists
 from cosim.residuals.drive import check_files, log_of_fmu, start_values
 from cosim.scenario.start_values import convert_value, kind_of, settable
 
-NOT_VARIED = '--vary "{text}" is none of NAME, NAME=20% and NAME=LOW..HIGH, as in mass=0.3..2'
+NOT_VARIED = '--vary "{text}" must have the form NAME, NAME=20% or NAME=LOW..HIGH, such as mass=0.3..2'
 
 REALS = {"Real", "Float64", "Float32"}
-FREE = {"", "free", "null"}  # values of NAME=… that mean NAME alone
+FREE = {"", "free", "null"}  # values of NAME=… that are equivalent to NAME alone
 MOST_NAMES = 8  # names in a message
 
 
@@ -95,13 +95,16 @@ class Request:
         return [*self.estimation, *self.sealed]
 
     def fault(self, place: Sequence[str | int], message: str, file: Path | None = None) -> Fault:
-        """Return a fault of a key of the study; without a study, of a file or of the option named as the key."""
+        """Return a fault of a key of the study.
+
+        Without a study, the fault is that of a file or of the option with the name of the key.
+        """
         if self.yaml is None:
             return Fault(file or Path(f"--{place[0]}"), 0, 0, message)
         return self.yaml.fault(tuple(place), message, key=place[0] == "vary")
 
     def log_fault(self, index: int, message: str) -> Fault:
-        """Return a fault of a log's name."""
+        """Return a fault of the name of a log."""
         part, first = ("estimation", 0) if index < len(self.estimation) else ("validation", len(self.estimation))
         return self.fault(("logs", part, index - first), message, self.logs[index])
 
@@ -118,7 +121,7 @@ def request_of(
     columns: Sequence[str] = (),
     limits: str = "",
 ) -> Request:
-    """Return the request of the options of `fit`, or of the study that is named in place of logs.
+    """Return the fit request of the options of `fit`, or of the study given in place of logs.
 
     Raises:
         InputError: Options do not fit together, or the study has faults.
@@ -130,16 +133,16 @@ def request_of(
         if fmu is None:
             for log in logs:
                 check_given(Path(log), LOG, STUDY, FIT_STUDY)
-            raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
+            raise InputError.at(Path("--fmu"), "no FMU is given; add --fmu X.fmu, or give a study file alone")
         return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, per_log, profile, names, most)
     if fmu is not None or sealed or columns:
-        message = f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed"
+        message = f"is {kind}, which names its FMU, logs and columns; give it without --fmu, --sealed"
         raise InputError.at(path, f"{message} and --column")
     yaml = YamlFile(path)
     unused = tuple(k for k in yaml.root if kind == STUDY and k not in FitStudyFile.model_fields)
     content = yaml.validate(FitStudyFile, {k: v for k, v in yaml.root.items() if k not in unused})
     if not content.model.lower().endswith(".fmu"):
-        message = f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters"
+        message = f"{content.model} is not an FMU; `cosim fit` needs an FMU, `cosim refine` estimates the parameters"
         refuse([yaml.fault(("model",), f"{message} of a model file")])
     return Request(
         _beside(path, content.model),
@@ -157,10 +160,11 @@ def request_of(
 
 
 def _beside(study: Path, name: str) -> Path:
-    """Return a file that a study names, without steps out of its folder and back: `a.csv`, not `x/../a.csv`."""
+    """Return the normalized path of a file named in a study: `a.csv`, not `x/../a.csv`."""
     path = study.parent / name
     plain = Path(os.path.normpath(path))
-    return plain if path.exists() and plain.exists() and plain.samefile(path) else path  # links may lead elsewhere
+    # with links, normalization may change the target
+    return plain if path.exists() and plain.exists() and plain.samefile(path) else path
 
 
 # -- what to estimate -----------------------------------------------------------------------------
@@ -173,11 +177,11 @@ class Parameter:
     Attributes:
         start: Value before the estimate.
         low, high: Bounds, infinite without any.
-        tolerance: Half-width of the 95 % interval of a normal prior about `start`; None without a prior.
+        tolerance: Half-width of the 95 % interval of a normal prior around `start`; None without a prior.
         is_start: True for the start value of a state.
-        per_log: True for what is estimated for each log: start values, and parameters that the user names.
+        per_log: True if a value is estimated for each log: start values, and parameters named by the user.
         log: Index of the log of a start value; None for a parameter of all logs.
-        spread: Size of a start value that an output shows; 0 for values that were named.
+        spread: Size of a start value that equals an output; 0 for values named by the user.
     """
 
     name: str
@@ -193,7 +197,7 @@ class Parameter:
 
     @property
     def scale(self) -> float:
-        """Return a typical size: the value, or a tenth of the range if it is zero."""
+        """Return a typical size: the value, or a tenth of the range if the value is zero."""
         width = 0.1 * (self.high - self.low)
         return self.spread or abs(self.start) or (width if math.isfinite(width) else 1.0)
 
@@ -204,7 +208,7 @@ class Parameter:
 
 
 class FitInput(NamedTuple):
-    """Logs, parameters to estimate, values of `--start`, and those of them that are not estimated."""
+    """Logs, parameters to estimate, values of `--start`, and those values that are not estimated."""
 
     logs: list[Log]
     parameters: list[Parameter]
@@ -213,7 +217,7 @@ class FitInput(NamedTuple):
 
 
 def read_input(request: Request) -> FitInput:
-    """Return the logs of a request, what is estimated from them, and the values of `--start`.
+    """Return the logs of a request, the parameters to estimate, and the values of `--start`.
 
     Raises:
         InputError: Every fault of logs and arguments.
@@ -235,9 +239,9 @@ def read_input(request: Request) -> FitInput:
         faults += [request.log_fault(k, f"{p.name} {beside}") for k, p in enumerate(paths) if not p.exists()]
     existing = [p for p in paths if not faults or p.exists()]
     if not request.estimation:
-        message = "names no log to estimate from; name at least one"
+        message = "has no log for the estimate; give at least one"
         faults.append(request.fault(("logs",), message, Path("LOG")))
-    twice = "is named twice; a log is used once, for the estimate or as a sealed log"
+    twice = "is given twice; use a log either for the estimate or as a sealed log"
     faults += [request.log_fault(k, twice) for k, p in enumerate(paths) if p in paths[:k]]
     refuse(faults if yaml is not None and not fmu.exists() else ())
     for path in existing or [fmu]:
@@ -250,24 +254,24 @@ def read_input(request: Request) -> FitInput:
     varied = {p.name for p in parameters}
     for k, name in enumerate(request.profile if parameters else ()):
         if name not in {p.name for p in parameters if not p.per_log}:
-            message = f"{name} is no parameter that is estimated for all logs{did_you_mean(name, varied)}"
-            faults.append(request.fault(("profile", k), f"{message}; name it as --vary too"))
+            message = f"{name} is not estimated for all logs{did_you_mean(name, varied)}"
+            faults.append(request.fault(("profile", k), f"{message}; add it to --vary"))
     refuse(faults)
     return FitInput(logs, parameters, given, {n: v for n, v in given.items() if n not in varied})
 
 
 def _parameters(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:
-    """Return the parameters to estimate: those that the request names, or all.
+    """Return the parameters to estimate: those named in the request, or all.
 
-    They can be scalar real parameters and states with a start value that may be set; parameters come first, in the
-    order of the FMU.
+    Candidates are scalar real parameters, and states with a settable start value; parameters come first, in the order
+    of the FMU.
 
     Raises:
         InputError: Every fault of the names, or there is no parameter.
     """
     names, offered = {v.name for v in description.modelVariables}, dict[str, Parameter]()
     for v in description.modelVariables:
-        is_parameter = "parameter" in (v.causality, v.variability)  # the latter in FMI 1.0
+        is_parameter = "parameter" in (v.causality, v.variability)  # in FMI 1.0
         is_state = v.causality in {"local", "internal", "output", None}
         if v.type in REALS and not v.shape and v.start is not None and settable(v) and (is_parameter or is_state):
             first = float(given.get(v.name, v.start))
@@ -295,7 +299,7 @@ def _named(request: Request, key: str, description: Any, offered: Mapping[str, P
     chosen: dict[str, Parameter] = {}
     for text in getattr(request, key):
         name, _, value = split_assignment(text, variables)
-        with suppress(ValueError):  # a value of Python: a pair is a range, None is no bound
+        with suppress(ValueError):  # a value from Python: a pair is a range, None is an absent bound
             read = json.loads(value)
             is_pair = isinstance(read, list) and len(read) == 2
             value = f"{read[0]}..{read[1]}" if is_pair else "" if read is None else str(read)
@@ -309,7 +313,7 @@ def _named(request: Request, key: str, description: Any, offered: Mapping[str, P
             chosen[name] = p = _bounded(description, variables[name], offered[name], value)
             if not p.low <= p.start <= p.high:
                 raise ValueError(
-                    f"{name} starts at {p.start:g}, outside {p.low:g} to {p.high:g}; give another value as --start "
+                    f"the start value {p.start:g} of {name} is outside {p.low:g} to {p.high:g}; give another --start "
                     f"{name}=VALUE"
                 )
         except ValueError as error:
@@ -327,7 +331,7 @@ def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, 
         kind = "an array" if variable.type in REALS else f"of type {variable.type}"
     names = [n for n, p in offered.items() if not p.is_start][:MOST_NAMES]
     return (
-        f"{name} is {kind}, which has no value to estimate; name a parameter, or the start value of a state "
+        f"{name} is {kind}, which cannot be estimated; name a parameter, or the start value of a state "
         f"({', '.join(names) or 'the FMU has none'})"
     )
 
@@ -340,9 +344,9 @@ def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -
     if text.endswith("%"):
         share = _number(text.removesuffix("%"))
         if not 0.0 < share < math.inf:
-            raise ValueError(f"{name}: {short(text)} is no tolerance; give a percentage above 0, such as 20%")
+            raise ValueError(f"{name}: {short(text)} is not a tolerance; give a percentage above 0, such as 20%")
         if parameter.start == 0.0:
-            raise ValueError(f"{name} starts at 0, of which {text} is nothing; give a range LOW..HIGH")
+            raise ValueError(f"{text} of the start value 0 of {name} is 0; give a range LOW..HIGH")
         return replace(parameter, tolerance=share / 100.0 * abs(parameter.start))
     first, _, second = (part.strip() for part in text.partition(".."))
     if not (first and second):

@@ -35,7 +35,7 @@ class Fitted:
 
     @property
     def sentence(self) -> str:
-        """Return the verdict in words."""
+        """Return the verdict as a sentence."""
         return str(self.record.get("sentence", ""))
 
     @property
@@ -49,7 +49,7 @@ class Fitted:
 
     @property
     def intervals(self) -> dict[str, tuple[float, float] | None]:
-        """Return parameter → 95 % interval, None if the logs do not determine it alone."""
+        """Return parameter → 95 % interval; None if the logs do not determine the parameter alone."""
         return {name: entry["ci95"] and tuple(entry["ci95"]) for name, entry in self._entries.items()}
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -96,6 +96,6 @@ class Fitted:
 
 
 def read_fitted(folder: Path) -> Fitted | None:
-    """Return the fit in a folder, or None."""
+    """Return the fit in a folder; None if it has none."""
     record = content_of(folder / "fit.json")
     return Fitted(record, folder) if record else None

@@ -1,4 +1,4 @@
-"""Which parameters logs can tell apart: screening, selection, and combinations that leave the outputs unchanged."""
+"""Identifiability of parameters: screening, selection, and combinations without effect on the outputs."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from cosim.core.linear_algebra import least_squares, orthonormal
 from cosim.core.text import join_names, plain
 from cosim.residuals.residual_statistics import finite
 
-CHANGES = (0.01, 0.1)  # of a screened parameter, relative to its scale
-NO_EFFECT = 1e-9  # change of every output, relative to its spread, that is rounding
-RESOLUTION = 5e-3  # least noise level for a choice, relative to the spread: models are not perfect
-WIDEST = 0.5  # half-width of the expected interval of a parameter that is worth its estimate, relative to its value
-APART = 0.03  # share of a sensitivity that the other parameters cannot imitate; differences are accurate to a third
-SUSPECT = 0.02  # singular value relative to the largest, from which a combination is tried
-MOVE = 0.1  # of the parameters of a combination that is tried
-INVISIBLE = 0.01  # change of the outputs relative to that of one parameter alone
+CHANGES = (0.01, 0.1)  # relative steps of a screened parameter
+NO_EFFECT = 1e-9  # change of every output, relative to its standard deviation, below which it is rounding
+RESOLUTION = 5e-3  # minimum noise level for a choice, relative to the standard deviation: models are not perfect
+WIDEST = 0.5  # largest half-width of the expected interval of a parameter to estimate, relative to its value
+APART = 0.03  # share of a sensitivity not reproduced by other parameters; differences are accurate to a third
+SUSPECT = 0.02  # singular value relative to the largest, below which a combination is tried
+MOVE = 0.1  # relative step of a combination that is tried
+INVISIBLE = 0.01  # change of the outputs relative to that by one parameter alone
 TAKES_PART = 0.2  # component of a direction relative to the largest
 SIGNS = {"ratio": " / ", "product": " · ", "sum": " + ", "difference": " − "}
 
 
 def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
-    """Return the choice among the parameters, with its reasons, and which unknowns it keeps.
+    """Return the choice among the parameters with reasons, and an array that is True for each selected unknown.
 
-    Each parameter is changed by 1 % and by 10 % of its scale. Those with an effect compete by pivoted QR of their
-    sensitivities: the one that the chosen ones imitate least comes next.
+    Each parameter is changed by 1 % and by 10 % of its scale. Parameters with an effect are ranked by pivoted QR of
+    their
+    sensitivities: the next one is least reproducible by those already chosen.
     """
     logs, good = likelihood.logs, [np.isfinite(t) for t in likelihood.best.tables]
-    sigma = np.maximum(logs.noise, RESOLUTION * logs.spread)  # the noise of its sensor, or the resolution of models
+    sigma = np.maximum(logs.noise, RESOLUTION * logs.spread)  # the sensor noise, or the resolution of models
     shares = np.concatenate([np.broadcast_to(sigma / logs.spread, g.shape)[g] for g in good])
 
     def changed(j: int, change: float) -> Array | None:
-        """Return the change of the residuals by a change of an unknown, in noise levels; None if the FMU fails."""
+        """Return the change of the residuals, in noise levels, by a change of an unknown; None if the FMU fails."""
         for side in (1.0, -1.0):
             move = np.zeros(len(likelihood.unknowns))
             move[j] = side * change * likelihood.scales[j]
@@ -69,7 +70,7 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
 
 
 def _changes(likelihood: Likelihood, move: Array) -> list[Array] | None:
-    """Return the changes of the residuals by a move from the best point; None outside the bounds or after a failure."""
+    """Return the changes of the residuals by a step from the best point; None outside the bounds or after a failure."""
     best = likelihood.best
     x = best.x + move
     if np.any((x < likelihood.low) | (x > likelihood.high)):
@@ -79,7 +80,7 @@ def _changes(likelihood: Likelihood, move: Array) -> list[Array] | None:
 
 
 def _without(columns: Array, nuisance: Array) -> Array:
-    """Return columns without their projection on nuisance columns."""
+    """Return columns after removal of their projection on nuisance columns."""
     if not nuisance.shape[1] or not columns.shape[1]:
         return columns
     basis = orthonormal(nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300))
@@ -87,7 +88,7 @@ def _without(columns: Array, nuisance: Array) -> Array:
 
 
 def _select(names: Sequence[str], matrix: Array, sizes: Array, reasons: list[str]) -> list[int]:
-    """Return the chosen columns by pivoted QR, and complete the reason for or against each."""
+    """Return the columns selected by pivoted QR, and add the reason for or against each to `reasons`."""
     chosen: list[int] = []
     rest = matrix.copy()
     least = 1.96 / WIDEST
@@ -110,7 +111,7 @@ def _select(names: Sequence[str], matrix: Array, sizes: Array, reasons: list[str
             imitators = [names[c] for c, part in zip(chosen, parts, strict=True) if part > 0.3 * np.max(parts)]
             reasons[i] = f"imitated by {join_names(imitators)}"
         elif sizes[i] >= least:
-            reasons[i] = "imitated by the start values of the logs"
+            reasons[i] = "not distinguishable from start values of the logs"
         else:
             size = max(float(sizes[i]), 1e-12)
             reasons[i] = f"its effect is within the noise: at best ± {plain(196.0 / size, 2)} % of its value"
@@ -121,10 +122,10 @@ def _select(names: Sequence[str], matrix: Array, sizes: Array, reasons: list[str
 
 
 def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, Array]:
-    """Return a combination of parameters that leaves the outputs unchanged, tried by simulation, and singular values.
+    """Return a parameter combination without effect on the outputs, confirmed by simulation, and singular values.
 
-    Suspects are the right singular vectors of the scaled sensitivities. A direction is believed if a move along it by
-    10 % changes the outputs a hundred times less than the same move of one parameter alone.
+    Candidates are the right singular vectors of the scaled sensitivities. A combination is confirmed if a step of 10 %
+    along it changes the outputs a hundred times less than the same step of one parameter alone.
     """
     point = likelihood.best
     good = [np.isfinite(t) for t in point.tables]
@@ -144,7 +145,7 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
         direction = directions[k] / np.max(np.abs(directions[k]))
         parts = np.flatnonzero(np.abs(direction) > TAKES_PART)
         if len(parts) == 1 or (likelihood.precision[parameters[parts]] > 0.0).any():
-            continue  # too weak alone: its interval says so; or the prior decides
+            continue  # too weak alone, as its interval shows, or determined by the prior
         alone = MOVE * float(np.max(lengths[parts]))
         if (form := _invisible_form(likelihood, parameters[parts], direction[parts], alone)) is not None:
             names = [likelihood.unknowns[j].name for j in parameters[parts].tolist()]
@@ -154,7 +155,7 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
 
 
 def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alone: float) -> Form | None:
-    """Return the form of a combination whose move is invisible, if any."""
+    """Return the form (product, ratio, sum, …) of a combination without effect on the outputs, if any."""
     point = likelihood.best
     scales, x = np.maximum(likelihood.scales, np.abs(point.x))[places], point.x[places]
 
@@ -164,21 +165,21 @@ def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alon
         return equal if pair[0] == pair[1] else opposite
 
     def visible(part: Array) -> float:
-        """Return the change of the outputs by a move, in standard deviations; infinite if the FMU fails."""
+        """Return the change of the outputs by a step, in standard deviations; infinite if the FMU fails."""
         move = np.zeros(point.x.size)
         move[places] = part
         if (changes := _changes(likelihood, move)) is None:
             return math.inf
         return math.sqrt(sum(float(np.nansum((c / point.sigma) ** 2)) for c in changes))
 
-    # relative to the smallest component, and rounded where close to whole numbers
+    # relative to the smallest component, and rounded if close to integers
     relative = [each / np.min(np.abs(each)) for each in (direction, direction * scales)]
     pairs = [(each, np.rint(each)) for each in relative]
     powers, shares = (np.where(np.abs(each - whole) < 0.05 * np.abs(whole), whole, each) for each, whole in pairs)
     moves = [(form(powers, "ratio", "product"), x * np.exp(MOVE * powers) - x)] if np.all(x != 0.0) else []
     size = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales))
     moves.append((form(shares, "difference", "sum"), MOVE * size * shares))
-    for name, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # a name is preferred
+    for name, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # forms with a name are preferred
         if min(visible(move), visible(-move)) <= INVISIBLE * alone:
             return name
     return None

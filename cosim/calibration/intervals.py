@@ -1,11 +1,11 @@
-"""Covariance of estimates under coloured residuals, and 95 % intervals.
+"""Covariance of estimates with coloured residuals, and 95 % intervals.
 
 The estimate is θ̂ = θ + A⁻¹·Σ_t K_t'·e_t with K = J/σ², A = J'·J/σ². The residuals of each output are modelled as an
-autoregression e = ε/a(q), so that Σ K'·e = Σ K̃'·ε, where K̃ is K filtered backwards by 1/a. The sandwich
-A⁻¹·(Σ K̃'·S·K̃)·A⁻¹ with the covariance S of ε needs no white residuals.
+autoregression e = ε/a(q), so that Σ K'·e = Σ K̃'·ε, where K̃ is K filtered backwards by 1/a. The sandwich A⁻¹·(Σ
+K̃'·S·K̃)·A⁻¹ with the covariance S of ε is also valid for residuals that are not white.
 
-A profile is the deviance 2·(max ln L − ln L) over one parameter, with all others estimated anew at each value. Its
-interval is not symmetric where the model is not linear in the parameter.
+A profile is the deviance 2·(max ln L − ln L) as a function of one parameter, with all others estimated again at each
+value. Its interval is asymmetric if the model is nonlinear in the parameter.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from cosim.core.arrays import Array
 from cosim.estimation.fit import inverse as scaled_inverse
 from cosim.logs.channel_noise import NORMAL_95
 
-MOST_LAGS = 30  # order of an autoregression
+MOST_LAGS = 30  # largest order of an autoregression
 FEW = 8  # values for each lag
-MANY = 50.0  # independent residuals for each unknown from which Student's factor is right
-DRAWS, SEED = 99, 1  # repetitions for the factors of few residuals
-SETTLING = 20  # multiple of the largest order before repeated residuals begin
+MANY = 50.0  # independent residuals per unknown, above which Student's factor is accurate
+DRAWS, SEED = 99, 1  # repetitions of the bootstrap for few residuals
+SETTLING = 20  # initial transient of repeated residuals, as a multiple of the largest order
 MOST_PROFILED = 10  # values of a profile on each side
-NEAR_END = 0.02  # standard deviations by which the end of a profile's interval may be missed
-FARTHER = 2.0  # half-widths that a profile goes at most at a time
+NEAR_END = 0.02  # tolerance of the end of a profile's interval, in standard deviations
+FARTHER = 2.0  # largest step of a profile, in half-widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Covariance:
     Attributes:
         matrix: Covariance of all unknowns.
         halves: Half-width of the 95 % interval of each unknown.
-        white: Standard deviation of each unknown if residuals were white.
+        white: Standard deviation of each unknown under the assumption of white residuals.
         colour: Channel → variance of a mean of its residuals relative to white residuals.
     """
 
@@ -70,7 +70,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
     inverse = scaled_inverse(information)
 
     def sandwich(tables: Sequence[Array]) -> tuple[Array, Array, Sequence[Autoregression]]:
-        """Return the covariance of the estimates, that of the channels' innovations, and their autoregressions."""
+        """Return the covariance of the estimates, that of the channels' innovations, and the autoregressions."""
         models = [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
         innovations, filtered = [], []
         for table, slope in zip(tables, slopes, strict=True):
@@ -98,9 +98,9 @@ def covariance(likelihood: Likelihood) -> Covariance:
     factors, roots = np.full(unknowns, float(stdtrit(freedom, 0.975))), np.sqrt(np.maximum(0.0, np.diag(matrix)))
     if freedom >= MANY * unknowns:
         return Covariance(matrix, factors * roots, white, colour)
-    # In each repetition the autoregressions make new residuals, from which the linearized estimate and its standard
-    # deviation are computed as from the log (bootstrap-t). That allows for the part of slow residuals that the
-    # parameters absorb, and for the uncertain colour.
+    # In each repetition the autoregressions generate new residuals. The linearized estimate and its standard deviation
+    # are computed from them as from the log (bootstrap-t). This accounts for the slow residuals that the parameters
+    # absorb, and for the uncertain autoregressions.
     rng, ratios = np.random.default_rng(SEED), []
     values, vectors = np.linalg.eigh(spread)
     root, settling = vectors * np.sqrt(np.maximum(values, 0.0)), SETTLING * MOST_LAGS
@@ -126,8 +126,8 @@ def covariance(likelihood: Likelihood) -> Covariance:
 def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry | None:
     """Return the profile of an unknown, None if it has no interval.
 
-    The deviance is scaled so that it is 1.96² at the ends of the interval of the covariance if the model is linear in
-    the parameter: residuals that are not white widen the profile as they widen that interval (composite likelihood).
+    The deviance is scaled to 1.96² at the ends of the interval from the covariance if the model is linear in the
+    parameter: residuals that are not white widen both intervals equally (composite likelihood).
     """
     best, half = likelihood.best, float(spread.halves[j])
     if not (math.isfinite(half) and half > 0.0 and spread.white[j] > 0.0):
@@ -165,7 +165,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
                     break
             else:
                 outside = value, here
-            step = abs(outside[0] - inside[0])  # NaN before anything is outside
+            step = abs(outside[0] - inside[0])  # NaN until a value is outside
             if math.isfinite(outside[1]):  # the root of the deviance is nearly linear
                 step = step * ((NORMAL_95 - inside[1]) / (outside[1] - inside[1]))
             elif math.isfinite(step):
@@ -179,7 +179,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
 
 
 def _autoregression(parts: Sequence[Array]) -> Autoregression:
-    """Return the autoregression of a channel by Burg's method, of the order that Akaike's criterion prefers.
+    """Return the autoregression of a channel by Burg's method; Akaike's criterion selects the order.
 
     Args:
         parts: Residuals of each log without missing values.
@@ -195,7 +195,7 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
         forward, backward = [f[1:] for f in forward], [b[:-1] for b in backward]
         products = [(float(f @ b), float(f @ f + b @ b)) for f, b in zip(forward, backward, strict=True)]
         size = sum(size for _, size in products)
-        # the reflection coefficient with the smallest prediction errors
+        # reflection coefficient with the smallest prediction error
         k = -2.0 * sum(cross for cross, _ in products) / size if size > 0.0 else 0.0
         longer = np.append(a, 0.0)
         a = longer + k * longer[::-1]
@@ -209,7 +209,7 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
 
 
 def _spread(innovations: Array) -> Array:
-    """Return the covariance of the channels' innovations, from the rows that have both."""
+    """Return the covariance of the channels' innovations, for each pair of channels from rows with both."""
     good = np.isfinite(innovations)
     values, weights = np.where(good, innovations, 0.0), good.astype(np.float64)
     pairs = weights.T @ weights

@@ -1,8 +1,9 @@
-"""Output-error maximum likelihood, for expensive and rough simulations.
+"""Output-error maximum likelihood for simulations that are expensive and not smooth.
 
-The noise level of each output is concentrated out: −ln L = Σ_c n_c·ln σ_c + ½ Σ ((p − p₀)/σ_p)², σ_c² = Σ e_c²/n_c.
-Its gradient is that of least squares with the weights 1/σ_c². The slopes are differences. A failure of the FMU costs
-one trial.
+The noise levels are eliminated analytically: −ln L = Σ_c n_c·ln σ_c + ½ Σ ((p − p₀)/σ_p)², σ_c² = Σ e_c²/n_c. The
+gradient equals that of least squares with the weights 1/σ_c². Derivatives are finite differences. A failure of the
+FMU
+costs one trial.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import first_start, free_run, self_started, sigma_of, start_parameters
 
-SMALLEST = 1e-8  # least standard deviation of a residual, relative to the spread of its channel
+SMALLEST = 1e-8  # minimum standard deviation of a residual, relative to that of its channel
 STEP, SMALL, TINY = 1e-2, 1e-3, 1e-4  # steps of differences, relative to the scale of an unknown
-ALIKE = 0.02  # relative difference of two slopes up to which the smaller step is trusted
+ALIKE = 0.02  # relative difference of two slopes up to which the smaller step is used
 ITERATIONS = 40
-SETTLED = 0.5  # gain of a step in log-likelihood, one standard error, after which the next one is negligible
-SHORTEST = 1e-4  # step from which no gain is expected, relative to the size of the unknowns
-Jacobian = list[Array]  # for each log (rows, channels, unknowns); NaN where the residual is
+# gain of a step in log-likelihood, corresponding to one standard error, after which the next step is negligible
+SETTLED = 0.5
+SHORTEST = 1e-4  # step size without expected gain, relative to the size of the unknowns
+Jacobian = list[Array]  # per log: array (rows, channels, unknowns); NaN where the residual is NaN
 
 
 class OutOfTime(Exception):
@@ -36,12 +38,12 @@ class OutOfTime(Exception):
 
 
 class Logs:
-    """Logs with their drives, and everything that their simulations have in common.
+    """Logs with their simulation drives, and the common data of all simulations.
 
     Attributes:
-        deadline: Clock time at which the budget is spent.
+        deadline: Clock time at which the time budget is spent.
         starts: For each log, start parameters by output.
-        channels: Measured outputs of any log.
+        channels: Outputs measured in any log.
         spread: Standard deviation of the measurements of each channel over all logs.
         noise: Noise level of the sensor of each channel, the median over the logs.
         horizon: Length of windows [s]; None for free runs.
@@ -62,7 +64,7 @@ class Logs:
         self.starts = [start_parameters(drive) for drive in drives]
 
     def shown_starts(self, values: Mapping[str, float]) -> list[Parameter]:
-        """Return the start values that outputs show, with a first estimate for each log, unless `values` has them."""
+        """Return the start values that equal outputs, with a first estimate for each log, unless `values` has them."""
         unknowns = []
         for k, (drive, starts) in enumerate(zip(self.drives, self.starts, strict=True)):
             known = {*values, *drive.given}
@@ -76,10 +78,10 @@ class Logs:
         return unknowns
 
     def errors(self, k: int, values: Mapping[str, float], horizon: float | None = None) -> Array | None:
-        """Return measured − model of a log, shape (rows, channels), NaN without both; None if the FMU fails.
+        """Return measured − model for log k, shape (rows, channels), NaN if either is missing; None if the FMU fails.
 
         Args:
-            horizon: Length of windows, other than that of the estimate.
+            horizon: Length of windows, if it differs from that of the estimate.
         """
         if time.monotonic() > self.deadline:
             raise OutOfTime
@@ -107,7 +109,7 @@ class Point:
     Attributes:
         tables: For each log (rows, channels), NaN without a value.
         counts, sigma: Number of values and standard deviation of each channel.
-        cost: −log-likelihood with the noise levels concentrated out, up to a constant: Σ n·ln σ and the priors.
+        cost: −log-likelihood without the noise levels, up to a constant: Σ n·ln σ and the priors.
     """
 
     x: Array
@@ -147,7 +149,10 @@ class Likelihood:
         return {**self.given, **chosen}
 
     def tables(self, x: Array) -> list[Array] | None:
-        """Return the residuals of all logs, None if a simulation fails; logs without a change keep the best ones."""
+        """Return the residuals of all logs, None if a simulation fails.
+
+        Logs with unchanged values are not simulated again.
+        """
         tables, best = [], getattr(self, "best", None)
         for k in range(len(self.logs.drives)):
             values = self.values(x, k)
@@ -175,10 +180,11 @@ class Likelihood:
         return point
 
     def restricted(self, kept: Flags, at: float | None = None) -> Likelihood:
-        """Return the likelihood of some of the unknowns. The others are held, and no prior acts on them.
+        """Return the likelihood of some of the unknowns. The others are fixed, and their priors are not used.
 
         Args:
-            at: Value of the others; None for the best point, which the result then begins with.
+            kept: True for each unknown that remains.
+            at: Value of the others; None for the best point, which is then the first point of the result.
         """
         pairs = [*zip(self.unknowns, self.best.x, kept, strict=True)]
         held = {u.name: float(v) if at is None else at for u, v, k in pairs if not k and u.log is None}
@@ -209,7 +215,10 @@ class Likelihood:
         return slopes
 
     def _choose_step(self, j: int, k: int) -> tuple[float, Array | None]:
-        """Return the step of an unknown in log k, small unless the rounding of the solver shows, and its slope."""
+        """Return a step for the differences of an unknown in log k, and the slope.
+
+        The step is small unless solver rounding is visible.
+        """
 
         def size(slope: Array) -> float:
             return float(np.sqrt(np.nansum(slope * slope)))
@@ -238,9 +247,10 @@ class Likelihood:
         return (sides[0][1] - self.best.tables[k]) / sides[0][0] if sides else None
 
     def maximize(self, report: Callable[[int], None]) -> bool:
-        """Move from the best point to the largest likelihood by scipy's trust region; return True if it settled.
+        """Move from the best point to the maximum likelihood by scipy's trust region; return True after convergence.
 
-        As a function of the squares, the loss is −2·ln L: its derivatives weight each output by its own noise level.
+        As a function of the squared residuals, the loss is −2·ln L; its derivatives weight each output by its noise
+        level.
         """
         from scipy.optimize import least_squares
 
@@ -251,7 +261,7 @@ class Likelihood:
         least = (SMALLEST * self.logs.spread / begin.sigma) ** 2
 
         def misses(x: Array) -> Array:
-            """Return residuals in standard deviations at the beginning, and deviations from the priors."""
+            """Return residuals in units of their initial standard deviations, and deviations from the priors."""
             point = self.point(np.select([x <= low, x >= high], [self.low, self.high], begin.x + x * scales))
             if point is None:
                 return np.full(cells + x.size, np.nan)

@@ -1,4 +1,4 @@
-"""Outcome of a fit: errors before and after, the content of fit.json, and sentences derived from the numbers."""
+"""Outcome of a fit: errors before and after, content of fit.json, and sentences."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from cosim.residuals.drive import Drive
 from cosim.residuals.residual_statistics import FREE_RUN, finite, pool_errors, remaining_excess
 from cosim.residuals.windows import Replay, free_run, horizons, replays_over
 
-CLEAR = 0.95  # ratio of errors from which the model is better
+CLEAR = 0.95  # ratio of errors below which the model counts as improved
 MOST = 2  # outputs in a headline
 
 
@@ -41,9 +41,9 @@ class Part:
 
     Attributes:
         sealed: True for logs that were opened after the fit.
-        rises: Outputs whose error rises significantly on sealed logs.
+        rises: Outputs whose error increases significantly on sealed logs.
         log: The last log.
-        before, after: Its outputs over the decisive horizon.
+        before, after: Model outputs for this log over the decisive horizon.
     """
 
     sealed: bool
@@ -62,10 +62,10 @@ def prove(
     *,
     sealed: bool,
 ) -> Part:
-    """Return the errors of a set of logs by the replays of `cosim replay`, with the values before and after.
+    """Return the errors of a set of logs, by the replays of `cosim replay`, with the values before and after the fit.
 
     Args:
-        horizon: Horizon of the noise floor of the values after; FREE_RUN for free runs.
+        horizon: Horizon of the noise floor of the fitted model; FREE_RUN for free runs.
     """
     logs, sides, squares = [d.log for d in drives], list[list[Mapping[float, Replay]]](), dict[str, list[float]]()
     for every in (before, after):
@@ -105,7 +105,7 @@ def prove(
 
 
 def _verdict(part: Part) -> Verdict:
-    """Return the verdict, by the geometric mean over the channels of the error after relative to that before."""
+    """Return the verdict from the geometric mean, over the channels, of the ratio of errors after/before."""
     ratios = [c.after / c.before for c in part.errors.channels.values() if c.before and c.after]
     ratio = math.exp(float(np.mean(np.log(ratios)))) if ratios else math.nan
     if ratio > 1.0 / CLEAR or part.rises:
@@ -189,18 +189,18 @@ def write_record(
     record.sentence = _sentence(record, parts)
     record.warnings = [*_warnings(record, estimate, parts)]
     if logs.horizon is not None:
-        record.notes = [f"the estimate uses windows of {logs.horizon:g} s in place of free runs: {estimate.reason}"]
+        record.notes = [f"the estimate uses windows of {logs.horizon:g} s instead of free runs: {estimate.reason}"]
     return record
 
 
 def _sentence(record: Record, parts: Sequence[Part]) -> str:
-    """Return the verdict: a headline with the outputs that change most, and a sentence on what was estimated."""
+    """Return the verdict as a headline with the outputs that change most, and a sentence on the estimate."""
     count = sum(entry.status != "held" for entry in record.parameters.values()) + len({e.name for e in record.per_log})
     runs = counted(record.simulations, "simulation")
     effort = f"{counted(count, 'parameter')} from {counted(len(record.logs), 'log')} by {runs}."
     if not parts:
         return f"The fit was stopped before its proof. The best values so far: {effort}"
-    part = parts[-1]  # sealed logs, or those of the estimate without any
+    part = parts[-1]  # sealed logs; without them, the logs of the estimate
     logs = counted(len(record.sealed), "sealed log") if part.sealed else counted(len(record.logs), "log")
     where = f"On {logs}" if part.sealed else f"On the {logs} of the estimate"
     horizon = part.errors.horizon
@@ -209,7 +209,7 @@ def _sentence(record: Record, parts: Sequence[Part]) -> str:
     worst_or_best = sorted(ratios, key=lambda n: ratios[n], reverse=record.verdict == "worse")[:MOST]
     chosen = {n: part.errors.channels[n] for n in worst_or_best}
     texts = [f"{n} from {size(c.before or 0.0, c.unit)} to {size(c.after or 0.0, c.unit)}" for n, c in chosen.items()]
-    change = {"improved": "falls", "worse": "does not fall"}.get(record.verdict, "hardly changes")
+    change = {"improved": "falls", "worse": "does not decrease"}.get(record.verdict, "hardly changes")
     unproven = " No sealed log confirms it." if record.verdict == "improved" and not part.sealed else ""
     return f"{where} the {error} {change}: {join_names(texts) or 'there is none'}.{unproven} {effort}"
 
@@ -219,10 +219,10 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
     for c in estimate.combinations:
         held = record.parameters[c.held]
         yield (
-            f"{c.sentence}; {c.held} is held at {amount(held.value, held.unit, 4)}, and none of them has an interval"
+            f"{c.sentence}; {c.held} is fixed at {amount(held.value, held.unit, 4)}, and none of them has an interval"
         )
     if estimate.idle:
-        yield f"no effect on any measured output of these logs, so the value is kept: {join_names(estimate.idle)}"
+        yield f"no effect on any measured output of these logs, so the value is unchanged: {join_names(estimate.idle)}"
     for name, entry in record.parameters.items():
         if entry.status == "at_bound":
             yield (
@@ -234,7 +234,7 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
                 f"{name} is barely determined by these logs: its 95 % interval is wider than its value before the fit"
             )
     if estimate.covariance is not None and not estimate.settled:
-        yield "the estimate did not settle: the likelihood is rough, and the intervals are unsure"
+        yield "the estimate did not converge: the likelihood is not smooth, and the intervals are unreliable"
     if estimate.logs.first_failure is not None:
         values, error = estimate.logs.first_failure
         shown = ", ".join(f"{n} = {plain(v, 4)}" for n, v in values.items() if n in record.parameters)
@@ -243,11 +243,11 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
     if unprofiled := [name for name, found in estimate.profiles.items() if found is None]:
         yield f"no profile of {join_names(unprofiled)}, which these logs do not determine alone"
     if estimate.dropped:
-        yield f"windows have start values of their own, so {join_names(estimate.dropped)} is not estimated"
+        yield f"windows have their own start values, so {join_names(estimate.dropped)} is not estimated"
     if parts and (risen := parts[-1].rises):
-        yield f"on sealed logs the error of {join_names(risen)} rises by more than its scatter from part to part"
+        yield f"on sealed logs the error of {join_names(risen)} increases by more than its scatter between parts"
     if estimate.covariance is not None and (names := estimate.above_noise()):
         yield (
-            f"the error of {join_names(names)} stays above the noise and is not white: no value of these "
-            "parameters explains it. `cosim refine` looks for what the FMU lacks, with a study of the same logs"
+            f"the error of {join_names(names)} is above the noise and not white: no value of these "
+            "parameters explains it. `cosim refine` searches for effects that the FMU lacks"
         )

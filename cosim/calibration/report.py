@@ -1,4 +1,4 @@
-"""The page of a fit: what it improved, the figure that shows it, parameters, identifiability, errors."""
+"""Report page of a fit: improvement, main figure, parameters, identifiability, errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from cosim.residuals.compare import horizon_name
 TEMPLATE = Path(__file__).with_name("templates") / "fit.html.j2"
 MOST_OUTPUTS = 8  # with a chart
 CURVE = 80  # points of a drawn profile
-STRONG = 0.95  # correlation of two estimates that is worth a word
+STRONG = 0.95  # correlation of two estimates that is reported
 
 
 def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
@@ -42,8 +42,8 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     charts = Charts()
     headline, details = split_sentence(record.sentence)
     verdict, tone = str(record.verdict), {"improved": "good", "worse": "bad"}.get(record.verdict, "plain")
-    if verdict == "improved" and not estimate.settled:  # no success yet
-        verdict, tone = "improved, not settled", "warn"
+    if verdict == "improved" and not estimate.settled:  # not counted as success yet
+        verdict, tone = "improved, not converged", "warn"
     counts = {"log": len(record.logs), "sealed log": len(record.sealed), "simulation": record.simulations}
     badges = [Badge(verdict, tone), *(Badge(counted(count, noun)) for noun, count in counts.items())]
     if record.warnings:
@@ -109,12 +109,12 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
 
 
 def number(value: float | None) -> float:
-    """Return NaN for a missing number."""
+    """Convert None to NaN."""
     return math.nan if value is None else value
 
 
 def _ruler(p: ParameterEntry) -> dict[str, Any]:
-    """Return the places of value, start and interval on a ruler about them [%]."""
+    """Return the positions of value, start and interval on a ruler around them [%]."""
     points = np.array([p.value, p.start, *(p.ci95 or ())])
     margin = 0.1 * float(np.ptp(points)) or 0.1 * abs(p.value) or 1.0
     at, old, *ends = np.round(100.0 * (points - points.min() + margin) / (np.ptp(points) + 2.0 * margin), 2).tolist()
@@ -137,7 +137,7 @@ def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
 
 
 def interval(entry: ParameterEntry | LogEntry) -> str:
-    """Return a confidence interval with as many digits as its width deserves."""
+    """Return a confidence interval as text; its width determines the number of digits."""
     if entry.ci95 is None:
         return MISSING
     low, high = (displayed(end, entry.unit) for end in entry.ci95)

@@ -1,4 +1,4 @@
-"""Workflow of a fit: logs → gate → drives → estimate → replays → files. Sealed logs are simulated at the end only."""
+"""Workflow of a fit: logs → checks → drives → estimate → replays → files. Sealed logs are simulated only at the end."""
 
 from __future__ import annotations
 
@@ -69,15 +69,15 @@ def fit(
     """Estimate parameters and start values of an FMU from measured logs.
 
     Args:
-        logs: Logs of the estimate, or a study file, which names them and the FMU.
+        logs: Logs for the estimate, or a study file, which names logs and FMU.
         fmu: FMU whose parameters are estimated.
         out: Folder for fit.json, fitted.ssv, fitted.fmu and report.html; None writes nothing.
         vary: Parameter → None, "20%", "LOW..HIGH" or (low, high), or texts as on the command line. By default those
             of the study, or those that the logs determine.
         start: Further value of the FMU, or first value of a parameter → value.
-        sealed: Logs for the proof, which the estimate does not use.
+        sealed: Logs for the final check, not used by the estimate.
         per_log: Parameters with a value for each log, such as a load that changes between logs.
-        profile: Parameters whose likelihood is profiled, for intervals that need not be symmetric.
+        profile: Parameters whose likelihood is profiled, for asymmetric intervals.
         columns: Column of the logs → variable, or "time".
         report: Write report.html.
         force: Write even if the folder is not empty; results in it are replaced.
@@ -140,11 +140,11 @@ def fit(
         try:
             estimate.run(given.parameters, screening=not request.vary, profiled=request.profile)
             stage = "the proof"
-            progress("replaying with the values before and after", 0.0)
+            progress("replaying with the values before and after the fit", 0.0)
             parts = _proof(given.parameters, estimate, opened, closed)
         except OutOfTime:
             reached = f"the limit of {most.total:g} s (limits: total) is reached"
-            stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without proof")
+            stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without final check")
         except (SimulationError, KeyboardInterrupt, Terminated) as error:
             is_failure = isinstance(error, SimulationError)
             if stage == "the fit" if is_failure else estimate.likelihood is None:
@@ -158,12 +158,12 @@ def fit(
         record.display = display
         record.notes += [f"{log.path.name}: {text}" for log in given.logs for text in log.assumed]
         if request.unused:
-            unused = f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"
+            unused = f"`cosim fit` ignores {join_names(request.unused)}; only `cosim refine` uses them"
             record.warnings.insert(0, unused)
         remove_earlier(place, read=files)
         values = {name: entry.value for name, entry in record.parameters.items()}
         likelihood, x = estimate.likelihood, estimate.likelihood.best.x
-        if len(opened) == 1:  # named start values of a single log may be start values of the FMU
+        if len(opened) == 1:  # named start values of a single log may be start values of the fitted FMU
             each = zip(likelihood.unknowns, x.tolist(), strict=True)
             values |= {u.name: v for u, v in each if u.log is not None and not u.spread}
         _write_parameters(request, {n: v for n, v in given.fixed.items() if isinstance(v, float)} | values, place)
@@ -171,7 +171,7 @@ def fit(
             start = {n: v for n, v in likelihood.values(x, 0).items() if n not in values}
             way, reason = deliver(drives[0], values, start, place / "fitted.fmu", partial(load, given.logs[0]))
             if way == "wrapped":
-                record.notes.append(f"fitted.fmu holds the FMU in a wrapper that sets the values: {reason}")
+                record.notes.append(f"fitted.fmu contains the FMU in a wrapper that sets the values: {reason}")
             elif not way:
                 words = ["cosim", "simulate", str(path)]
                 words += [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
@@ -201,7 +201,10 @@ def fit(
 def _proof(
     parameters: Sequence[Parameter], estimate: Estimate, opened: Sequence[Drive], closed: Sequence[Drive]
 ) -> list[Part]:
-    """Return the errors on the logs of the estimate, and on sealed logs, which get the mean of each value."""
+    """Return the errors on the logs of the estimate, and on sealed logs.
+
+    Values per log are replaced by their mean there.
+    """
     assert estimate.likelihood is not None
     likelihood, horizon = estimate.likelihood, estimate.logs.horizon or FREE_RUN
     varied, first = {p.name for p in parameters}, {p.name: p.start for p in parameters if not p.is_start}
@@ -215,7 +218,7 @@ def _proof(
 
 
 def _write_parameters(request: Request, values: Mapping[str, float], folder: Path) -> None:
-    """Write values as an SSP parameter set, with their units and the definitions of these."""
+    """Write values as an SSP parameter set with units."""
     described = read_description(request.fmu)
     units = {v.name: unit_of(v) for v in described.modelVariables}
     definitions = {u: d for u in {units[n] for n in values} if (d := unit_definition(described, u)) is not None}
@@ -224,7 +227,7 @@ def _write_parameters(request: Request, values: Mapping[str, float], folder: Pat
 
 
 def check_fit_study(path: Path, checking: Checking) -> list[str]:
-    """Return what a fit of a study will estimate.
+    """Return a note on what a fit of the study will estimate.
 
     Raises:
         InputError: The study has faults.
@@ -238,28 +241,29 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
             apart = [DriveApart(checking.worker, log, request.fmu, **more) for log in given.logs]
             _refuse_bad([stack.enter_context(drive) for drive in apart])
         _refuse_own_step(request, given)
-    aim = "" if request.vary else "what the logs determine of "
+    aim = "" if request.vary else "the identifiable ones among "
     return [Note(f"`cosim fit` will estimate {aim}{join_names([p.name for p in given.parameters])}")]
 
 
 def _refuse_own_step(request: Request, given: FitInput) -> None:
-    """Raise InputError if the FMU makes steps of its own that are longer than those of a log."""
+    """Raise InputError if the FMU has an internal step that is longer than the step of a log."""
     numbers, log = {n: v for n, v in given.given.items() if isinstance(v, float)}, given.logs[0]
     try:
         own = probe_own_step(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
     except (FmuError, SimulationError):
-        return  # the first simulation reports it
+        return  # the first simulation will report it
     if own and own.distorts:
         message = (
-            f"its co-simulation takes steps of its own of about {own.length:.3g} s, above the {log.step:.3g} s of the "
-            "logs, so its results are wrong there; export it with a shorter step, or record rows every "
+            f"its co-simulation has an internal step of about {own.length:.3g} s, above the step of "
+            f"{log.step:.3g} s of the "
+            "logs, so its results are wrong; export it with a shorter step, or record rows every "
             f"{own.length:.3g} s"
         )
         raise InputError.at(request.fmu, message)
 
 
 def _refuse_bad(drives: Sequence[Drive]) -> None:
-    """Refuse logs with faults of clock, units or channels; every fault of every log at once."""
+    """Raise InputError with the faults of clock, units or channels of all logs."""
     findings = ((d.log, gate(d.log, d.rate, d.traits, starts=d.starts)) for d in drives)
     refuse(fault for log, found in findings for fault in gate_faults(log, found))
 
@@ -267,8 +271,8 @@ def _refuse_bad(drives: Sequence[Drive]) -> None:
 # -- the FMU with fitted start values --------------------------------------------------------------
 
 
-# It is a copy whose modelDescription.xml has them, if its library follows the file. Else a wrapper sets them, as in a
-# refined FMU; that takes a compiler.
+# The FMU is copied, with new start values in modelDescription.xml, if its library uses them. Otherwise a wrapper sets
+# the values, as in a refined FMU, which needs a compiler.
 
 
 def deliver(
@@ -278,17 +282,17 @@ def deliver(
     path: Path,
     load: Callable[[Path], AbstractContextManager[Drive]],
 ) -> tuple[str, str]:
-    """Write an FMU with other start values that behaves as the original with these values set.
+    """Write an FMU with other start values that behaves like the original with these values set.
 
-    It is run without setting any of the values, and compared.
+    For comparison, it is simulated without setting any of the values.
 
     Args:
         drive: Drive of the original over a log.
         start: Start values of the log, for both runs.
-        load: Function that returns a drive of an FMU over that log, as a context.
+        load: Function that returns a drive of an FMU over that log, as a context manager.
 
     Returns:
-        How it was made, "copied", "wrapped" or "" if there is none; why it is not copied, or why there is none.
+        The method: "copied", "wrapped" or "" for failure; and the reason why it was not copied, or why it failed.
     """
     last, reason = drive.log.rows - 1, ""
     wanted = drive.run(0, last, {**start, **values})
@@ -311,13 +315,13 @@ def deliver(
         if way == "copied":
             reason = "the library ignores the start values of modelDescription.xml"
         else:
-            reason += "; its wrapper, which sets the values, does not behave as the FMU with the values set"
+            reason += "; a wrapper that sets the values does not behave like the FMU with the values set"
     path.unlink(missing_ok=True)
     return "", reason
 
 
 def _write_copy(fmu: Path, values: Mapping[str, float], path: Path) -> None:
-    """Write a copy of an FMU with other start values; every other file stays, with its date and place.
+    """Write a copy of an FMU with other start values; all other files are unchanged, with their dates.
 
     Raises:
         CannotWrap: A variable has no start value.

@@ -6,13 +6,13 @@ from cosim.files.artefact import Artefact
 
 ARTEFACTS = (
     Artefact(
-        "an answer of `cosim compare`",
-        "scripts read it; `cosim compare A B` makes one",
+        "a result of `cosim compare`",
+        "read it with a script; `cosim compare A B` writes one",
         keys=(frozenset({"a", "b", "within", "signals"}),),
         verb="cosim compare",
         marks=("comparison.json",),
         files=("comparison.json", "report.html"),
         folder="the folder of a comparison",
-        folder_step="its report.html opens in a browser, scripts read comparison.json",
+        folder_step="open its report.html in a browser; comparison.json is for scripts",
     ),
 )

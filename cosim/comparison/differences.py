@@ -1,4 +1,4 @@
-"""Differences between the signals of two runs: numbers, texts, and rows at other times."""
+"""Differences between the signals of two runs: numbers, texts, and rows at different times."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from cosim.files.results import is_rounded
 from cosim.files.table import as_text
 from cosim.simulation.run_signals import RecordedRun
 
-SAME_TIME = 1e-9  # fraction of a step
-ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
+SAME_TIME = 1e-9  # tolerance of equal times, as a fraction of a step
+# tolerance of equal values after a unit conversion there and back, as a fraction
+ROUNDING = 8 * float(np.finfo(float).eps)
 BETWEEN = "between rows of the baseline"
 BAND = "for {} of the time beyond the error band of the baseline"
 MAX_LISTED = 12  # signals in a short text
@@ -30,10 +31,10 @@ MAX_LISTED = 12  # signals in a short text
 
 @dataclass(frozen=True)
 class RowsBetween:
-    """Rows of run b, and the rows of a from `first` to `last` whose range is allowed for each.
+    """Rows of run b, each with the rows `first` to `last` of run a that span its allowed range.
 
     Attributes:
-        is_jump: Whether a or b has several rows at the time of a row.
+        is_jump: True if a or b has several rows at the time of the row.
     """
 
     rows: Rows
@@ -45,7 +46,7 @@ class RowsBetween:
     def outside(self, a: Array, b: Array) -> tuple[float, float]:
         """Return the largest distance of b from the range spanned by the surrounding rows of a, and its time [s].
 
-        The distance is infinite if a number is missing in a single run, and 0 if b has no rows between rows of a.
+        The distance is infinite if a number is missing in one run only, and 0 if b has no rows between rows of a.
         """
         if not self.rows.size:
             return 0.0, 0.0
@@ -55,7 +56,7 @@ class RowsBetween:
         values = b[self.rows]
         with np.errstate(invalid="ignore"):
             out = np.fmax(np.fmax(low - values, values - high), 0.0)
-        out = np.where((values == low) | (values == high), 0.0, out)  # equal infinities
+        out = np.where((values == low) | (values == high), 0.0, out)  # equal infinities differ by 0
         out = np.where(np.isnan(values), np.where(gaps, 0.0, np.inf), np.where(np.isnan(low), np.inf, out))
         row = int(np.argmax(out))
         return float(out[row]), float(self.time[row])
@@ -68,27 +69,27 @@ class RowsBetween:
         return None
 
     def nearest(self, a: Array, b: Array) -> Array:
-        """Return b with the nearest value in the range of a in place of each of the rows."""
+        """Return b with each of the rows replaced by the nearest value in the range of a."""
         values = b.copy()
         if self.rows.size:
             values[self.rows] = np.clip(b[self.rows], *self._range(a))
         return values
 
     def _range(self, a: Array) -> tuple[Array, Array]:
-        """Return the least and the largest values of a around each row."""
+        """Return the smallest and largest value of a around each row."""
         padded = np.append(a, np.nan)  # A range may end with the last row.
         ends = np.column_stack((self.first, self.last + 1)).ravel()
         return np.fmin.reduceat(padded, ends)[::2], np.fmax.reduceat(padded, ends)[::2]
 
     def only(self, *, jumps: bool = False) -> RowsBetween:
-        """Return the rows between rows of a, or at a time at which a or b has several rows; or at such times only."""
+        """Return only the rows between rows of a or at jumps; with `jumps`, only the rows at jumps."""
         chosen = (self.first < self.last) & (self.is_jump | (not jumps))
         first, last = self.first[chosen], self.last[chosen]
         return RowsBetween(self.rows[chosen], self.time[chosen], first, last, self.is_jump[chosen])
 
 
 def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
-    """Return the rows of b in the time of a with the surrounding rows of a, which is one row if both have one then.
+    """Return the rows of b within the time of a, each with its surrounding rows of a (one row if the times are equal).
 
     Args:
         tolerance: Largest difference of equal times [s].
@@ -109,14 +110,14 @@ class Difference:
 
     Attributes:
         unit: Unit of a; b is converted to it.
-        largest: Largest |b − a| in the unit, at time `at` [s]; infinite if a number is missing in a single run or
+        largest: Largest |b − a| in the unit, at time `at` [s]; infinite if a number is missing in one run only or
             dimensions differ.
         rms: Root mean square of b − a.
-        scale: Range of a, for a constant its magnitude, or 1.
+        scale: Range of a; for a constant its magnitude, or 1 if it is zero.
         share: largest / scale.
-        beyond: Whether the tolerance is exceeded.
+        beyond: True if the tolerance is exceeded.
         note: Note on units or text.
-        alike: Whether the dimensions agree.
+        alike: True if the dimensions agree.
     """
 
     name: str
@@ -131,13 +132,13 @@ class Difference:
     alike: bool = True
 
     def as_json(self) -> dict[str, Any]:
-        """Return the difference without the signal's name as plain data; non-finite becomes None."""
+        """Return the difference as plain data, without the signal's name; non-finite numbers become None."""
         values = [(k, v) for k, v in asdict(self).items() if k != "name"]
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values}
 
 
 def common_rows(a: RecordedRun, b: RecordedRun) -> tuple[slice, bool]:
-    """Return the rows of a within the time of b, and whether both runs have the same times in these rows."""
+    """Return the rows of a within the time of b, and True if both runs have equal times there."""
     first, second = a.results.time, b.results.time
     count = min(first.size, second.size)
     if not count:
@@ -150,7 +151,7 @@ def common_rows(a: RecordedRun, b: RecordedRun) -> tuple[slice, bool]:
 
 
 def time_tolerance(time: Array) -> float:
-    """Return the largest difference [s] of two times that count as equal: less than a step, more than rounding."""
+    """Return the tolerance [s] of equal times: below a step, above rounding."""
     steps = np.diff(time)
     step = float(np.min(steps[steps > 0.0], initial=1.0))
     return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
@@ -182,11 +183,11 @@ def compare_numbers(name: str, unit: str, time: Array, values: tuple[Array, Arra
 def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:
     """Return a note on the units of both runs."""
     if unit and unit == other:
-        return f"{unit} of another definition, converted" if by != Conversion() else ""
+        return f"{unit} has another definition, converted" if by != Conversion() else ""
     if unit and other:
         return f"converted from {other}"
     where = "here" if unit else "in the baseline"
-    return f"no unit {where}, taken as {d.unit}" if (unit or other) and d.largest else ""
+    return f"no unit {where}, assumed {d.unit}" if (unit or other) and d.largest else ""
 
 
 def compare_text(
@@ -200,10 +201,10 @@ def compare_text(
 ) -> Difference:
     """Return the difference of text: 1 if any row differs, else 0.
 
-    A text between two rows of the other run must be that of one of them.
+    A text between two rows of the other run must equal the text of one of these rows.
 
     Args:
-        held: Rows of b with the surrounding rows of a, and the reverse; None for equal times.
+        held: Rows of b with the surrounding rows of a, and vice versa; None for equal times.
     """
     first, second = ([*map(as_text, r.results.exact.get(name) or r.results[name])] for r in (a, b))
     time = a.results.time[rows]
@@ -235,10 +236,10 @@ class Compared:
     """Differences of two runs.
 
     Attributes:
-        only_a: Signals of run a alone.
-        only_b: Signals of run b alone.
+        only_a: Signals that only run a has.
+        only_b: Signals that only run b has.
         time: Times [s] of a at which b has values too.
-        aligned: Whether both runs have the same times.
+        aligned: True if both runs have the same times.
         shorter: Note about the shorter of two runs; "" for equal spans of time.
     """
 
@@ -266,12 +267,12 @@ class Compared:
 
     @property
     def judged(self) -> bool:
-        """Return whether a tolerance was given, so that the comparison has a verdict."""
+        """Return True if a tolerance was given, so that the comparison has a verdict."""
         return self.tolerance is not None
 
     @property
     def same(self) -> bool:
-        """Return whether run b matches run a.
+        """Return True if run b matches run a.
 
         Every signal of a must be in b and agree within the tolerance (exactly, if there is none). Both runs must
         cover the same time.
@@ -320,12 +321,12 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     common = [name for name in in_a if name in in_b]
     if not common:
         names = [", ".join([*each][:5]) or "none" for each in (in_a, in_b)]
-        raise InputError.at(b.path, f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}")
+        raise InputError.at(b.path, f"has no signal in common with {a.path}: {names[1]} here, {names[0]} there")
     rows, aligned = common_rows(a, b)
     time = a.results.time[rows]
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
-        raise InputError.at(b.path, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")
+        raise InputError.at(b.path, f"has no time in common with {a.path}: {spans[1]} here, {spans[0]} there")
     has_tolerance = tolerance is not None
     of_a, of_b = a.results, b.results
     values: dict[str, tuple[Array, Array]] = {}
@@ -341,7 +342,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
         unit, other = of_a.units.get(name, ""), of_b.units.get(name, "")
         by = unit_conversion(b, a, name)
         if by is None:
-            note, far = f"in {unit} in one, in {other} in the other", math.inf
+            note, far = f"{unit} in one run, {other} in the other", math.inf
             return Difference(name, unit, far, float(time[0]), far, 1.0, far, has_tolerance, note, alike=False)
         first, second = of_a[name], of_b[name] if by == Conversion() else by.factor * of_b[name] + by.offset
         around = between
@@ -362,7 +363,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
             beyond_band = float(np.mean(gaps > half[np.isfinite(half)])) if gaps.size else 0.0
             found = replace(found, note="; ".join(filter(None, [found.note, BAND.format(percent(beyond_band))])))
         if around is not None:
-            outside, at = around.outside(first, second)  # of intermediate rows of b, from the range of a
+            outside, at = around.outside(first, second)  # distance of intermediate rows of b from the range of a
             if outside > max(found.largest, ROUNDING * found.scale):
                 note = "; ".join(filter(None, [found.note, BETWEEN]))
                 found = replace(found, largest=outside, at=at, share=outside / found.scale, note=note)
@@ -382,9 +383,9 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
 
 
 def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion | None:
-    """Return the conversion of a signal to its unit in another run; None for other dimensions.
+    """Return the conversion of a signal to its unit in another run; None if the dimensions differ.
 
-    Definitions of units by the FMUs count if both runs have a record of them.
+    Unit definitions of the FMUs are used if both runs have recorded them.
     """
     units = [run.results.units.get(name, "") for run in (of, to)]
     definitions: list[Any] = [run.manifest.get("unit_definitions") for run in (of, to)]
@@ -399,7 +400,7 @@ def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion |
 
 
 def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:
-    """Return whether a signal is constant between rows: by the record of a run, else by whole numbers in both."""
+    """Return True if a signal is constant between rows, by a run's record or because both runs have integers."""
     recorded = [run for run in (a, b) if "discrete" in run.manifest]
     if not recorded:
         return all(name in run.results.whole for run in (a, b))
@@ -422,7 +423,7 @@ def criterion_title(outcome: Mapping[str, Any]) -> str:
 
 
 def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
-    """Return whether two runs were read from one path."""
+    """Return True if both runs were read from the same path."""
     return a.path.exists() and a.path.resolve() == b.path.resolve()
 
 

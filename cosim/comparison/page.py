@@ -22,20 +22,20 @@ from cosim.report.panels import Band, Panel, Trace, axis_unit
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
-MOST_LABELS = 4  # runs whose legends have labels with inputs; legends of more runs have short names
+MOST_LABELS = 4  # largest number of runs with labels including inputs in legends; more runs have short names
 MAX_ROWS = 200  # signals and inputs in a table; comparison.json has all
 BASELINE, STYLES = "baseline", 15  # styles of lines: `run0` … `run14` for the others
-OTHER_TIMES = "read at the times of the baseline, straight between its rows"
+OTHER_TIMES = "interpolated linearly at the times of the baseline"
 
 
 def styles_of(c: ComparedRuns) -> dict[int, str]:
-    """Return the style of line of each drawn run; that of the baseline is different from all others."""
+    """Return the line style of each drawn run; the baseline has a unique style."""
     others = (k for k in c.drawn if k != c.baseline)
     return {c.baseline: BASELINE} | {k: f"run{place % STYLES}" for place, k in enumerate(others)}
 
 
 def panels_of(c: ComparedRuns, name: str, curves: Sequence[Array], *, on_page: bool = False) -> list[Panel]:
-    """Return the panel of a signal in all runs; of two runs, and on a page, with the differences from the baseline."""
+    """Return the chart panel of a signal in all runs. For two runs, and on a page, a panel of differences is added."""
     own = c.units[name]
     unit, (fine, factor) = axis_unit(own), display(own)
     by_run, styles = dict(zip(c.drawn, curves, strict=True)), styles_of(c)
@@ -80,12 +80,13 @@ def comparison_page(runs: ComparedRuns) -> str:
     inputs = []
     for row in runs.inputs[:MAX_ROWS]:
         texts = [input_text(value) for value in row.values]
-        names = [text.rpartition("/")[2] if text.startswith("/") else text for text in texts]  # the last part of paths
+        # shorten paths to their last part
+        names = [text.rpartition("/")[2] if text.startswith("/") else text for text in texts]
         inputs.append((row.name, row.kind, *(names if len({*names}) == len({*texts}) else texts)))
     criteria = []
     for title, outcomes in criteria_of(runs.runs).items():
         limits = {_criterion_limit(entry) for entry in outcomes if entry is not None}
-        is_one = len(limits) == 1  # which is told once
+        is_one = len(limits) == 1  # state a common limit once
         cells = [_criterion_cell(entry, limit=not is_one) for entry in outcomes]
         criteria.append((f"{title}, at most {limits.pop()}" if is_one else title, *cells))
     context = {
@@ -133,7 +134,7 @@ def _run_rows(c: ComparedRuns) -> list[dict[str, Any]]:
 
 
 def _difference_cell(d: Difference | None) -> tuple[str, str, bool]:
-    """Return the largest difference, its share, time and note, and whether it is beyond the tolerance."""
+    """Return largest difference, share, time and note as text; True if it exceeds the tolerance."""
     if d is None:
         return "–", "", False
     if not d.largest:
@@ -147,7 +148,7 @@ def _criterion_limit(entry: Mapping[str, Any]) -> str:
 
 
 def _criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool) -> tuple[str, str]:
-    """Return the value as text, with its limit, and the tone of the outcome.
+    """Return the value of a criterion as text, optionally with its limit, and the tone of the outcome.
 
     The tone is good, bad, or "" for a run without the criterion.
     """

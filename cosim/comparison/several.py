@@ -1,4 +1,4 @@
-"""Comparison of several runs with a baseline run, with the inputs that differ, and its files."""
+"""Comparison of several runs with a baseline: signals, differing inputs, and files."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_RUNS, MAX_SIGNALS, MAX_CURVES = 12, 24, 144  # drawn
+MAX_RUNS, MAX_SIGNALS, MAX_CURVES = 12, 24, 144  # largest number of drawn runs
 MAX_DRAWN = 4  # signals in a figure by default
-MOST_IN_MEMORY = 4  # runs; beyond, drawn runs are read twice
+MOST_IN_MEMORY = 4  # number of runs above which drawn runs are read twice, to save memory
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
 FILES = ("comparison.json", "report.html")
 LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
@@ -58,7 +58,7 @@ class RunSource:
         short: Short name.
         longer: Longer name, for a run without an input that differs.
         read: Function that reads the run.
-        is_optional: Whether the run is left out if it cannot be read or compared, because a pattern matched it.
+        is_optional: True for a match of a pattern, which is left out if it cannot be read or compared.
     """
 
     short: str
@@ -73,7 +73,7 @@ class ComparedRuns:
     """Differences of several runs from a baseline.
 
     Attributes:
-        runs: Runs without their rows, in the given order; `name` is a label that differs from all others.
+        runs: Runs without their rows, in the given order; `name` is a unique label.
         shorts: Short names of the runs.
         baseline: Index of the baseline.
         comparisons: Comparison of each other run with the baseline, without values.
@@ -103,22 +103,22 @@ class ComparedRuns:
 
     @property
     def others(self) -> list[int]:
-        """Return the indices of the runs that are compared with the baseline."""
+        """Return the indices of all runs except the baseline."""
         return [k for k in range(len(self.runs)) if k != self.baseline]
 
     @property
     def by_run(self) -> dict[int, Compared]:
-        """Return the comparison of each run but the baseline, by its index."""
+        """Return the comparison of each run, except the baseline, by its index."""
         return dict(zip(self.others, self.comparisons, strict=True))
 
     @property
     def judged(self) -> bool:
-        """Return whether a tolerance was given, so that the comparison has a verdict."""
+        """Return True if a tolerance was given, so that the comparison has a verdict."""
         return self.comparisons[0].judged
 
     @property
     def same(self) -> bool:
-        """Return whether all runs match the baseline; see `Compared.same`."""
+        """Return True if all runs match the baseline; see `Compared.same`."""
         return all(c.same for c in self.comparisons)
 
     @property
@@ -128,7 +128,7 @@ class ComparedRuns:
 
     @property
     def ranking(self) -> list[str]:
-        """Return the signals of the baseline that another run has, largest share first."""
+        """Return the signals that the baseline shares with another run, largest share first."""
         shares: dict[str, float] = {}
         for comparison in self.comparisons:
             for d in comparison.differences:
@@ -148,13 +148,13 @@ class ComparedRuns:
 
     @property
     def equal(self) -> list[str]:
-        """Return the signals without a difference between runs; a run may lack the signal."""
+        """Return the signals that are equal in all runs that have them."""
         differing = self.differing
         return [name for name in self.table if name not in differing]
 
     @property
     def drawable(self) -> list[str]:
-        """Return the signals with curves, equal ones last."""
+        """Return the signals with curves; signals without differences come last."""
         equal = {*self.equal}
         return sorted(self.values, key=lambda name: name in equal)
 
@@ -170,7 +170,7 @@ class ComparedRuns:
 
     @property
     def summary(self) -> str:
-        """Return the outcome in two sentences: on the criteria and on the differences."""
+        """Return the outcome in two sentences: criteria and differences."""
         return " ".join(filter(None, (self.summary_of_criteria, self.summary_of_differences)))
 
     @property
@@ -240,7 +240,7 @@ class ComparedRuns:
         return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
 
     def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of all runs, by default for the most different signals.
+        """Return a matplotlib figure of signals in all runs, by default the signals that differ most.
 
         Raises:
             KeyError: A signal has no curves.
@@ -251,13 +251,13 @@ class ComparedRuns:
 
         for name in names:
             if name not in self.drawable:
-                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.drawable)}')
+                raise KeyError(f'no curves for "{name}"{did_you_mean(name, self.drawable)}')
         shown = names or self.drawable[:MAX_DRAWN]
         return sheet(self.time, [panel for name in shown for panel in panels_of(self, name, self.values[name])])
 
     @property
     def cells(self) -> list[tuple[str, ...]]:
-        """Return the headings of a table, and a row for each signal, largest share first."""
+        """Return the headings of a table, and a row for each signal, largest difference first."""
 
         def text(d: Difference | None) -> str:
             if d is None:
@@ -342,7 +342,7 @@ def compare_several(
     bare = [replace(base, results=NOTHING) if k == baseline else comparisons[k].b for k in kept]
     place = kept.index(baseline)
     names = [sources[k].short for k in kept]
-    shorts = [  # `run 3`, or `tank` and `tank #2`
+    shorts = [  # shorten to `run 3`, or `tank` and `tank #2`
         f"{name} #{names[: k + 1].count(name)}" if name in names[:k] else name for k, name in enumerate(names)
     ]
     longer = [s if s != sources[k].short else sources[k].longer or s for k, s in zip(kept, shorts, strict=True)]
@@ -372,7 +372,7 @@ def compare_several(
 
 
 def _with_declared_starts(row: DifferingInput, records: Sequence[Mapping[str, Any]]) -> DifferingInput:
-    """Return the input with the start value of the FMU as text where a run did not set it, as `0.98 (FMU)`."""
+    """Return an input in which unset values are replaced by the FMU's start value as text, such as `0.98 (FMU)`."""
     component, _, variable = row.name.partition(".")
     if row.kind != PARAMETER:
         return row
@@ -388,7 +388,7 @@ def _with_declared_starts(row: DifferingInput, records: Sequence[Mapping[str, An
 
 @lru_cache
 def _declared_start(path: str, digest: str, variable: str) -> str | None:
-    """Return the start value that an FMU declares; None if its file is no longer that of the run."""
+    """Return the start value that an FMU declares; None if the file has changed since the run."""
     with suppress(InputError, FmuError, OSError):
         if sha256(Path(path)) == digest:
             return next((v.start for v in read_description(Path(path)).modelVariables if v.name == variable), None)
@@ -399,12 +399,12 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
     """Return the runs to compare, and the index of the baseline.
 
     Args:
-        sides: Paths, numbers, names and patterns of runs, and results of functions. Results that a pattern matches
-            although they have no rows, as a sweep, are left out.
+        sides: Paths, numbers, names and patterns of runs, and results of functions. Matches of a pattern without rows,
+            such as sweeps, are left out.
         results: Folder of results, by default `results`.
 
     Raises:
-        InputError: Fewer than two runs, or a baseline that is not one run.
+        InputError: There are fewer than two runs, or the baseline is not exactly one run.
     """
 
     def read(selected: Selected) -> RecordedRun:
@@ -429,12 +429,12 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
         return found
 
     if not sides:
-        raise InputError.at(Path("runs"), "no run is given; name at least two runs to compare")
+        raise InputError.at(Path("runs"), "no run is given; give at least two runs to compare")
     sources, place = runs_of(sides), 0
     if baseline is not None:
         base = runs_of([baseline])
         if len(base) != 1:
-            raise InputError.at(Path(str(baseline)), f"{len(base)} runs match; name one as the baseline")
+            raise InputError.at(Path(str(baseline)), f"{len(base)} runs match; give one as the baseline")
         paths, path = [source.path.resolve() for source in sources], base[0].path.resolve()
         if path not in paths:
             sources.insert(0, base[0])
@@ -443,12 +443,12 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
             sources[place] = base[0]
     if len(sources) < 2:
         path = sources[0].path if sources else Path(str(sides[0]))
-        raise InputError.at(path, "is one run; name at least two runs to compare")
+        raise InputError.at(path, "is only one run; give at least two runs to compare")
     return sources, place
 
 
 def displays(comparison: ComparedRuns) -> list[Mapping[str, Any]]:
-    """Return the records of the runs, which have their display units."""
+    """Return the records of the runs, which contain their display units."""
     return [run.manifest or replay_record(run.path) for run in comparison.runs]
 
 
@@ -481,9 +481,9 @@ def compare(
         results: Folder of results, by default `results`.
         tolerance: Share of each signal's range in the baseline.
         absolute: Size in the signal's unit, added to the share.
-        report: Whether to write report.html.
-        write: Whether to write files.
-        force: Whether `folder` may have files.
+        report: Write report.html.
+        write: Write files.
+        force: Write even if the folder is not empty.
 
     Returns:
         The comparison and its folder, the current one without files.

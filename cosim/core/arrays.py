@@ -18,7 +18,7 @@ far_beyond = np.errstate(over="ignore", invalid="ignore")
 
 
 def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
-    """Return the correlation of `after` with `before` −lags … lags rows earlier."""
+    """Return the correlation of `after` with `before`, for `before` shifted by −lags … lags rows."""
     return correlation(*centre(before), *centre(after), lags)[0]
 
 
@@ -30,7 +30,7 @@ def centre(values: Array) -> tuple[Array, Array]:
 
 
 def correlation(a: Array, weight_a: Array, b: Array, weight_b: Array, lags: int) -> tuple[Array, Array]:
-    """Return ρ(k) of b(t + k) with a(t), k = −lags … lags, and the number of pairs."""
+    """Return the correlation of a(t) with b(t + k) for k = −lags … lags, and the number of valid pairs per lag."""
     products, pairs = _lagged_products(a, b, lags), np.rint(_lagged_products(weight_a, weight_b, lags))
     counts = float(weight_a.sum()), float(weight_b.sum())
     scale = math.sqrt(float(a @ a) / counts[0] * float(b @ b) / counts[1]) if min(counts) > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""Writing of files through drafts: a file is replaced as a whole or not at all."""
+"""Atomic file writing: a file is written to a temporary draft, which then replaces the file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def is_full(error: object) -> bool:
 
 @contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """Yield a draft that replaces `path` after success; raise OSError if the system refuses the replacement."""
+    """Yield the path of a draft file. After success, the draft replaces `path`; OSError if the replacement fails."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -32,7 +32,7 @@ def draft_of(path: Path) -> Iterator[Path]:
 
 
 def remove_drafts(folder: Path, names: Sequence[str]) -> None:
-    """Remove drafts of the files `names` that killed processes have left behind.
+    """Remove drafts of the files `names` that were left by killed processes.
 
     The caller must hold the folder's lock.
     """

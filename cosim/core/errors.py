@@ -12,7 +12,7 @@ from cosim.core.messages import printable
 
 @dataclass(frozen=True, order=True)
 class Fault:
-    """A fault of a file: place and message with the remedy. Line and column count from 1; 0 means unknown."""
+    """A fault in a file: place, and message with the cure. Line and column count from 1; 0 means unknown."""
 
     file: Path
     line: int
@@ -39,7 +39,7 @@ class CosimError(Exception):
 
 
 def _message_only(error: CosimError) -> list[str]:
-    """Return what a notebook shows: IPython leaves out the frames of this package then."""
+    """Show only the message in a notebook, without the traceback inside this package."""
     return [f"{type(error).__name__}: {error}"]
 
 
@@ -59,18 +59,18 @@ class InputError(CosimError):
 
     @property
     def exit_code(self) -> int:  # type: ignore[override]
-        """Return 2 for any fault of the user, else 3."""
+        """Return 2 if any fault is the user's, else 3."""
         return min(fault.exit_code for fault in self.faults)
 
 
 def refuse(faults: Iterable[Fault]) -> None:
-    """Raise InputError with all faults, if any."""
+    """Raise InputError with all faults; do nothing if there are none."""
     if every := tuple(faults):
         raise InputError(every)
 
 
 class NotExecuted(CosimError):
-    """An error: a Python file was named where cosim must not execute code."""
+    """A Python file was named in a place where cosim does not execute code."""
 
     exit_code = 2
 
@@ -87,7 +87,10 @@ class FmuError(CosimError):
     exit_code = 3
 
     def fault(self, file: Path, name: Path | None = None) -> Fault:
-        """Return the error as a fault of a file, with `name` (by default the file) removed from the message."""
+        """Return the error as a fault of a file.
+
+        The prefix `name` (default: the file's path) is removed from the message.
+        """
         beginning = f"{name or file} "
         return Fault(file, 0, 0, str(self).removeprefix(beginning), self.exit_code)
 
@@ -108,35 +111,35 @@ class SimulationError(CosimError):
 
 
 class Crashed(SimulationError):
-    """A crash of the process during a call of an FMU."""
+    """The process of an FMU crashed during a call."""
 
 
 class CallFailed(SimulationError):
-    """A call that an FMU refused."""
+    """An FMU returned an error status from a call."""
 
 
 class NotFinite(SimulationError):
-    """A value that is no finite number, or values that do not settle."""
+    """A value is infinite or NaN, or an algebraic loop does not converge."""
 
 
 class DiskFull(SimulationError):
-    """A lack of disk space for the rows of a run."""
+    """No disk space is left for the rows of a run."""
 
 
 class TimedOut(SimulationError):
-    """An exceeded time limit of the user."""
+    """A time limit set by the user was exceeded."""
 
     exit_code = 124
 
 
 class Interrupted(SimulationError):
-    """A stop from the keyboard."""
+    """The user stopped the run from the keyboard."""
 
     exit_code = 130
 
 
 class Signalled(SimulationError):
-    """A stop by a signal from outside."""
+    """A signal from outside stopped the run."""
 
 
 class SweepStopped(CosimError):
@@ -152,7 +155,7 @@ class SweepFailed(CosimError):
 
 
 class Terminated(BaseException):
-    """A signal to end the process. Like KeyboardInterrupt no Exception, so that no handler of FMU faults catches it."""
+    """A signal to end the process. The class is not an Exception, so handlers of FMU faults do not catch it."""
 
     exit_code = 4
 
@@ -174,6 +177,6 @@ def stop_error(stop: BaseException, now: float, subject: str = "the run") -> Sim
 
 
 class CriterionMissed(CosimError):
-    """A missed criterion of a complete run, or a difference of two runs beyond the tolerance."""
+    """A completed run missed a criterion, or two runs differ by more than the tolerance."""
 
     exit_code = 5

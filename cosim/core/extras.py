@@ -1,4 +1,4 @@
-"""Import of optional libraries; a missing library gives a message with its installation command."""
+"""Import of optional libraries. If a library is missing, the error names the installation command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
 
     Args:
         module: Module name, e.g. `pyarrow.parquet`.
-        place: Subject of the message, e.g. a command, or a function that makes a fault of the message.
+        place: Command or setting that needs the library, or a function that makes a Fault from the message.
 
     Raises:
         InputError: The library is not installed; the message says how to install it.
@@ -54,7 +54,7 @@ def _missing(name: str, place: str | Callable[[str], Fault]) -> InputError:
 
 
 def pandas_for_frames() -> Any:
-    """Return pandas; raise ImportError with its installation command without it."""
+    """Return pandas; if it is missing, raise ImportError with the installation command."""
     try:
         return import_module("pandas")
     except ImportError:

@@ -1,8 +1,7 @@
-"""Linear algebra for estimates: a result for every matrix, never a LAPACK error.
+"""Linear algebra for estimates, without LAPACK errors.
 
-LAPACK does not check its arguments. For NaN or infinity it writes to stdout, raises LinAlgError or does not return.
-A matrix with non-finite entries comes from a diverged model and supports no estimate. The result is then zero: no
-step, no gain, no correction.
+LAPACK does not check its arguments. For NaN or infinity it writes to stdout, raises LinAlgError or does not return. A
+matrix with non-finite entries comes from a diverged model. Functions of this module then return zeros.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Arr
 
 
 def pseudo_inverse(matrix: Array) -> Array:
-    """Return the pseudo-inverse."""
+    """Return the Moore-Penrose pseudo-inverse."""
     result = _result(np.linalg.pinv, matrix)
     return np.zeros(matrix.shape[::-1]) if result is None else result
 
 
 def solution(matrix: Array, side: Array) -> Array:
-    """Return the solution of square equations, least-squares if singular."""
+    """Return the solution of square equations; for a singular matrix, the least-squares solution."""
     result = _result(np.linalg.solve, matrix, side)
     return least_squares(matrix, side) if result is None else result
 
@@ -48,13 +47,13 @@ def square_roots(covariances: Array) -> Array:
 
 
 def eigenvalues(matrix: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    """Return the eigenvalues; none of a non-finite matrix."""
+    """Return the eigenvalues; an empty array for a non-finite matrix."""
     result = _result(np.linalg.eigvals, matrix) if matrix.size else None
     return np.zeros(0, np.complex128) if result is None else result.astype(np.complex128)
 
 
 def _result(function: Callable[..., Any], *arrays: Array) -> Any:
-    """Return the result of a function of LAPACK; None for non-finite arrays, or if the iteration does not converge."""
+    """Return the result of a LAPACK function; None for non-finite arrays or without convergence."""
     if all(np.isfinite(array).all() for array in arrays):
         with suppress(np.linalg.LinAlgError):
             return np.asarray(function(*arrays))

@@ -1,4 +1,4 @@
-"""Kinds of messages, and their form on a terminal and in JSON."""
+"""Kinds of messages (error, warning, note), and their form on a terminal and in JSON."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ ESCAPED = re.compile(r"\\(\\|u(?:00[01][0-9a-f]|00[89][0-9a-f]|061c|200[ef]|202[
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
-    r"""Return a text with an escape such as \u001b for each character that could steer a terminal.
+    r"""Return a text in which every character that could control a terminal is an escape such as \u001b.
 
-    JSON keeps its meaning, because its strings have the same escapes.
+    JSON keeps its meaning, because JSON strings use the same escapes.
 
     Args:
-        one_line: Whether line feeds and tabs are escaped too.
+        one_line: Escape line feeds and tabs too.
     """
     shown = UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
     return shown.replace("\n", "\\n").replace("\t", "\\t") if one_line else shown
 
 
 def printable_json(text: str) -> str:
-    r"""Return JSON in ASCII whose texts are printable: `\\u001b` in place of `\u001b`."""
+    r"""Return JSON in ASCII in which control characters are escaped twice: `\\u001b` in place of `\u001b`."""
     return ESCAPED.sub(lambda match: match[0] if match[1] == "\\" else f"\\{match[0]}", text)
 
 
 class Note(str):
-    """A message that is no warning; -q omits it."""
+    """A message less severe than a warning; `-q` omits it."""
 
 
 class CheckWarning(str):
-    """A warning about loops, processes or hidden code, which `cosim check` shows."""
+    """A warning of `cosim check` on algebraic loops, processes or hidden code."""
 
 
 class CheckNote(CheckWarning, Note):
-    """A note of this kind."""
+    """A note of `cosim check`, less severe than its warnings."""
 
 
 def with_severity(text: str) -> str:
-    """Return a warning or a note with its severity in front."""
+    """Return a message with its severity as prefix, `warning: ` or `note: `."""
     return f"{'note' if isinstance(text, Note) else 'warning'}: {text}"
 
 
 def with_prefix(prefix: str, text: str) -> str:
-    """Return a text behind a prefix; a note or warning keeps its kind."""
+    """Return a message with a prefix; its class, such as Note, is kept."""
     return type(text)(f"{prefix}{text}")

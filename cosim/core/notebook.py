@@ -1,4 +1,4 @@
-"""Notebooks: HTML of results, and progress of a function in one line that replaces itself, below the cell."""
+"""Notebook display: HTML of results, and a progress line below the cell."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ AFTER, EVERY = 1.0, 0.25  # [s] until the line appears, and between its changes
 
 
 def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
-    """Return a function that shows its progress in a notebook, unless its argument `progress` is used."""
+    """Return the function with a progress line in notebooks, unless the caller passes `progress`."""
     if "progress" not in inspect.signature(function).parameters:
         return function
 
@@ -30,7 +30,7 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
         line: Any = None
 
         def show(first: Any, second: Any) -> None:
-            """Take (completed steps, all steps) or (stage, completed share)."""
+            """Show progress, given as (completed steps, all steps) or (stage, completed share)."""
             nonlocal changed
             now = time.monotonic()
             if now - start >= AFTER and now - changed >= EVERY:
@@ -58,12 +58,12 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def heading(title: str, text: str = "") -> str:
-    """Return HTML of a line that begins with a title in bold."""
+    """Return HTML of a line with a bold title, followed by a text."""
     return f"<p><b>{escape(title)}</b>{': ' if text else ''}{escape(text)}</p>"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], omitted: int = 0) -> str:
-    """Return HTML of a table, and the number of omitted rows below it."""
+    """Return HTML of a table, with the number of omitted rows below."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     note = f"<p>… and {omitted} more</p>" if omitted > 0 else ""

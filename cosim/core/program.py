@@ -22,7 +22,7 @@ def collect_seldom() -> None:
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the process silently. Only for code without need of cleanup."""
+    """Let Ctrl-C end the process without a traceback, for code that needs no cleanup."""
     listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # A shell's background jobs ignore SIGINT.
     if listens:
         signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
@@ -37,7 +37,7 @@ def as_program(entry: Callable[[], None]) -> None:
 
     def terminate(number: int, frame: object) -> None:
         received.append(number)
-        if len(received) == 1:  # later ones and those after the end change nothing
+        if len(received) == 1:  # later signals, and signals after the end, have no effect
             raise Terminated(signal.Signals(number).name)
 
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):

@@ -37,10 +37,10 @@ class ModelEntry:
         model: Place of its class.
         recipe: Place of the function from parameter values to the recipe of its FMU.
         built: File name → place of a recipe, for the FMUs of `cosim build` with the name of the model.
-        beside: File name → place of a recipe, for FMUs built along with each model of this class.
-        native: Name → place of the maker of a native FMU, apart from the model's own. It takes the designed start
-            values of `NAME.fmu`, if any.
-        rig: Place of the class for playing its experiments.
+        beside: File name → place of a recipe, for additional FMUs built with each model of this class.
+        native: Name → place of a function that builds an additional native FMU. It takes the designed start values of
+            `NAME.fmu`, if any.
+        rig: Place of the class that runs experiments with the model.
         design: Place of a function from (YAML file, model) to the designed start values of FMUs in `beside`, by file
             name, and warnings: `cosim build --design`. "" for a model without controller.
     """
@@ -57,12 +57,12 @@ class ModelEntry:
 
 @dataclass(frozen=True)
 class Page:
-    """A report page for runs of a component with certain variables.
+    """A report page for runs with a component that has certain variables.
 
     Attributes:
         variables: Names of the component's variables.
         subject: Place of a function from (run, drawing) to a `ComponentPage`.
-        figures: Place of a function of (run, folder) for drawing PNG files; "" for the figures of any run.
+        figures: Place of a function of (run, folder) that draws PNG files; "" for the default figures of a run.
     """
 
     variables: frozenset[str]
@@ -104,18 +104,18 @@ def model_entry(name: str = BASE) -> ModelEntry:
 
 
 def is_model(name: str) -> bool:
-    """Return whether a model is registered under a name."""
+    """Return True if a model is registered under a name."""
     return name in names(MODELS)
 
 
 def entry_of(kind: type) -> ModelEntry | None:
-    """Return the entry of a class or nearest ancestor."""
+    """Return the registry entry of a class or of its nearest registered ancestor."""
     places = (f"{parent.__module__}:{parent.__qualname__}" for parent in kind.__mro__)
     return next((e for place in places for e in models().values() if e.model == place), None)
 
 
 def page_for(components: Iterable[Collection[str]]) -> Page | None:
-    """Return the first page for any of the components."""
+    """Return the first registered page that matches one of the components, each given by its variable names."""
     sets = [frozenset(variables) for variables in components]
     return next((page for _, page in registered(PAGES, Page) if any(map(page.variables.issubset, sets))), None)
 
@@ -159,7 +159,7 @@ def resolve(place: str) -> Any:
 
 
 def attempt(name: str, place: str) -> Any:
-    """Return an object of a verb; None, with a warning, after a failed import."""
+    """Return the object of a verb at `module:name`; None, with a warning, if the import fails."""
     try:
         return resolve(place)
     except Exception as error:  # Foreign packages may raise any error when imported.
@@ -167,7 +167,7 @@ def attempt(name: str, place: str) -> Any:
         return None
 
 
-_all_points = functools.cache(entry_points)  # reads a file of every installed package
+_all_points = functools.cache(entry_points)  # this lookup reads a file of every installed package
 
 
 @functools.cache

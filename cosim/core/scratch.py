@@ -1,7 +1,7 @@
-"""Temporary folders that belong to a process; the next command removes the folders of killed processes.
+"""Temporary folders owned by a process. The next command removes the folders of killed processes.
 
-The folder for temporary files is shared with other users of the machine, so a name there proves nothing. Only a folder
-of this user that contains a plain lock file of this user is ever locked or removed.
+The folder for temporary files is shared with other users of the machine, so a folder's name does not identify its
+owner. Only folders of this user with a plain lock file of this user are locked or removed.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ RETRIES, PAUSE = 10, 0.1  # [s]
 
 
 class ScratchFolder:
-    """A folder locked against removal by others during the life of this process."""
+    """A temporary folder, locked while this process runs, so that no other process removes it."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._pid = path, os.getpid()
-        # The lock comes before its final name. A sweep between creation and locking would remove the folder.
+        # Lock before renaming to the final name: a sweep between creation and locking would remove the folder.
         fresh = path / (LOCK if os.name == "nt" else f"{LOCK}.new")
         self._lock = lock_file(fresh, create=True)
         if self._lock is not None and os.name != "nt":
@@ -43,7 +43,7 @@ class ScratchFolder:
 
 
 def scratch(prefix: str, beside: Path | None = None) -> ScratchFolder:
-    """Return a new locked folder in `beside`, by default in the folder for temporary files; remove abandoned ones."""
+    """Return a new locked folder in `beside`, by default in the system's temporary folder; remove abandoned ones."""
     sweep(beside or Path(tempfile.gettempdir()), prefix if beside else PREFIX)
     return ScratchFolder(Path(tempfile.mkdtemp(prefix=prefix, dir=beside)))
 
@@ -52,7 +52,7 @@ _folders: dict[tuple[int, str], ScratchFolder] = {}
 
 
 def process_folder() -> Path:
-    """Return the folder for temporary files of this process. It is removed at exit, or swept after a kill."""
+    """Return the temporary folder of this process. It is removed at exit; after a kill, the next command removes it."""
     key = os.getpid(), tempfile.gettempdir()
     if key not in _folders or not _folders[key].path.is_dir():
         _folders[key] = scratch(PREFIX)
@@ -82,7 +82,7 @@ def sweep(folder: Path, prefix: str) -> None:
 
 
 def remove(folder: Path) -> None:
-    """Remove a folder. A dying process may still write into the folder, so removal is retried."""
+    """Remove a folder. Removal is retried, because a dying process may still write into the folder."""
     for _ in range(RETRIES):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():

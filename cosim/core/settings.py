@@ -1,4 +1,4 @@
-"""Arguments of `cosim` functions: types that say what is accepted, and their check by pydantic.
+"""Argument types of `cosim` functions, with a check by pydantic.
 
 Numbers of numpy become Python numbers, text with a unit becomes seconds. pydantic is imported at the first call.
 """
@@ -24,13 +24,13 @@ from cosim.core.units import read_quantity
 
 P = ParamSpec("P")
 T = TypeVar("T")
-DEEPEST = 60  # levels of nesting, more than any file read here has
+DEEPEST = 60  # maximum nesting of arguments, above that of any file read here
 LONGEST_NAME, LONGEST_PATH = 255, 4096  # limits of file systems [bytes]
 SHOWN = 60  # characters of a value in a message
 
 
 def of_python(value: Any) -> Any:
-    """Return a number, text or array of another library as Python's own; raise ValueError for an impossible one."""
+    """Convert a number, text or array of another library to the Python type; raise ValueError if impossible."""
     if hasattr(value, "tolist") and hasattr(value, "dtype"):
         value = value.tolist()
     for kind in (bool, int, float):  # a subclass, e.g. an item of an enumeration or numpy's float64
@@ -43,27 +43,27 @@ def of_python(value: Any) -> Any:
         raise ValueError("give a whole number of 64 bits")
     if isinstance(value, (str, os.PathLike)) and isinstance(text := os.fspath(value), str):
         if re.search("[\0\ud800-\udfff]", text):
-            raise ValueError("it holds a NUL character or half a surrogate pair; write whole characters")
+            raise ValueError("it contains a NUL character or half a surrogate pair; use valid Unicode text")
         return str.__str__(value) if isinstance(value, str) else Path(text)
     return [*map(of_python, value)] if type(value) in (list, tuple) and len(value) < LONGEST_PATH else value
 
 
 def plain(value: Any, depth: int = 0) -> Any:
-    """Return a value as JSON types; raise ValueError if impossible."""
+    """Convert a value to JSON types; raise ValueError if impossible."""
     if depth > DEEPEST:
-        raise ValueError(f"it is nested more than {DEEPEST} levels deep; write it flatter")
+        raise ValueError(f"it is nested more than {DEEPEST} levels deep; use fewer levels")
     if not isinstance(value, (list, tuple)):
         value = of_python(value)
     if isinstance(value, (list, tuple)):
         return [plain(each, depth + 1) for each in value]
     if isinstance(value, Mapping):
         if wrong := [key for key in value if not isinstance(key, str)]:
-            raise ValueError(f"{_represent(wrong[0])} is a key; a key is text")
+            raise ValueError(f"the key {_represent(wrong[0])} is not text; use text keys")
         return {of_python(key): plain(each, depth + 1) for key, each in value.items()}
     if value is None or isinstance(value, (bool, int, float, str, Path)):
         return value
     kinds = "a number, text, true or false, a list or a mapping"
-    raise ValueError(f"{_represent(value)} is of type {type(value).__name__}; it is {kinds}")
+    raise ValueError(f"{_represent(value)} is of type {type(value).__name__}; allowed: {kinds}")
 
 
 def _seconds(value: Any) -> Any:
@@ -79,9 +79,9 @@ def _file(value: Any) -> Any:
     if not isinstance(value, (str, os.PathLike)) or not isinstance(name := os.fspath(value), str):
         raise ValueError("give the name of a file or folder")
     if not name.strip():
-        raise ValueError("it is blank; give the name of a file or folder")
+        raise ValueError("it is empty; give the name of a file or folder")
     if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in re.split(r"[/\\]", name)):
-        raise ValueError(f"it is longer than the name of a file can be ({LONGEST_NAME} bytes)")
+        raise ValueError(f"it is longer than a file name can be ({LONGEST_NAME} bytes)")
     return value
 
 
@@ -91,7 +91,7 @@ def _listed(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Converted:
-    """Annotation: a function that converts an argument before pydantic checks it; it may raise ValueError."""
+    """Annotation with a function that converts an argument before the check of pydantic; it may raise ValueError."""
 
     by: Callable[[Any], Any]
 
@@ -141,7 +141,7 @@ def column_names(columns: Given | None) -> Sequence[str]:
 
 
 def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function with a check of its arguments. The check raises InputError with every invalid argument."""
+    """Return the function with checked arguments. The check raises InputError with all invalid arguments."""
     signature = inspect.signature(function)
     adapters: dict[str, Any] = {}
 
@@ -157,10 +157,10 @@ def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def adapter(annotation: Any, function: Callable[..., Any], *, strict: bool = True) -> Any:
-    """Return pydantic's check of a parameter; a type that nobody knows here accepts anything.
+    """Return pydantic's check for a parameter type; an unknown type accepts any value.
 
     Args:
-        strict: Whether text is no number, unlike on the command line.
+        strict: Reject text as a number. The command line accepts text.
     """
     from pydantic import ConfigDict, TypeAdapter
 
@@ -177,10 +177,10 @@ def adapter(annotation: Any, function: Callable[..., Any], *, strict: bool = Tru
 def check_values(
     adapters: Mapping[str, Any], values: Mapping[str, Any], labels: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
-    """Return values as their types; raise InputError with every value that does not fit.
+    """Convert values to their types; raise InputError with every invalid value.
 
     Args:
-        labels: Names in messages that differ.
+        labels: Parameter → name in messages, where the two differ.
     """
     from pydantic import ValidationError
 
@@ -198,7 +198,7 @@ def check_values(
 
 
 def reason_of(error: Any) -> str:
-    """Return pydantic's message without Python terms."""
+    """Return pydantic's message without Python jargon."""
     kind, context = error["type"], error.get("ctx") or {}
     if kind == "value_error":
         return str(context["error"])
@@ -206,7 +206,7 @@ def reason_of(error: Any) -> str:
         return "it should be a list" if context["class"] == "Sequence" else f"it should be of type {context['class']}"
     if kind == "string_pattern_mismatch":
         of = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
-        return f"it should be {of} of letters, digits and _ that begins with no digit"
+        return f"it should be {of} of letters, digits and _, and not begin with a digit"
     if kind in {"too_short", "too_long"} and context.get("field_type") in {"List", "Tuple"}:
         bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
         return f"it should have {bound} entries, not {context.get('actual_length')}"
@@ -215,7 +215,7 @@ def reason_of(error: Any) -> str:
 
 
 _WORDS = {
-    **dict.fromkeys(("bool_type", "bool_parsing"), "it is on or off"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "it should be on or off"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
     **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
     "string_type": "it should be text",
@@ -229,7 +229,7 @@ def _represent(value: Any) -> str:
     """Return a short printable form for a message."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # a number of thousands of digits, or a mapping that contains itself
+    except (ValueError, RecursionError):  # a very long number, or a mapping that contains itself
         return f"a {type(value).__name__} too large to show"
     text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"

@@ -1,4 +1,4 @@
-"""Numbers and sentences as shown in reports, and suggestions of a close word for one that is unknown."""
+"""Numbers and sentences of reports, and suggestions for misspelt words."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def amount(value: float, unit: str = "", digits: int | None = 3, *, difference: 
     """Return a value in its display unit.
 
     Args:
-        difference: Whether it is a difference, such as an error, to which no offset of a display unit is added.
+        difference: True for a difference, such as an error: the offset of a display unit is then not added.
     """
     symbol, factor = display(unit)
     if difference:
@@ -64,7 +64,7 @@ def append_unit(number: str, unit: str) -> str:
 
 
 def is_difference(criterion: Mapping[str, Any]) -> bool:
-    """Return whether a figure of merit is a difference, as all but a peak without a target."""
+    """Return True if a criterion is a difference. All criteria are, except a peak without a target."""
     return criterion.get("kind") != "peak" or bool(criterion.get("to"))
 
 
@@ -79,12 +79,12 @@ def length(value: float) -> str:
 
 
 def size(value: float, unit: str) -> str:
-    """Return a size with two digits, lengths in mm, cm or m."""
+    """Return an amount with two significant digits; lengths in mm, cm or m."""
     return length(value) if unit == "m" else amount(value, unit, 2, difference=True)
 
 
 def percent(share: float) -> str:
-    """Return a share 0 … 1 in percent. `0 %` and `100 %` appear only for exact values."""
+    """Return a share (0 … 1) in percent. `0 %` and `100 %` appear only for exact values."""
     if not math.isfinite(share):
         return MISSING
     if 0 < share < 0.005:
@@ -95,7 +95,7 @@ def percent(share: float) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return `1 row`, `2 rows` or `3 criteria`."""
+    """Return a count with its noun in singular or plural: `1 row`, `2 rows` or `3 criteria`."""
     plural = {"criterion": "criteria", "hypothesis": "hypotheses"}.get(noun, f"{noun}s")
     return f"{count} {noun if count == 1 else plural}"
 
@@ -112,12 +112,12 @@ def some(names: Sequence[str], most: int) -> str:
 
 
 def unique_name(name: str, taken: Container[str], ending: str = "") -> str:
-    """Return a name that is not taken, with a number behind it if necessary: `a`, `a_2`, `a_3`."""
+    """Return an unused name; if necessary, a number is appended: `a`, `a_2`, `a_3`."""
     return next(n for n in chain([f"{name}{ending}"], (f"{name}_{k}{ending}" for k in count(2))) if n not in taken)
 
 
 def split_assignment(text: str, names: Container[str]) -> tuple[str, str, str]:
-    """Return name, equals sign and value of `name=value`; a known name may have equals signs itself."""
+    """Split `name=value` into name, equals sign and value. A name in `names` may itself contain equals signs."""
     pieces = text.split("=")
     known = (k for k in range(len(pieces), 0, -1) if "=".join(pieces[:k]).strip() in names)
     count = next(known, 1)
@@ -134,7 +134,7 @@ def split_sentence(text: str) -> tuple[str, str]:
 def showing(*records: Mapping[str, Any]) -> Iterator[None]:
     """Show values in the display units of records, such as manifests, under the key `display`.
 
-    A unit for which the records name several display units is shown as it is.
+    If records name different display units for a unit, that unit itself is shown.
     """
     found: dict[str, list[Any]] = {}
     for record in records:
@@ -150,7 +150,7 @@ def showing(*records: Mapping[str, Any]) -> Iterator[None]:
 
 
 def _is_display(entry: Any) -> bool:
-    """Return whether an entry of a record names a display unit with its factor and offset."""
+    """Return True if an entry of a record is a display unit with factor and offset."""
     match entry:
         case [str(), int() | float() as factor, int() | float() as offset]:
             return 0.0 < factor < math.inf and math.isfinite(offset)
@@ -158,7 +158,7 @@ def _is_display(entry: Any) -> bool:
 
 
 def display(unit: str) -> tuple[str, float]:
-    """Return the display unit of differences, and the factor to their values: `°` and 57.3 for `rad` shown in `deg`.
+    """Return the display unit of differences, and the factor to it: `°` and 57.3 for `rad` shown in `deg`.
 
     Differences of temperatures stay in K.
     """
@@ -172,7 +172,7 @@ def shown_unit(unit: str) -> str:
 
 
 def displayed(values: Any, unit: str) -> Any:
-    """Return values in the display unit of their unit."""
+    """Convert values to the display unit of their unit."""
     _, factor, offset = _display_units.get().get(unit, (unit, 1.0, 0.0))
     return values if factor == 1.0 and not offset else factor * values + offset
 
@@ -188,7 +188,7 @@ def written(unit: str, times: str = "·") -> str:
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:
-    """Return a unit and a factor in which a small error has readable digits."""
+    """Return a smaller unit, and its factor, in which a small error has readable digits."""
     if unit == "m" and size < 1.0:
         return "mm", 1000.0
     if unit == "m/s" and size < 0.05:
@@ -197,7 +197,7 @@ def finer(unit: str, size: float) -> tuple[str, float]:
 
 
 def as_yaml(value: Any) -> str:
-    """Return a value as JSON that YAML reads too: what it takes for a line break, or for no character, is escaped."""
+    """Return a value as JSON that YAML reads equally: line breaks and non-characters of YAML are escaped."""
     text = json.dumps(value, ensure_ascii=False)
     return NOT_IN_YAML.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from cosim.core.arrays import Array
 
-ULPS = 4  # spacings of doubles by which equal times may differ
+ULPS = 4  # tolerance of equal times, in spacings of doubles
 SHARE = 1e-9  # share of a step by which equal times may differ
 MOST = 1e18  # steps, more than any run has
 
 
 def rounding(t: float, step: float = 0.0) -> float:
-    """Return the difference [s] within which a time is equal to t, where steps have the length `step`."""
+    """Return the tolerance [s] for times equal to t, where steps have the length `step` [s]."""
     return ULPS * math.ulp(t) + SHARE * step
 
 
@@ -34,7 +34,7 @@ def last_point(at: float, start: float, step: float) -> int:
 
 
 def difference(end: float, begin: float) -> float:
-    """Return end − begin [s] without digits that doubles near these times do not hold."""
+    """Return end − begin [s], rounded to the digits that doubles of this size can represent."""
     spacing = ULPS * math.ulp(max(abs(end), abs(begin)))
     return round(end - begin, math.floor(-math.log10(spacing)))
 

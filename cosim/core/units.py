@@ -72,7 +72,7 @@ DISPLAY = {"rad": ("deg", DEGREES, 0.0), "rad/s": ("deg/s", DEGREES, 0.0)}
 
 
 def _words(text: str) -> list[tuple[str, int]] | None:
-    """Return the symbols of a unit and their powers, or None if it is not a unit's text."""
+    """Return the symbols of a unit and their powers, or None if the text is not a unit."""
     words = []
     for place, part in enumerate(text.translate(ONE_WAY).split("/")):
         for word in re.split(r"[.·*\s]+", part.strip()):
@@ -99,7 +99,7 @@ SYMBOLS = _symbols()
 
 
 def parse(text: str) -> Unit | None:
-    """Return the unit of a text, if known. Accepted forms: `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s`, `N.m.s/rad`."""
+    """Return the unit of a text; None if unknown. Accepted forms: `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s`, `N.m.s/rad`."""
     words = _words(text)
     if words is None or any(symbol not in SYMBOLS for symbol, _ in words):
         return None
@@ -114,13 +114,13 @@ def parse(text: str) -> Unit | None:
 
 
 def definition_of(text: str) -> tuple[float, ...] | None:
-    """Return a known unit's exponents of `SI`, factor and offset."""
+    """Return the SI exponents, factor and offset of a known unit."""
     unit = parse(text)
     return None if unit is None else (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, unit.offset)
 
 
 def is_as_known(text: str, definition: Sequence[float]) -> bool:
-    """Return whether a definition is that of the known unit, but for rounding and for angles with or without rad."""
+    """Return True if a definition equals the known unit of that name, apart from rounding and rad in angles."""
     known, rad = definition_of(text), SI.index("rad")
     pairs = () if known is None else zip(known, definition, strict=True)
     return known is not None and all(k == rad or math.isclose(x, y, rel_tol=1e-9) for k, (x, y) in enumerate(pairs))
@@ -143,8 +143,8 @@ def conversion(
     """Return the conversion between units of the same dimension.
 
     Args:
-        difference: Whether the value is a difference, e.g. a standard deviation, a tolerance or a step. The offset of
-            degC then does not count.
+        difference: True for a difference, e.g. a standard deviation, a tolerance or a step. The offset of degC then
+            does not count.
         definitions: Unit → exponents of `SI`, factor and offset, which take precedence over common units.
     """
     if not written or not wanted or written == wanted:
@@ -171,13 +171,13 @@ def conversion(
 
 
 def factor(written: str, wanted: str) -> float | None:
-    """Return the factor between units, if a factor suffices."""
+    """Return the factor between two units; None if they are not convertible or differ by an offset."""
     by = conversion(written, wanted)
     return None if by is None or by.offset else by.factor
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:
-    """Return number and unit of text like `-15 degC`.
+    """Split text like `-15 degC` into number and unit.
 
     The unit of a number alone is ""; the result is None for text without a number.
     """
@@ -216,15 +216,15 @@ def number_in(value: Any, unit: str, *, difference: bool = False) -> Any:
 
 
 def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:
-    """Return a sentence on the allowed forms of a number.
+    """Return a sentence that names the allowed forms of a number.
 
     Args:
         more: Allowed units besides those of the dimension.
     """
     if not unit:
-        return "it is a number alone: no unit of it is declared"
+        return "write a number without a unit, because the signal has no declared unit"
     offered = dict.fromkeys((unit, *more, *(alternatives(unit) if parse(unit) else ())))
-    return f"it is a number [{unit}], or text with a unit: {', '.join(f'3 {u}' for u in offered)}"
+    return f"write a number [{unit}], or text with a unit: {', '.join(f'3 {u}' for u in offered)}"
 
 
 class UnitAssumption(NamedTuple):
@@ -244,25 +244,23 @@ class UnitAssumption(NamedTuple):
 
 
 def assume_si(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> UnitAssumption:
-    """Return the conversion to SI for a unitless signal.
+    """Return the conversion to SI for a signal without a declared unit.
 
-    For example, `rpm` become rad/s. An unknown unit changes nothing, nor does g alone: gram, or 9.81 m/s².
+    For example, `rpm` is converted to rad/s. An unknown unit is not converted, nor is g (gram or 9.81 m/s²).
 
     Args:
         of: Owner of the signal, for the note.
-        cure: Remedy named in the note if SI is wrong.
+        cure: Remedy in the note for numbers that must stay unchanged.
     """
     unit = parse(written)
     if unit is None or written == "g":
-        meaning, cure = ("is no unit known here", "") if unit is None else AMBIGUOUS
-        taken = f'has no unit in {of}, and "{written}" {meaning}: its numbers are taken as they are{cure}'
+        meaning, cure = ("is not a known unit", "") if unit is None else AMBIGUOUS
+        taken = f'has no unit in {of}, and "{written}" {meaning}: its numbers are not converted{cure}'
         return UnitAssumption(written, 1.0, taken)
     if unit.is_coherent:
         return UnitAssumption(written)
     wanted = coherent(written)
-    note = (
-        f"has no unit in {of}: it is taken as {wanted}, so {written} are converted; {cure} if it is in {written} itself"
-    )
+    note = f"has no unit in {of}: assumed {wanted}, converted from {written}. If {of} itself uses {written}, {cure}"
     return UnitAssumption(wanted, unit.factor, note, unit.offset)
 
 
@@ -312,7 +310,7 @@ def unit_product(factors: Iterable[tuple[str, int]]) -> str:
 
 
 def computed_in(displayed: str) -> tuple[str, float]:
-    """Return the unit behind a display unit, and the factor. For example rad for deg."""
+    """Return the SI unit behind a display unit, and the factor to it. For example rad for deg."""
     for unit, (display, *_) in DISPLAY.items():
         if display == displayed:
             return unit, factor(displayed, unit) or 1.0

@@ -6,12 +6,12 @@ from cosim.files.artefact import Artefact
 
 ARTEFACTS = (
     Artefact(
-        "an input of `cosim excite`",
-        "`cosim run` plays the excitation.yaml beside it",
+        "an input signal from `cosim excite`",
+        "`cosim run` simulates the excitation.yaml in its folder",
         verb="cosim excite",
         marks=("excitation.csv", "excitation.yaml"),
         files=("excitation.csv", "excitation.yaml", "plant.fmu", "report.html"),
         folder="the folder of an excitation",
-        folder_step="its report.html opens in a browser, `cosim run {file}/excitation.yaml` plays it",
+        folder_step="open its report.html in a browser; `cosim run {file}/excitation.yaml` simulates it",
     ),
 )

@@ -1,8 +1,8 @@
-"""`cosim excite`: the input that best separates rival hypotheses, and a scenario that plays the input.
+"""`cosim excite`: the input that best separates rival hypotheses, and a scenario that applies this input.
 
-Experiments are drawn from a seed, simulated without noise, and kept within limits. The best one separates most pairs of
-rivals, and among equals has the largest distance of the closest separated pair. A pair that no input separates has no
-influence on the choice.
+Random experiments are simulated without noise and scaled to the limits. The best one separates most pairs of rivals;
+among equals it has the largest distance of the closest separated pair. A pair that no input separates has no influence
+on the choice.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from cosim.files.folders import new_run, remove_earlier
 from cosim.logs.log import slowness
 
 EXPERIMENTS = 48
-DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
-MAX_RIVALS = 4  # drawn beside the model; more are not simulated for every preferred experiment, but at the end
+DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], for a model with a step of at most 50 ms
+MAX_RIVALS = 4  # pairs simulated for every preferred experiment; the others are simulated at the end
 EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
-SMALLER = 5  # times that an input is made smaller for a rival that exceeds the limits
+SMALLER = 5  # number of times that an input is reduced for a rival that exceeds the limits
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
 TONES = 12
 MAX_PARTS = 6  # parts of a trial in which an axis moves or rests
@@ -43,7 +43,7 @@ MOVE_PROBABILITY = 0.75  # probability that an axis moves in a part
 AMPLITUDE_SHARE = (0.3, 1.0)  # share of an axis' amplitude
 KINDS = ("multisine", "chirp", "steps", "ramps")
 REPORT = "report.html"
-MAX_LISTED_PAIRS = 5  # pairs listed before the rest is counted
+MAX_LISTED_PAIRS = 5  # pairs listed before only the rest is counted
 Progress = Callable[[str, float], None]
 
 
@@ -52,7 +52,7 @@ class Excitation:
     """A designed experiment, simulated with the model and with each rival hypothesis.
 
     Attributes:
-        trial, rivals: Simulation with the model, and with each rival, under the same signals.
+        trial, rivals: Simulations of the model and of each rival with the same input signals.
         apart: Distance of each pair of rivals [standard deviations].
         usual: Distance of each pair under the rig's usual input, for comparison [standard deviations].
         usual_trial: Simulation of the model with the usual input.
@@ -68,7 +68,7 @@ class Excitation:
 
     @property
     def excess(self) -> float:
-        """Return the largest excursion relative to its limit, whichever hypothesis is true."""
+        """Return the largest excursion relative to its limit, for the model and all rivals."""
         return max(trial.excess(self.question.limits) for trial in (self.trial, *self.rivals.values()))
 
     @property
@@ -83,7 +83,7 @@ class Excitation:
         a, b = self.hardest_first[0]
         return (
             f"The input separates {count} of {counted(len(self.apart), 'pair')} of rivals; {a} and {b} are "
-            f"{self.apart[a, b]:.1f} standard deviations apart, {MIN_SEPARATION:g} are needed."
+            f"{self.apart[a, b]:.1f} standard deviations apart ({MIN_SEPARATION:g} required)."
         )
 
     @property
@@ -101,7 +101,7 @@ class Excitation:
         if len(lines) > MAX_LISTED_PAIRS + 1:
             least = self.apart[self.hardest_first[MAX_LISTED_PAIRS]]
             rest = counted(len(lines) - MAX_LISTED_PAIRS, "more pair")
-            lines[MAX_LISTED_PAIRS:] = [f"and {rest}, {least:.1f} standard deviations apart at least"]
+            lines[MAX_LISTED_PAIRS:] = [f"and {rest}, at least {least:.1f} standard deviations apart"]
         limits = self.question.limits
         trials = {"excursion": self.trial}
         trials |= {f"beyond its limits if {n} is true": t for n, t in self.rivals.items() if t.excess(limits) > 1.0}
@@ -119,23 +119,23 @@ class Excitation:
         """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
         warnings = []
         if self.excess > 1.0:
-            far = "diverge" if math.isinf(self.excess) else f"go {self.excess:.2g} times as far as --limit allows"
+            far = "diverge" if math.isinf(self.excess) else f"reach {self.excess:.2g} times the value of --limit"
             beyond = [n for n, trial in self.rivals.items() if trial.excess(self.question.limits) > 1.0]
             cause = f" if {join_names(beyond)} is true" if beyond else ""
             warnings.append(
-                f"the outputs {far}{cause}, even under the smallest input tried; do not play it on the machine before "
-                "a wider --limit or fewer rivals give one within the limits"
+                f"the outputs {far}{cause}, even with the smallest input tried; do not apply it to the machine before "
+                "a wider --limit or fewer rivals give an input within the limits"
             )
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
             warnings.append(
-                f"the best input does not tell {join_names(pairs)} (less than {MIN_SEPARATION:g} standard "
+                f"the best input does not separate {join_names(pairs)} (less than {MIN_SEPARATION:g} standard "
                 "deviations apart); try a wider --limit, a longer --duration or more outputs --measured"
             )
         excess, (count, least) = self.usual_trial.excess(self.question.limits), merit_of(self.usual)
         if 1.0 < excess < np.inf and (count, least) > merit_of(self.apart):
             warnings.append(
-                f"{self.rig.usual} separates better ({count} of {counted(len(self.apart), 'pair')}, the nearest "
-                f"{least:.1f} standard deviations apart) but goes {excess:.1f} times as far as --limit allows"
+                f"{self.rig.usual} separates better ({count} of {counted(len(self.apart), 'pair')}, the closest "
+                f"{least:.1f} standard deviations apart) but reaches {excess:.1f} times the value of --limit"
             )
         return warnings
 
@@ -177,7 +177,7 @@ def excite(
     """Design the input that separates rival hypotheses best.
 
     Args:
-        text: Registered model, model.yaml, file.py:Class, FMU, refine.json or its folder.
+        text: Registered model, model.yaml, FILE.py:Class, FMU, refine.json or its folder.
         folder: Folder for excitation.csv, excitation.yaml and the FMUs.
         against: Effects, sensor errors or parameters that are rival hypotheses.
         limits: Texts "name=value": largest distance of an input or output from its start value.
@@ -205,7 +205,7 @@ def excite(
         common = (question.limits, question.ranges, float(time[-1]))
         if isinstance(question.subject, FmuSubject):
             rig: OpenLoop = FmuOpenLoop(question.subject, question.first, *common)
-        else:  # of the model's class, or that of any model
+        else:  # of the model's class, otherwise the general one
             entry = registry.entry_of(type(model))
             rig = (registry.resolve(entry.rig) if entry and entry.rig else OpenLoop)(model, *common)
         files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
@@ -217,7 +217,7 @@ def excite(
         if max(excitation.apart.values()) < MIN_DISTANCE:
             raise InputError.at(
                 Path(text),
-                f"none of {experiments} experiments drives any two rivals a standard deviation apart; try a wider "
+                f"none of {experiments} experiments separates any two rivals by one standard deviation; try a wider "
                 "--limit, a longer --duration or more outputs --measured",
             )
         show_stage("building the FMUs", 0.0)
@@ -236,7 +236,7 @@ def _times(text: str, step: float, duration: float | None) -> Array:
     default, shortest, longest = (slowness(step) * seconds for seconds in (DURATION, SHORTEST, LONGEST))
     duration = default if duration is None else duration
     if not shortest <= duration <= longest:
-        message = f"--duration {duration:g}: an experiment lasts between {shortest:g} and {longest:g} s"
+        message = f"--duration {duration:g}: choose between {shortest:g} and {longest:g} s"
         raise InputError.at(Path(text), f"{message} for a step of {step:g} s")
     return step * np.arange(round(duration / step) + 1, dtype=np.float64)
 
@@ -255,21 +255,21 @@ def _choose(
     best: Excitation | None = None
 
     def play_rivals(trial: Trial) -> dict[str, Trial]:
-        """Simulate each rival with the signals of a trial."""
+        """Return the simulation of each rival with the signals of a trial."""
         base, trials = subject.model, {}
-        sensors = {k.name for k in base.sensors}  # whose errors do not change the model
+        sensors = {k.name for k in base.sensors}  # their errors do not change the model
         for rival in question.rivals:
             values = {n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors}
             if (other := base.with_values(values)) != model:
                 trials[rival.name] = rig.play(other, trial.signals)
         return trials
 
-    for k in range(-1, count):  # the usual input first, so that a worse one is never preferred
+    for k in range(-1, count):  # the usual input first, so that a worse input is never preferred
         report("trying experiments", max(0, k) / count)
         trial, apart = usual_trial, usual
         if k >= 0:
             trial = rig.play(model, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
-            if (excess := trial.excess(question.limits)) > 1.0:  # once more, within the limits
+            if (excess := trial.excess(question.limits)) > 1.0:  # again, scaled to the limits
                 smaller = {name: signal * EXCURSION_SHARE / excess for name, signal in trial.signals.items()}
                 trial = rig.play(model, smaller)
         if trial.excess(question.limits) > 1.0:
@@ -283,11 +283,11 @@ def _choose(
     if best is None:
         return None
     best = replace(best, rivals=play_rivals(best.trial))
-    for _ in range(SMALLER):  # until the limits hold whichever rival is true
+    for _ in range(SMALLER):  # until the limits are met for every rival
         if (excess := best.excess) <= 1.0:
             break
         share = EXCURSION_SHARE / excess if math.isfinite(excess) else 0.5
-        report("keeping the limits if a rival is true", 0.0)
+        report("reducing the input to the limits for all rivals", 0.0)
         trial = rig.play(model, {name: signal * share for name, signal in best.trial.signals.items()})
         best = replace(
             best, trial=trial, rivals=play_rivals(trial), apart=apart_in(trial.log(model, question.measured))
@@ -319,8 +319,7 @@ def draw_signals(rng: np.random.Generator, axes: Sequence[RigAxis], time: Array)
             wave = chirp(time, axis.slowest, time[-1], axis.fastest, method="logarithmic", phi=-90)
             wave = wave if rng.random() < 0.5 else wave[::-1]
         else:
-            # Levels are held, or joined by lines, for between half a period of the fastest frequency and of the slowest
-            # one.
+            # The signal is constant or linear for between half a period of the fastest and of the slowest frequency.
             knots, ahead = [0.0], (0.5 / axis.fastest, 0.5 / axis.slowest)
             while knots[-1] < time[-1]:
                 knots.append(knots[-1] + math.exp(rng.uniform(math.log(ahead[0]), math.log(ahead[1]))))
@@ -349,7 +348,7 @@ def _write(folder: Path, excitation: Excitation, seed: int) -> None:
 
 
 def _scenario(excitation: Excitation, seed: int) -> Iterator[str]:
-    """Yield the lines of the scenario that plays the chosen input."""
+    """Yield the lines of the scenario that applies the chosen input."""
     trial, question, rig = excitation.trial, excitation.question, excitation.rig
     model = question.loaded.model
     yield "name: excitation"
@@ -359,7 +358,7 @@ def _scenario(excitation: Excitation, seed: int) -> Iterator[str]:
     yield f"step: {model.rate:.9g}"
     yield f"seed: {seed}"
     if isinstance(question.subject, FmuSubject):
-        yield "algorithm: jacobi # the input of a row acts until the next one, also where outputs depend on inputs"
+        yield "algorithm: jacobi # inputs are constant between rows, also with direct feedthrough"
     yield ""
     yield "components:"
     yield "  plant: {fmu: plant.fmu}"

@@ -1,4 +1,4 @@
-"""Purpose of an experiment: model, rivals (hypotheses to separate), measured outputs and limits."""
+"""Specification of an experiment: model, rival hypotheses, measured outputs and limits."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from cosim.terms.language import Term, with_place
 
 NOTHING = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
-# Kinds of terms at one place that small or short experiments confuse.
+# Kinds of terms at one place that are hard to separate in small or short experiments.
 CONFUSED = (
     ("delay", "lag", "second_order_lag", "rate_limit"),
     ("dead_band", "play"),
@@ -54,14 +54,14 @@ CONFUSED = (
 
 @dataclass(frozen=True)
 class Question:
-    """Question that an experiment answers: rival hypotheses, and the pairs of rivals to separate.
+    """Specification of an experiment: rival hypotheses, pairs to separate, measured outputs and limits.
 
     Attributes:
         loaded: Model under test.
-        subject: Subject of the model from which the rivals differ, for the filter: `loaded`, or it without its effects.
-        measured: Logged outputs; `noise` holds standard deviations that differ from the model's.
+        subject: Subject from which the rivals differ, for the filter: `loaded`, or `loaded` without its effects.
+        measured: Logged outputs; `noise` has standard deviations that differ from the model's.
         limits: Largest excursion of an input or output from its start.
-        ranges: Input → least and largest command, declared, requested, or observed in logs.
+        ranges: Input → smallest and largest value, declared, requested, or observed in logs.
         first: Output of an FMU → reading at the start.
     """
 
@@ -133,8 +133,8 @@ def ask(
     if not model.base_states:
         raise InputError.at(
             path,
-            f"{model.title} has no states, so an input over time adds no information; told_apart_by of the model "
-            "names rows that separate its rivals",
+            f"{model.title} has no states, so an input over time adds no information; `told_apart_by` of the model "
+            "describes measurements that separate its rivals",
         )
     reaches, spans = limits_and_ranges(model, limits, ranges, question.ranges, faults)
     outputs = [q.name for q in model.outputs]
@@ -143,14 +143,14 @@ def ask(
     logged = tuple(n for n in outputs if n in (measured or question.measured))
     if not logged and not faults:
         faults.append(
-            f"the model does not state the measured outputs; add --measured NAME, one of {', '.join(outputs)}"
+            f"the model does not declare its measured outputs; add --measured NAME, one of {', '.join(outputs)}"
         )
     refuse(Fault(path, 0, 0, fault) for fault in faults)
     return replace(question, limits=reaches, ranges=spans, measured=logged)
 
 
 def refinement_folder(text: str) -> Path | None:
-    """Return the folder of a refinement from the name of the folder or of its JSON file, else None."""
+    """Return the folder of a refinement, given the folder or its refine.json; None for other texts."""
     path = Path(text)
     return newest_run(path) if path.is_dir() else path.parent if path.suffix == ".json" else None
 
@@ -218,11 +218,11 @@ def _fitted_rival(
     candidates: Mapping[str, Candidate],
     values: Mapping[str, float],
 ) -> Rival:
-    """Return a rival with the parameters of its best-ranked significant fit without other rivals, or unchanged.
+    """Return a rival with the parameters of its best significant fit alone; unchanged without such a fit.
 
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
-    if r.name not in candidates or r.name in content.hidden:  # nothing, or not seen
+    if r.name not in candidates or r.name in content.hidden:  # not fitted, or not significant
         return r
     for h in content.candidates:
         gain, kept, rest = h.log_likelihood_gain, h.parameters, {*h.names} - {r.name}
@@ -239,7 +239,7 @@ def _fitted_rival(
 def _question_of_fmu(
     path: Path, against: Sequence[str], limits: Sequence[str], ranges: Sequence[str], duration: float | None
 ) -> Question:
-    """Return the question of an FMU, which is probed along a pulse of each input.
+    """Return the question of an FMU, which is probed by a pulse of each input.
 
     Args:
         against: Names of the rivals; by default the terms that are hard to separate at each place.
@@ -258,7 +258,7 @@ def _question_of_fmu(
     signals = model_signals(path)
     inputs, outputs = (quantities(description, [q.name for q in group]) for group in signals)
     into, out = (tuple(replace(q, name=with_place(q.name)) for q in group) for group in (inputs, outputs))
-    bare = fmu_model(path.stem, (out, into, out), (), (), rate=step)  # with its signals only
+    bare = fmu_model(path.stem, (out, into, out), (), (), rate=step)  # without terms
     faults = list[str]()
     reaches, spans = limits_and_ranges(bare, limits, ranges, {}, faults)
     refuse(Fault(path, 0, 0, fault) for fault in faults)
@@ -275,7 +275,7 @@ def _question_of_fmu(
     rivals, pairs = _rivals(subject, candidates, list(against), _confused_groups(subject.model))
     if not pairs:
         raise InputError.at(
-            path, f"has no terms that are hard to separate; name rivals as --against ({', '.join(candidates)})"
+            path, f"has no terms that are hard to separate; name rivals with --against ({', '.join(candidates)})"
         )
     measured = tuple(q.name for q in subject.outputs)
     variables = {name: variable for variable, name in subject.names.items()}
@@ -314,7 +314,7 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
     own, groups = [e.name for e in model.awake], _groups(model, candidates)
     names = list(against) or sorted(set().union(*(g for g in groups if not g.isdisjoint(own))).difference(own))
     rivals, pairs = _rivals(base, candidates, names, groups)
-    if own and names:  # against the active effects, with their values in the model
+    if own and names:  # compared with the active effects, at their values in the model
         free, values = tuple(f for n in own for f in candidates[n].free), ModelSubject(loaded).values
         present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
         rivals = (present, *(r for r in rivals if r.name != NOTHING))
@@ -324,7 +324,7 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
 
 
 def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
-    """Return all candidates of the model, as for logs in which every input varies."""
+    """Return all candidates of the model, assuming logs in which every input varies."""
     subject = ModelSubject(loaded)
     return {c.name: c for c in subject.candidates([q.name for q in subject.inputs])}
 
@@ -337,7 +337,7 @@ def _check_names(path: Path, names: Sequence[str], candidates: Mapping[str, Cand
 
 
 def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]:
-    """Return the groups of candidates that the model declares hard to separate, by default one group of all."""
+    """Return the groups of candidates that the model declares hard to separate; by default one group of all."""
     groups = [{name for name in group if name in candidates} for group in model.told_apart_by]
     return [group for group in groups if len(group) > 1] or [set(candidates)]
 

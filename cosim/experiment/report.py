@@ -20,7 +20,7 @@ from cosim.report.panels import Panel, Trace, held_panels
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
-MAX_PAIRS = 30  # in the table, the least separated first
+MAX_PAIRS = 30  # pairs in the table, the least separated first
 MAX_OUTPUTS = 12  # with a chart
 
 
@@ -31,7 +31,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
     model = question.loaded.model
     units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
     drawing = charts.over(excitation.trial.time)
-    panels = []  # each output of the model and of its rivals with its limits: limited outputs first
+    panels = []  # each output of the model and of its rivals with its limits; limited outputs come first
     limited = [name for name in excitation.trial.outputs if name in question.limits]
     for name in list(dict.fromkeys((*limited, *question.measured)))[:MAX_OUTPUTS]:
         unit, values = units[name], excitation.trial.outputs[name]

@@ -1,6 +1,6 @@
-"""Rigs that play experiments: signals on a few axes, and the model's response.
+"""Experiment rigs: they apply signals on a few axes to a model and simulate its response.
 
-Any model can be played in open loop; an unstable one registers its own rig (`cosim.core.registry`).
+Any model can be used in open loop; an unstable model registers its own rig (`cosim.core.registry`).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from cosim.model.model import Model, Values
 from cosim.terms.fmu_model import FmuModel
 
 Signals = Mapping[str, Array]
-Ranges = Mapping[str, tuple[float, float]]  # input → least and largest command
-FASTEST = 0.1  # share of the sample rate
-SLOWEST = 2.0  # periods in a trial
+Ranges = Mapping[str, tuple[float, float]]  # input → smallest and largest value
+FASTEST = 0.1  # largest frequency, as a share of the sample rate
+SLOWEST = 2.0  # smallest number of periods in a trial
 
 
 @dataclass(frozen=True)
 class RigAxis:
-    """An independent signal of an experiment: up to ±amplitude, between two frequencies [Hz]."""
+    """An independent signal of an experiment, with an amplitude and a frequency range [Hz]."""
 
     name: str
     amplitude: float
@@ -71,14 +71,14 @@ class Trial:
 
 
 class OpenLoop:
-    """Open-loop rig for any model: each input gets a signal around its start value. Other rigs derive from it.
+    """Open-loop rig for any model: each input gets a signal around its start value. Other rigs derive from this class.
 
-    A rig plays an experiment within input ranges and writes its scenario.
+    A rig simulates an experiment within input ranges and writes its scenario.
 
     Attributes:
         axes: Signals that an experiment varies.
         usual: Description of the usual input, for comparison.
-        files: Files beside excitation.csv, excitation.yaml and plant.fmu.
+        files: Files written in addition to excitation.csv, excitation.yaml and plant.fmu.
     """
 
     usual = "a step of each input in turn"
@@ -91,12 +91,12 @@ class OpenLoop:
         self.axes = tuple(RigAxis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
     def commands(self, model: Model, signals: Signals) -> dict[str, Array]:
-        """Return inputs with axis signals around the start values, clipped to their ranges."""
+        """Return the inputs: start values plus axis signals, clipped to their ranges."""
         starts = zip(model.inputs, model.start_command(), strict=True)
         return {q.name: clip(start + signals[q.name], q.name, self.ranges) for q, start in starts}
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """Return a model's response to axis signals, clipped to the ranges of the inputs."""
+        """Simulate a model with axis signals, clipped to the ranges of the inputs."""
         rows = [*zip(*(u.tolist() for u in self.commands(model, signals).values()), strict=True)]
         return trial_of(model, len(rows), lambda k, y: rows[k], signals, {})
 
@@ -123,7 +123,7 @@ class OpenLoop:
 
 
 class FmuOpenLoop(OpenLoop):
-    """Open-loop rig that plays signals through the library of an FMU, with the terms of a hypothesis.
+    """Open-loop rig that simulates an FMU's library with the terms of a hypothesis.
 
     Args:
         first: Output → reading at the start.
@@ -163,7 +163,7 @@ class FmuOpenLoop(OpenLoop):
 
 
 def clip(values: Array, name: str, ranges: Ranges) -> Array:
-    """Return commands of an input clipped to its range."""
+    """Return values of an input clipped to its range."""
     return np.clip(values, *ranges.get(name, (-math.inf, math.inf)))
 
 
@@ -223,10 +223,10 @@ def limits_and_ranges(
         convert = conversion(match["unit"].strip(), unit) if match else None
         lower, upper = (convert(float(match[end])) if match and convert else math.nan for end in ("low", "high"))
         if not lower < upper:
-            message = f"say between what {name} stays, lower end first [{unit}], as {name}=0..10"
+            message = f"give the range of {name} [{unit}], lower end first, such as {name}=0..10"
             faults.append(f"--range {text}: {message}")
         elif not max(lower, low) < min(upper, high):
-            message = f"the model declares {low:g}..{high:g} {unit} of {name}; choose a range that overlaps"
+            message = f"the model declares {low:g}..{high:g} {unit} for {name}; choose an overlapping range"
             faults.append(f"--range {text}: {message}")
         else:
             spans[name] = max(lower, low), min(upper, high)
@@ -242,7 +242,9 @@ def limits_and_ranges(
         if size > 0:
             reaches[name] = size
         else:
-            faults.append(f"--limit {text}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
+            faults.append(
+                f"--limit {text}: give the largest deviation of {name}, above 0 [{units[name]}], such as {name}=0.1"
+            )
     for q in model.inputs:
         if q.name in reaches:
             continue
@@ -253,7 +255,7 @@ def limits_and_ranges(
             spans[q.name], reaches[q.name] = (low, high), reach
         else:
             faults.append(
-                f"how far from {q.start:g} may {q.name} go? Say --limit {q.name}=VALUE or --range "
+                f"{q.name} has no limit (start value {q.start:g}); add --limit {q.name}=VALUE or --range "
                 f"{q.name}=MIN..MAX [{q.unit}]"
             )
     return reaches, {name: span for name, span in spans.items() if any(map(math.isfinite, span))}

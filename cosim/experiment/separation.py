@@ -1,12 +1,12 @@
 """Separation of rival hypotheses by an input: T-optimality with the filter of the later refinement.
 
-After Atkinson and Fedorov (1975): the value of an input is the remaining difference of two models after the parameters
-of one model are adapted to the other. Innovations are compared, as in `refine`, so that a visible disturbance hides the
-same differences. With e the innovations, s their variances and θ the adaptable parameters:
+After Atkinson and Fedorov (1975): the value of an input is the remaining difference between two models after the
+parameters of one model have been fitted to the other. Innovations are compared, as in `refine`, so that disturbances
+hide the same differences. With e the innovations, s their variances and θ the fitted parameters:
 
     D² = min over δ of Σ (e_a − e_b − ∂e_b/∂θ·δ)²/s + Σ (δ/σ)²,  σ the prior of a base parameter
 
-D counts standard deviations; the expected log-likelihood is ½·D².
+D is in standard deviations; the expected log-likelihood gain is ½·D².
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log
 
 PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
-MIN_SEPARATION = 3.0  # standard deviations between rivals from which a log decides
+MIN_SEPARATION = 3.0  # standard deviations between rivals that a log needs for a decision
 Pair = tuple[str, str]
 
 
@@ -42,7 +42,7 @@ class Rival:
 def typical_rival(subject: Subject, candidate: Candidate) -> Rival:
     """Return a rival in which a candidate has a clearly detectable size.
 
-    An effect differs from its neutral value by its `typical` size. A base parameter is wrong by 20 %.
+    An effect differs from its neutral value by its `typical` size. A base parameter has an error of 20 %.
     """
     if candidate.kind == "parameter":
         (free,) = candidate.free
@@ -64,7 +64,7 @@ def separation(
 
     Args:
         problem: Fitting problem with the kernel.
-        substeps: Of the integration.
+        substeps: Number of integration substeps per row.
         rivals: Hypotheses at a detectable size.
     """
     layout, noise, named = problem.layout, problem.plain, {r.name: r for r in rivals}
@@ -94,7 +94,7 @@ def separation(
     base = slopes(free_base, {}, np.zeros(count))
 
     def distance(truth: str, adapted: str) -> float:
-        """Return what remains after fitting the free parameters of one hypothesis and of the base."""
+        """Return the remaining distance after fitting the free parameters of one hypothesis and of the base."""
         names = {f.name for f in named[adapted].free}
         others = [k for k, f in enumerate(free_base) if f.name not in names]
         design = np.vstack([own[adapted], base[others]]).T
@@ -107,7 +107,7 @@ def separation(
         b = np.concatenate([shift[truth] - shift[adapted], np.zeros(len(others))])
         return float(np.linalg.norm(b - A @ least_squares(A, b)))
 
-    # Only the hypothesis with fewer free parameters is adapted: one with more could imitate the other.
+    # Only the hypothesis with fewer free parameters is fitted: one with more could reproduce the other.
     return {
         (a, b): min(distance(*way) for way in ((a, b), (b, a)) if len(own[way[0]]) >= len(own[way[1]]))
         for a, b in pairs

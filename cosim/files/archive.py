@@ -1,4 +1,4 @@
-"""Checks of FMU and SSP archives before anything is unpacked or parsed.
+"""Checks of FMU and SSP archives before unpacking or parsing.
 
 Rejected are archives that would fill disk or memory or write outside their folder, and XML with entity definitions.
 """
@@ -43,12 +43,12 @@ DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, Valu
 
 
 class BadArchive(ValueError):
-    """Error: an archive is refused, with the reason."""
+    """The reason why an archive is refused."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """Files of a kind of archive: required files, and files to parse by name or ending."""
+    """Content of a kind of archive: required files, and files to parse by name or suffix."""
 
     standard: str
     needed: str
@@ -99,7 +99,8 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
     """
     with _checked(path, kind) as archive:
         folder.mkdir(parents=True, exist_ok=True)
-        size = sum(member.file_size for member in archive.infolist())  # zipfile never unpacks more than that.
+        # zipfile never unpacks more than the declared size.
+        size = sum(member.file_size for member in archive.infolist())
         if size > MOST_OF_FREE * shutil.disk_usage(folder).free:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         archive.extractall(folder)
@@ -123,7 +124,7 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
                 if "\\" in member.orig_filename:
                     raise BadArchive(f'"{name}" in it has a backslash; separate folders by /')
                 if stat.S_ISLNK(member.external_attr >> 16):
-                    raise BadArchive(f'"{name}" in it is a link; pack the file it leads to')
+                    raise BadArchive(f'"{name}" in it is a link; pack its target')
                 if member.flag_bits & 1:
                     raise BadArchive(f'"{name}" in it is encrypted; pack it without a password')
                 if member.compress_type not in PACKED_BY:
@@ -132,7 +133,7 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
             unpacked, packed = sum(m.file_size for m in members), sum(m.compress_size for m in members)
             if unpacked > MOST_UNPACKED:
                 ratio = unpacked / max(1, packed)
-                hint = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
+                hint = f", {ratio:.0f} times its size; it may be a zip bomb" if ratio > BOMB_RATIO else ""
                 raise BadArchive(
                     f"it would unpack to {unpacked / 1e6:.0f} MB, more than the {MOST_UNPACKED / 1e6:.0f} MB that are "
                     f"unpacked{hint}"
@@ -140,13 +141,11 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
             for member, following in pairwise(sorted(members, key=lambda m: m.header_offset)):
                 if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
                     first, second = member.filename[:SHOWN], following.filename[:SHOWN]
-                    raise BadArchive(f'"{first}" and "{second}" in it share bytes: a zip bomb?')
+                    raise BadArchive(f'"{first}" and "{second}" in it share bytes; it may be a zip bomb')
             for member in members:
                 if kind.parses(member.filename) and member.file_size > MOST_XML:
                     size, limit = member.file_size / 1e6, MOST_XML / 1e6
-                    raise BadArchive(
-                        f"its {member.filename} has {size:.0f} MB, more than the {limit:.0f} MB that are read"
-                    )
+                    raise BadArchive(f"its {member.filename} has {size:.0f} MB; the limit is {limit:.0f} MB")
             names = {m.filename for m in members}
             if kind.needed not in names:
                 raise BadArchive(f"it has no {kind.needed}")
@@ -167,7 +166,10 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_directory(stream: BinaryIO, size: int) -> None:
-    """Check the archive's directory. zipfile reads the whole directory, so the number of files is checked first."""
+    """Check the archive's directory.
+
+    The number of files is checked first, because zipfile reads the whole directory.
+    """
     stream.seek(max(0, size - END_SIZE - COMMENT - END_SIZE))
     tail = stream.read()
     end = tail.rfind(END)
@@ -193,13 +195,13 @@ def check_xml(name: str, text: bytes, standard: str) -> None:
     depth = count = 0
 
     def refuse(*_: object) -> None:
-        raise BadArchive(f"its {name} has a DOCTYPE, which {standard} knows nothing of; take it out")
+        raise BadArchive(f"its {name} has a DOCTYPE, which {standard} does not allow; remove it")
 
     def start(_: str, attributes: list[str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         if depth > DEEPEST:
-            raise BadArchive(f"its {name} is nested too deep; at most {DEEPEST} levels are read")
+            raise BadArchive(f"its {name} is nested more than {DEEPEST} levels deep; use fewer levels")
         if count > MOST_ELEMENTS or len(attributes) > 2 * MOST_ATTRIBUTES:
             raise BadArchive(
                 f"its {name} has more than the {MOST_ELEMENTS} elements with {MOST_ATTRIBUTES} attributes each "

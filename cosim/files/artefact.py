@@ -1,8 +1,8 @@
-"""Kinds of files and folders, each declared once by the room that reads or writes it.
+"""Kinds of files and folders, each declared once in the room that reads or writes it.
 
 Declarations are `ARTEFACTS` of a room's module `artefacts`, or part of an installed package's `Verb`. They determine
-the kind of a file, its reading command, the verb of a folder, the actions of `cosim check`, `cosim schema` and
-`cosim.read`, and the files that `--force` replaces.
+the kind of a file, the command that reads it, the verb that wrote a folder, the actions of `cosim check`, `cosim
+schema` and `cosim.read`, and the files that `--force` replaces.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ class Artefact:
         keys: Alternative sets of keys that identify a YAML or JSON file.
         without: Keys absent from every file of this kind.
         endings: Endings of file names, e.g. ".csv".
-        heads: Alternative first bytes.
+        heads: Alternatives for the first bytes of the file.
         text: Regular expression for the beginning of a text file.
         member: File in a ZIP archive, or the beginning of its name; "*" is any.
-        beside: File name, and a file in the same folder required for this kind.
-        taken_as: Kind accepted in place of this kind.
+        beside: (file name, name of another file that must be in the same folder).
+        taken_as: Other kind as which files of this kind are also accepted.
         verb: Command that writes the kind, e.g. "cosim refine".
         marks: Files that only this verb writes into a folder, the most specific first.
         unfinished: Files of results that were stopped before their first mark.
@@ -93,18 +93,21 @@ class Artefact:
     reader: str = ""
 
     def matched_keys(self, keys: Set[str]) -> int:
-        """Return the number of matched keys; 0 for another kind."""
+        """Return the number of matched keys; 0 if the keys do not identify this kind."""
         if self.without & keys:
             return 0
         return max((len(needed) for needed in self.keys if needed <= keys), default=0)
 
     @property
     def folders(self) -> set[str]:
-        """Return the folders within results that the verb writes into."""
+        """Return the subfolders of results that the verb writes into."""
         return {name.partition("/")[0] for name in self.files if "/" in name}
 
     def is_left_in(self, folder: Path, *, unfinished: bool = False) -> bool:
-        """Return whether a folder contains results of the verb, or also results that were stopped."""
+        """Return True if a folder contains results of the verb.
+
+        `unfinished` also accepts results of a stopped command.
+        """
         return any((folder / mark).is_file() for mark in (*self.marks, *self.unfinished * unfinished))
 
 

@@ -1,4 +1,4 @@
-"""Kinds of files of other tools, with advice."""
+"""Kinds of files of other tools, with advice for messages."""
 
 from __future__ import annotations
 
@@ -8,49 +8,51 @@ XML = r"(<\?xml[^>]*>\s*)?"
 ARTEFACTS = (
     Artefact(
         "a page for a browser",
-        "a browser opens it; `cosim report FOLDER` makes that of a run again",
+        "open it in a browser; `cosim report FOLDER` writes the report of a run again",
         text=r"(?i)<!doctype html|<html",
     ),
     Artefact(
         "a picture",
-        "a browser opens it; `cosim graph SCENARIO` draws one",
+        "open it in a browser; `cosim graph SCENARIO` draws one",
         heads=(b"\x89PNG", b"\xff\xd8\xff", b"GIF8"),
         text=rf"(?is){XML}(<!--.*?-->\s*|<!doctype[^>]*>\s*)*<svg\b",
     ),
     Artefact(
         "a notebook",
-        "Jupyter opens it; in it, `import cosim`",
+        "open it in Jupyter",
         keys=(frozenset({"nbformat"}),),
         endings=(".ipynb",),
     ),
     Artefact(
         "a file of matrices",
-        "save it again with -v7, or write its columns as CSV, `time` first, and `cosim check` checks that",
+        "save it with -v7, or write its columns as CSV with `time` first; then run `cosim check`",
         heads=(b"MATLAB 7.3",),  # earlier versions and HDF5 are read as tables
         endings=(".mat",),
     ),
     Artefact(
         "a workbook",
-        "save the sheet as CSV, `time` first, and `cosim check` checks that",
+        "save the sheet as CSV with `time` first; then run `cosim check`",
         heads=(b"\xd0\xcf\x11\xe0",),
         member="xl/",
     ),
-    Artefact("an archive without an FMU", "unpack it; `cosim info` lists an FMU that is in it", member="*"),
+    Artefact("an archive without an FMU", "unpack it; `cosim info` describes an FMU", member="*"),
     Artefact(
         "a compiled library",
-        "libraries are parts of FMUs; `cosim info` lists the content of an FMU",
+        "libraries are parts of FMUs; give the FMU",
         heads=(b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe"),
     ),
     Artefact(
         "a JSON schema",
-        "an editor reads it; `cosim schema` prints it",
+        "editors use it; `cosim schema` prints it",
         keys=(frozenset({"$schema", "properties"}), frozenset({"$schema", "$defs"})),
     ),
     Artefact(
         "a pointer of Git LFS",
-        "`git lfs pull` fetches the file itself; then `cosim check` checks it",
+        "run `git lfs pull` to fetch the file, then `cosim check`",
         heads=(b"version https://git-lfs.",),
     ),
-    Artefact("XML", "`cosim info` lists what the FMU has that it is of", text=r"<(\?xml|[A-Za-z][\w:]*[ >])"),
-    Artefact("a PDF", "no command reads it; `cosim --help` lists what each takes", heads=(b"%PDF-",)),
+    Artefact(
+        "XML", "give the FMU that contains it; `cosim info` describes an FMU", text=r"<(\?xml|[A-Za-z][\w:]*[ >])"
+    ),
+    Artefact("a PDF", "no command reads it; `cosim --help` lists the commands and their files", heads=(b"%PDF-",)),
 )

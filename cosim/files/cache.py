@@ -1,7 +1,7 @@
-"""The cache of derived files, addressed by the content of their source.
+"""Cache of derived files, keyed by the content of their source.
 
-The cache contains compiled libraries and templates, which this user's commands execute. It is therefore a folder of
-this user without write access for others, or else a private temporary folder.
+The cache contains compiled libraries and templates, which commands of this user execute. It is therefore a folder of
+this user without write access for others, or a private temporary folder.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def _user_folder(variable: str) -> Path | None:
         return None
     reason = ""
     if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
-        reason = f"it belongs to another user; name another folder in {VARIABLE}"
+        reason = f"it belongs to another user; set {VARIABLE} to another folder"
     elif os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        reason = "other users can write in it; take that from them by chmod go-w"
+        reason = "other users can write to it; run chmod go-w on it"
     if reason:
         with contextlib.suppress(OSError, ValueError):
-            sys.stderr.write(f"note: the cache {folder} is not used, a temporary one takes its place: {reason}\n")
+            sys.stderr.write(f"note: a temporary cache is used instead of {folder}: {reason}\n")
         return None
     return folder if os.access(folder, os.W_OK) else None
 
@@ -67,14 +67,18 @@ def cache_folder() -> Path:
 
 
 def cache_environment() -> Mapping[str, str]:
-    """Return environment variables for sharing this process's cache."""
+    """Return environment variables that let a child process share this process's cache."""
     return {} if _user_folder(os.environ.get(VARIABLE, "")) else {VARIABLE: str(cache_folder().parent)}
 
 
 def load_or_make(source: str, make: Callable[[], Any]) -> Any:
-    """Return a JSON value made from a source, cached.
+    """Return a JSON value from the cache; on a miss, call `make` and store its result.
 
-    The cache file begins with a hash of its content, so that a damaged or partial file is made again.
+    The cache file begins with a hash of its content; a damaged or partial file is replaced.
+
+    Args:
+        source: Text that identifies the value, such as the code and options it is made from.
+        make: Function that computes the value.
     """
     path = cache_path(source, ".json")
     try:
@@ -85,7 +89,7 @@ def load_or_make(source: str, make: Callable[[], Any]) -> Any:
         pass
     value = make()
     text = json.dumps(value)
-    with contextlib.suppress(OSError), draft_of(path) as draft:  # A read-only cache costs time only.
+    with contextlib.suppress(OSError), draft_of(path) as draft:  # A read-only cache is no error.
         draft.write_text(f"{_hash(text)}\n{text}", encoding="utf-8")
     return value
 

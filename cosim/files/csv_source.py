@@ -1,4 +1,4 @@
-"""CSV files: read by pyarrow if all cells are numbers, otherwise row by row, so that every fault has its place."""
+"""CSV files. pyarrow reads files of numbers; other files are read row by row, so that each fault has its place."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Csv(Source):
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read all columns, non-numeric ones as text."""
         if (size := path.stat().st_size) > MOST_BYTES:
-            sizes = f"{size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that are read"
-            cure = "leave out columns or rows, cut a log into pieces of one study, or write Parquet"
+            sizes = f"{size / 1e6:.0f} MB; the limit is {MOST_BYTES / 1e6:.0f} MB"
+            cure = "remove columns or rows, split the log into several logs of one study, or write Parquet"
             raise InputError.at(path, f"has {sizes}; {cure}")
         with open_bytes(path) as stream:
             content = stream.read()
@@ -99,7 +99,7 @@ def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str
     with open_bytes(path) as stream:
         header, line, mark = _header(stream)
     if not header or mark:
-        raise ValueError("the header is no CSV")
+        raise ValueError("the header is not CSV")
     return [split_heading(cell, names) for cell in header], line
 
 
@@ -112,7 +112,7 @@ def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
     except csv.Error:
         return [], 1, ""
     finally:
-        text.detach()  # or it would close the file
+        text.detach()  # otherwise the wrapper would close the file
     line = max(1, reader.line_num)
     only = header[0] if len(header) == 1 else ""
     for mark in SEPARATORS:
@@ -151,7 +151,7 @@ def _with_commas(path: Path, content: bytes, mark: str, header: int) -> tuple[by
 
 
 def _numbers(content: bytes, header: int, headings: Sequence[tuple[str, str]]) -> list[Column] | None:
-    """Return columns of numbers below the header line; None if a line or a cell needs a closer look."""
+    """Return numeric columns below the header line; None if the file must be read row by row."""
     body = content
     for _ in range(header):
         body = body.partition(b"\n")[2]
@@ -204,10 +204,11 @@ def cells_of(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Colum
 def _texts(
     path: Path, content: bytes, width: int, header: int
 ) -> tuple[list[Fault], Sequence[Sequence[str]], Sequence[int]]:
-    """Return the faults, the cells of each column and the line of each row; rows of another length are faults.
+    """Return the faults, the cells of each column, and the line of each row. A row of another length is a fault.
 
     Args:
-        header: Line of the header, whose cells are `width`.
+        width: Number of cells in the header.
+        header: Line of the header.
     """
     faults: list[Fault] = []
     misfits = list[tuple[int, int]]()  # lines and numbers of cells
@@ -234,7 +235,7 @@ def _texts(
         line, count = misfits[0]
         cure = "delete the row, or leave cells empty where nothing was measured"
         if count == 2 * width:
-            cure = "is each number cut in two by a decimal comma? Write a point"
+            cure = "a decimal comma may split each number; use a decimal point"
         further = f" ({counted(len(misfits) - 1, 'further row')} likewise)" if len(misfits) > 1 else ""
         faults.append(Fault(path, line, 1, f"has {counted(count, 'cell')}, the header {width}; {cure}{further}"))
     if not width and not faults:

@@ -1,4 +1,4 @@
-"""Excel: the table of the only sheet with a table, read by openpyxl."""
+"""Excel workbooks with one table, read by openpyxl."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from cosim.files.table import Source, Table, split_heading
 
 
 class Excel(Source):
-    """Workbooks of Excel."""
+    """Excel workbooks."""
 
     name = "Excel"
     suffixes = (".xlsx", ".xlsm")
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
-        """Read all columns of the table; formulas count as the values that Excel has kept."""
+        """Read all columns of the table. For a formula, the value stored by Excel is read."""
         openpyxl = optional("openpyxl", lambda message: Fault(path, 0, 0, message))
         try:
             with ZipFile(path) as parts:
                 size = sum(part.file_size for part in parts.infolist())
             if size > MOST_BYTES:
-                message = f"unpacks to {size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that are read"
+                message = f"unpacks to {size / 1e6:.0f} MB; the limit is {MOST_BYTES / 1e6:.0f} MB"
                 raise InputError.at(path, f"{message}; write Parquet")
             book = openpyxl.load_workbook(path, read_only=True, data_only=True)
             sheets = {sheet.title: [*sheet.iter_rows(values_only=True)] for sheet in book.worksheets}
@@ -41,7 +41,9 @@ class Excel(Source):
             BadZipFile,
             openpyxl.utils.exceptions.InvalidFileException,
         ) as error:
-            raise InputError.at(path, f"is no whole workbook: {str(error)[:200]}; save it again") from None
+            raise InputError.at(
+                path, f"is an incomplete or invalid workbook: {str(error)[:200]}; save it again"
+            ) from None
         filled = {name: rows for name, rows in sheets.items() if any(map(_is_filled, rows))}
         if len(filled) > 1:
             raise InputError.at(path, f"has tables in the sheets {join_names([*filled])}; keep one, or write CSV")
@@ -51,7 +53,7 @@ class Excel(Source):
         places = [k for k, row in enumerate(rows) if _is_filled(row)]
         first, last = places[0], places[-1]
         if blank := next((k for k in range(first, last) if k not in {*places}), None):
-            message = f"sheet {sheet} is empty in row {blank + 1}, and has rows below: it has several tables; keep one"
+            message = f"sheet {sheet} has several tables, separated by the empty row {blank + 1}; keep one"
             raise InputError([Fault(path, blank + 1, 1, message)])
         width = max(k for k, cell in enumerate(rows[first]) if cell is not None) + 1
         headings = [split_heading(_text(cell), names) for cell in rows[first][:width]]

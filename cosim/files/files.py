@@ -25,15 +25,16 @@ from cosim.core.settings import FilePath as FilePath
 
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-MOST_HOLES, SMALL = 1000, 1 << 26  # size over stored bytes, more than any file system compresses; [bytes] always read
+MOST_HOLES, SMALL = 1000, 1 << 26  # size per stored byte above which a file is sparse; [bytes] always read
 READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 
 
 def open_regular(path: Path) -> int:
-    """Return a descriptor of a regular file, for reading.
+    """Open a regular file for reading, and return its descriptor.
 
     Raises:
-        OSError: The file is unreadable, or a pipe or device, which may block or never end, or almost only holes.
+        OSError: The file is unreadable, a pipe or device (which may block or never end), or consists almost only of
+            holes.
     """
     descriptor = os.open(path, READING)
     status = os.fstat(descriptor)
@@ -41,7 +42,11 @@ def open_regular(path: Path) -> int:
     if is_regular and status.st_size <= MOST_HOLES * stored + SMALL:
         return descriptor
     os.close(descriptor)
-    raise OSError(errno.EINVAL, "is almost without content" if is_regular else "is no regular file", str(path))
+    raise OSError(
+        errno.EINVAL,
+        "has almost no stored content (a sparse file)" if is_regular else "is not a regular file",
+        str(path),
+    )
 
 
 def open_bytes(path: Path) -> io.BufferedReader:
@@ -62,7 +67,7 @@ def parse_json(text: str | bytes) -> Any:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[TextIO]:
-    r"""Open a text file that replaces `path` after success; half a surrogate pair is written as \ud800, as in JSON."""
+    r"""Open a text file that replaces `path` after success. Unpaired surrogates are written as \ud800, as in JSON."""
     with draft_of(path) as draft, draft.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
         yield stream
 
@@ -113,7 +118,7 @@ def delay_stops() -> Iterator[None]:
 
 @dataclass
 class _Stops:
-    """Handling of stop signals by a verb: raise or hold back."""
+    """Stop signals of a verb: raised at once, or held until the end."""
 
     handlers: dict[int, Callable[[int, FrameType | None], Any]]
     is_holding: bool = False
@@ -128,7 +133,7 @@ class _Stops:
             self.handlers[number](number, frame)
 
     def release(self) -> None:
-        """Raise the first held signal, unless the verb was already stopped."""
+        """Raise the first held signal, unless a signal has already stopped the verb."""
         signals, self.signals = self.signals, []
         if signals and not self.is_stopped:
             signal.raise_signal(signals[0])
@@ -139,9 +144,9 @@ _stops: list[_Stops] = []  # of the running verbs, the innermost last
 
 @contextmanager
 def one_stop() -> Iterator[None]:
-    """Let the first signal stop a verb, and hold back later ones.
+    """Let the first stop signal end the verb's work, and hold later signals.
 
-    The verb can then write its results. Signals that are ignored or end the process by default are left alone.
+    The verb can then write its results. Signals that are ignored or end the process by default are not changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -160,7 +165,7 @@ def one_stop() -> Iterator[None]:
 
 
 def hold_stops() -> None:
-    """Hold back the first signal too, because results must be written."""
+    """Hold the first stop signal too, while results are written."""
     if _stops and threading.current_thread() is threading.main_thread():
         _stops[-1].is_holding = True
 
@@ -187,30 +192,31 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
 
 
 def named_path(out: FilePath) -> Path:
-    """Return the path given as --out; raise InputError if blank, which would mean the current folder."""
+    """Return the path of --out; raise InputError if it is blank, since a blank path would mean the current folder."""
     if not os.fspath(out).strip():
         raise InputError.at(Path("--out"), f"is blank; {NOT_BLANK}")
     return Path(out)
 
 
 def path_from_here(path: FilePath) -> Path:
-    """Return a path relative to the current folder if it lies in it, else unchanged."""
+    """Return a path inside the current folder as a relative path, other paths unchanged."""
     path = Path(path)
     return path.relative_to(Path.cwd()) if path.is_absolute() and path.is_relative_to(Path.cwd()) else path
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError if a file has the name of the folder."""
-    with suppress(OSError):  # The maker of the folder reports a name that is too long.
+    """Raise InputError if the path of an output folder is a file."""
+    with suppress(OSError):  # A name that is too long is reported when the folder is made.
         if file := next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None):
             raise InputError.at(folder, f"cannot be the folder for results: {file} is a file; give a folder as --out")
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
-    """Make a folder for files.
+    """Make an output folder, and check that files can be written into it.
 
     Args:
-        read: Input files, not to be overwritten.
+        names: Files to write.
+        read: Input files, which must not be overwritten.
 
     Raises:
         InputError: A file cannot be written.
@@ -223,10 +229,10 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
             folder, f"cannot be the folder for results: {error.strerror}; give another folder as --out"
         ) from None
     paths, cure = [folder / name for name in names], "give another folder as --out"
-    faults = [Fault(p, 0, 0, f"is a folder; a file is to be written there; {cure}") for p in paths if p.is_dir()]
+    faults = [Fault(p, 0, 0, f"is a folder, but a file must be written there; {cure}") for p in paths if p.is_dir()]
     for source in dict.fromkeys(read):
         if source.is_file() and any(path.is_file() and source.samefile(path) for path in paths):
-            faults.append(Fault(source, 0, 0, f"is read, and results would be written over it; {cure}"))
+            faults.append(Fault(source, 0, 0, f"is an input and would be overwritten by results; {cure}"))
     if not os.access(folder, os.W_OK):
         faults.append(Fault(folder, 0, 0, f"cannot be written; {cure}"))
     refuse(faults)

@@ -24,7 +24,7 @@ from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json, write_json
 
 RESULTS = Path("results")
-NUMBERED = RESULTS / "NAME"  # output folder that the workflow chooses: a new number, for which it knows the name
+NUMBERED = RESULTS / "NAME"  # default output folder: a new number in results/NAME, with a name chosen by the workflow
 RUN_NUMBER = re.compile(r"\d{4,15}")  # name of the folder of a run
 STARTED = "started.json"
 COMMAND, STATUS = "command", "status"  # keys of each record
@@ -42,7 +42,7 @@ MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 def name_of_file(path: Path, of: str = "") -> str:
     """Return the name of results for a file.
 
-    Files with a general name, e.g. results.csv, take the name of their folder, or of the runs that it is one of.
+    A file with a general name, e.g. results.csv, is named after its folder, or after the series of runs it belongs to.
     """
     if path.stem in {"results", "refine"} and path.resolve().parent.name:
         return f"{run_name(path.resolve().parent).split('/')[0]}-{of or 'replayed'}"
@@ -73,12 +73,12 @@ def new_run(
 ) -> Iterator[Path]:
     """Yield the folder that a command writes into: a new number in results/NAME, or `out`.
 
-    A folder that is empty at the end is removed. Within the folder of an outer command nothing happens.
+    A folder that is empty at the end is removed. Inside another command with a folder of its own, nothing happens.
 
     Args:
         verb: Such as `cosim run`.
-        force: Whether `out` may have files.
-        goes_on: Whether `out` may have files, but for results of other verbs.
+        force: Allow files in `out`.
+        goes_on: Allow files in `out`, but no results of other verbs.
 
     Raises:
         InputError: `out` is not empty, cannot be written, or another command writes into it.
@@ -92,13 +92,13 @@ def new_run(
         if not is_inner:
             new = [path for path in (folder, *folder.parents) if not path.is_dir()]
             if state_of(folder) == RUNNING:
-                reason = "another command is writing into this folder; name another one as --out"
+                reason = "another command is writing into this folder; give another --out"
                 raise InputError.at(folder, reason)
             check_writable(folder, ())
             has_files = any(not path.name.startswith(".") for path in folder.iterdir())
             others = [a for a in artefacts() if a.verb not in {"", verb} and a.is_left_in(folder, unfinished=True)]
             if has_files and not (force or (goes_on and not others)):
-                raise InputError.at(folder, "is not empty; name another folder as --out, or add --force")
+                raise InputError.at(folder, "is not empty; give another folder as --out, or add --force")
             (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
             about = {"pid": os.getpid(), "begun": psutil.Process().create_time(), "host": platform.node()}
             about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__}
@@ -120,13 +120,13 @@ def new_run(
 
 
 def runs_named(name: str) -> Path:
-    """Return results/NAME, safe for shells."""
+    """Return results/NAME with characters that are safe in shells."""
     safe = re.sub(r"\s+", "-", re.sub(r"[^\w.\-\s]+", "_", name).strip(" .")) or "run"
     return RESULTS / safe[:100]
 
 
 def _new_number(runs: Path) -> Path:
-    """Make and return the folder 0001, or the next number: the system makes each folder once only."""
+    """Make and return the folder 0001, or the next free number, safe against parallel commands."""
     for attempts_left in reversed(range(1000)):
         try:
             runs.mkdir(parents=True, exist_ok=True)
@@ -143,12 +143,12 @@ def _new_number(runs: Path) -> Path:
 def describe_run(folder: Path, record: Mapping[str, Any]) -> None:
     """Add a record to STARTED, so that an interrupted run can be repeated from it."""
     if about := content_of(folder / STARTED):
-        with suppress(OSError):  # The command goes on without it.
+        with suppress(OSError):  # The record is optional.
             write_json(folder / STARTED, {**record, **about})
 
 
 def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
-    """Remove results from a folder that is written again, but not files of the user.
+    """Remove earlier results of cosim from a folder before writing again; files of the user stay.
 
     The files are those declared by verbs whose marks are in the folder.
 
@@ -172,7 +172,7 @@ def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
 
 
 def state_of(folder: Path) -> str:
-    """Return RUNNING, INTERRUPTED or ELSEWHERE for a folder whose command has not ended, else ""."""
+    """Return RUNNING, INTERRUPTED or ELSEWHERE for a folder with an unfinished command, else ""."""
     if not (folder / STARTED).is_file():
         return ""
     content = content_of(folder / STARTED)
@@ -182,7 +182,7 @@ def state_of(folder: Path) -> str:
 
 
 def _is_alive(content: Mapping[str, Any]) -> bool:
-    """Return whether the process of a STARTED exists. Systems give its number again, but with another beginning."""
+    """Return True if the process in a STARTED file exists. A reused process number has another start time."""
     import psutil  # only a folder with STARTED needs it
 
     pid, begun = content.get("pid"), content.get("begun")
@@ -220,29 +220,29 @@ def has_results(folder: Path) -> bool:
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
-    """Return the sound part of the manifest in a folder, or of the record of an interrupted run."""
+    """Return the manifest in a folder, or the record of an interrupted run, without damaged parts."""
     file = folder / "manifest.json"
     started = {} if file.is_file() else content_of(folder / STARTED)
     return sound_part(file, started if "scenario" in started else content_of(file))[0]
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
-    """Return warnings and notes on the record in a folder."""
+    """Return warnings and notes about the record in a folder."""
     file = next((path for name in ("manifest.json", REPLAY) if (path := folder / name).is_file()), None)
     if file is None:
         return ()
     if not (content := content_of(file)):
-        return (f"{file} is damaged: units, texts, inputs and criteria of its run are not known; run it again",)
+        return (f"{file} is damaged: units, texts, inputs and criteria of the run are missing; run it again",)
     record, wrong = sound_part(file, content)
     return (*other_version(file, record), *wrong)
 
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a warning or note on another version's record."""
+    """Return a warning or note about a record written by another version."""
     schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
     if schema != SCHEMA_VERSION:
         text = f"{file} has the schema version {schema}, written by cosim {by or 'of an unknown version'}; "
-        known = f"{SCHEMA_VERSION} is known here: keys that are new or changed are not read, use that version of cosim"
+        known = f"this version reads {SCHEMA_VERSION} and ignores new or changed keys. Use that version of cosim"
         return (text + known,)
     is_other = by not in {"", __version__}
     return (Note(f"{file} was written by cosim {by}, and this is {__version__}"),) if is_other else ()
@@ -255,7 +255,10 @@ def version_of(record: Mapping[str, Any]) -> str:
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """Return a file's JSON mapping, empty if unreadable or with a number beyond the range of doubles."""
+    """Return a file's JSON mapping.
+
+    It is empty if the file is unreadable or has a number beyond the range of doubles.
+    """
     try:
         stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
         try:
@@ -269,24 +272,24 @@ def content_of(path: Path) -> dict[str, Any]:
 
 
 def status_in(folder: Path) -> str:
-    """Return an incomplete command's status as a phrase, else ""."""
+    """Return the status of an incomplete command as a phrase, else ""."""
     status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS, "ok")
     return "" if status == "ok" else f" (status: {state_of(folder) or status})"
 
 
 def replay_record(folder: Path) -> dict[str, Any]:
-    """Return a replay's description of its rows.
+    """Return the record of a replay on its rows.
 
-    Keys are `log`, `fmu`, `units` and `sentence`; values of wrong types are left out, and all if unreadable.
+    Keys are `log`, `fmu`, `units` and `sentence`. Values of wrong types are left out.
     """
     return sound_part(folder / REPLAY, content_of(folder / REPLAY))[0]
 
 
 @contextmanager
 def results_in(out: FilePath | None, verb: str, name: str = "", *, force: bool = False) -> Iterator[Any]:
-    """Yield the folder `out`, which must be empty without `force`, or a temporary folder.
+    """Yield the output folder: `out` (empty unless `force`), or a temporary folder without `out`.
 
-    For NUMBERED it is a new number in results/NAME, or None if the workflow knows the name.
+    NUMBERED as `out` means a new number in results/NAME; without a name, the workflow chooses it and None is yielded.
     """
     if out is NUMBERED and not name:
         yield None
@@ -305,7 +308,7 @@ EACH = "*"  # key of a type of mappings, for all their values
 
 
 class Number:
-    """Type of a number or null."""
+    """Type of a number or null in a record."""
 
 
 TITLES = {
@@ -343,7 +346,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
 
 
 class WrongValue(NamedTuple):
-    """A value of a record that has another type than it should."""
+    """A value in a record that has a wrong type."""
 
     name: str
     value: Any
@@ -351,7 +354,7 @@ class WrongValue(NamedTuple):
 
 
 def fault_of(value: Any, kind: Any, name: str) -> WrongValue | None:
-    """Return the first wrong value within a value of this name, if any; true and false are no whole numbers."""
+    """Return the first value of a wrong type inside the value called `name`, if any. Booleans are not whole numbers."""
     outer = type(kind) if isinstance(kind, (list, dict)) else kind
     if type(value) not in ((float, int, NoneType) if outer is Number else (outer,)):
         return WrongValue(name, value, TITLES[outer])
@@ -365,7 +368,7 @@ def fault_of(value: Any, kind: Any, name: str) -> WrongValue | None:
 
 
 def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return a record without the keys that hold a value of another type, and a warning for each of them."""
+    """Return a record without the keys whose values have a wrong type, and a warning for each."""
     sound, warnings = {**record}, list[str]()
     for key, kind in {**COMMON, **TYPES.get(file.name, {})}.items():
         if key in record and (fault := fault_of(record[key], kind, key)):

@@ -14,7 +14,7 @@ from cosim.files.files import open_bytes
 from cosim.files.table import sources, suffixes
 from cosim.files.yaml_file import YamlFile
 
-WRITTEN = {".yaml", ".yml", ".json"}  # endings of files identified by their keys
+WRITTEN = {".yaml", ".yml", ".json"}  # endings for which the keys decide the kind
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
 COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of an instrument
 ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
@@ -22,11 +22,11 @@ FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
 KEYED = re.compile(r'(?!time\b)\w+:(\s|$)|\{\s*"')
 UTF_16 = b"\xff\xfe", b"\xfe\xff"
 HEAD = 1024  # examined bytes
-UNREAD = "no command reads it; `cosim --help` lists what each takes"
+UNREAD = "no command reads it; `cosim --help` lists the commands and their files"
 
 
 def kind_by_form(path: Path) -> str | None:
-    """Return the kind of a file by first bytes or ending; None if only its keys can decide."""
+    """Return the kind of a file from its first bytes or ending; None if the keys must decide."""
     head, ending = b"", path.suffix.lower()
     with suppress(OSError, ValueError), open_bytes(path) as stream:
         head = stream.read(HEAD)
@@ -71,13 +71,13 @@ def kind_by_form(path: Path) -> str | None:
 
 
 def next_step(kind: str, path: Path) -> str:
-    """Return a sentence on what to do with a file of a kind."""
+    """Return advice for a file of a kind."""
     artefact = of_kind(kind)
     return UNREAD if artefact is None else artefact.next_step.format(file=shell_path(path))
 
 
 def kind_of(path: Path) -> str | None:
-    """Return the kind of a file by form or keys, if recognised."""
+    """Return the kind of a file by form or keys; None if unknown."""
     return kind_by_form(path) or (_by_keys(path) if path.suffix.lower() in WRITTEN else None)
 
 
@@ -98,33 +98,33 @@ def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
-    """Raise InputError for a missing, empty or special file."""
+    """Raise InputError for a missing or empty file, a folder or a pipe."""
     kinds = " or ".join(wanted)
     try:
         if path.is_dir():
             refuse_folder(path, kinds)
             endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
             names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
-            some = f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "none by its ending"
+            some = f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "no files of this kind"
             raise InputError.at(path, f"is a folder, not {kinds}; in it: {some}")
         if not path.exists():
             raise InputError.at(path, f"no such file; give {kinds}")
         if not path.is_file():  # A pipe would block.
-            raise InputError.at(path, "is no file")
+            raise InputError.at(path, "is not a regular file")
         if not path.stat().st_size:
             raise InputError.at(path, f"is empty; give {kinds}")
     except (OSError, ValueError):  # a name too long, a loop of links, or a folder without access
-        raise InputError.at(path, f"no such file, or none that can be read; give {kinds}") from None
+        raise InputError.at(path, f"no such file, or it cannot be read; give {kinds}") from None
 
 
 def check_form(path: Path, *wanted: str) -> None:
-    """Raise InputError for an unusable file or unwanted form."""
+    """Raise InputError if a file is unreadable, or its form is not one of the wanted kinds."""
     refuse_unreadable(path, *wanted)
     refuse_other(path, kind_by_form(path), *wanted)
 
 
 def check_given(path: Path, *wanted: str) -> None:
-    """Raise InputError for an unusable file or unwanted kind."""
+    """Raise InputError if a file is unreadable, or its kind is not one of the wanted kinds."""
     refuse_unreadable(path, *wanted)
     refuse_other(path, kind_of(path), *wanted)
 
@@ -135,7 +135,7 @@ def shell_path(path: Path) -> str:
 
 
 def refuse_folder(path: Path, kinds: str) -> None:
-    """Raise InputError for the folder of another command, not for an incomplete folder of a wanted kind."""
+    """Raise InputError for a result folder of another command; accept an incomplete folder of a wanted kind."""
     artefact = folder_kind(path)
     if artefact is not None and artefact.folder not in kinds:
         step = artefact.folder_step.format(file=shell_path(path))

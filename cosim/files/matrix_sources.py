@@ -1,7 +1,8 @@
 """MAT files of MATLAB and Octave, version 5, and HDF5, which needs h5py (extra `hdf5`).
 
-A MAT file has the time, a matrix of numbers and the names of its columns; HDF5 a dataset per signal, with its unit as
-an attribute. A MAT file of another tool may have a variable of numbers per signal instead, as long as time.
+A MAT file of cosim has the time, a matrix of numbers and the names of its columns. An HDF5 file has one dataset per
+signal, with the unit as an attribute. MAT files of other tools may have one numeric variable per signal, as long as
+the time.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ MOST_VARIABLE_BYTES = 2**31 - 1  # of a variable
 class Mat(Source):
     """MAT-file version 5, read and written by scipy.
 
-    Variables: `time`, `values` with a row per time, `names`, `units` and `whole` (integers) of its columns; `text`,
-    `text_names` and `text_units` for values that are no doubles.
+    Variables: `time`; `values` with a row per time; `names`, `units` and `whole` (True for integers) of the
+        columns;
+    `text`, `text_names` and `text_units` for values that are not doubles.
     """
 
     name = "MAT"
@@ -44,8 +46,8 @@ class Mat(Source):
                 content: Mapping[str, Any] = loadmat(stream)
         except Exception as error:  # scipy reports damage by many kinds of errors
             reason = getattr(error, "strerror", None) or str(error)[:200]
-            cure = "write it with -v7, or as HDF5 with one dataset a signal"
-            raise InputError.at(path, f"is no MAT file of version 5 that can be read: {reason}; {cure}") from None
+            cure = "write it with -v7, or as HDF5 with one dataset per signal"
+            raise InputError.at(path, f"is not a readable MAT file of version 5: {reason}; {cure}") from None
         if "names" in content:
             columns = [Column("time", "s", np.ravel(content["time"]).astype(np.float64))]
             whole = np.ravel(content["whole"])
@@ -76,7 +78,7 @@ class Mat(Source):
         rows = len(time.values)
         if 8 * rows * max(1, len(numbers)) > MOST_VARIABLE_BYTES:
             size = f"{rows} rows of {len(numbers)} columns"
-            raise InputError.at(path, f"{size} are more than the 2 GB of a MAT variable; take another format")
+            raise InputError.at(path, f"{size} exceed the 2 GB of a MAT variable; use another format")
         values = [np.asarray(c.values) for c in numbers]
         content = {
             "time": np.asarray(time.values, dtype=np.float64).reshape(-1, 1),
@@ -97,7 +99,7 @@ MAT = Mat()
 
 
 def _cells(texts: Sequence[str]) -> Any:
-    """Return a cell array of one row."""
+    """Return texts as a cell array with one row."""
     cells = np.empty((1, len(texts)), dtype=object)
     cells[0, :] = texts
     return cells
@@ -113,7 +115,7 @@ MIN_COMPRESSED = 1000  # rows; the index of compressed parts is larger than a sh
 
 
 class Hdf5(Source):
-    """HDF5, read and written by h5py. A dataset's attribute `name` is its full name, `unit` its unit."""
+    """HDF5, read and written by h5py. The attributes of a dataset are `name` (its full name) and `unit`."""
 
     name = "HDF5"
     suffixes = (".h5", ".hdf5")
@@ -121,7 +123,7 @@ class Hdf5(Source):
     writes = True
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
-        """Read every dataset as long as `time`, in the order in which they were written."""
+        """Read every dataset as long as `time`, in the order of writing."""
         h5py = optional("h5py", lambda message: Fault(path, 0, 0, message))
         found: list[tuple[int, Column]] = []
 
@@ -143,7 +145,7 @@ class Hdf5(Source):
                 file.visititems(add)
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             reason = str(error).strip().partition("\n")[0][:200]
-            raise InputError.at(path, f"is no HDF5 file that can be read: {reason}; write it again") from None
+            raise InputError.at(path, f"is not a readable HDF5 file: {reason}; write it again") from None
         return table_by_time([column for _, column in sorted(found, key=lambda each: each[0])])
 
     def check_writable(self) -> None:
@@ -151,18 +153,18 @@ class Hdf5(Source):
         optional("h5py", "--format hdf5")
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
-        """Write a dataset per column; dots of a name separate groups.
+        """Write a dataset per column; a dot in a name separates groups.
 
-        The file is made in memory, because the HDF5 library ends the process if a disk is full.
+        The file is built in memory, because the HDF5 library ends the process on a full disk.
         """
         h5py = optional("h5py", "--format hdf5")
         with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
             for number, column in enumerate(columns):
                 component, _, variable = column.name.partition(".")
-                place = f"{component}/{variable.replace('/', '|') or 'value'}"  # a group for a component
+                place = f"{component}/{variable.replace('/', '|') or 'value'}"  # one group per component
                 if column.name == "time":
                     place = "time"
-                if place in file or place.startswith("time/"):  # beside the dataset of the time no group has its name
+                if place in file or place.startswith("time/"):  # a dataset and a group must not both be called `time`
                     place = f"signal {number}"
                 values: Any = column.values
                 if not isinstance(values, np.ndarray):

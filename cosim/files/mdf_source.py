@@ -1,4 +1,4 @@
-"""MDF 4: the channels of a measurement file, each at its own times, read by asammdf."""
+"""Measurement files of ASAM MDF 4, read by asammdf; each channel has its own times."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ from cosim.files.table import Column, Source, Table
 
 
 class Mdf(Source):
-    """Measurement files of ASAM, version 4, and 3 where asammdf reads it."""
+    """Measurement files of ASAM MDF, version 4, and version 3 as far as asammdf reads it."""
 
     name = "MDF"
     suffixes = (".mf4", ".mdf")
     magic = b"MDF     "
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
-        """Read all channels, with a row for each time of any channel. A channel has no value at times of others."""
+        """Read all channels into one table, with a row for each time of any channel; missing values are NaN."""
         asammdf = optional("asammdf", lambda message: Fault(path, 0, 0, message))
         try:
             with asammdf.MDF(path) as file:
                 signals = list(file.iter_channels(copy_master=True))
         except Exception as error:  # asammdf raises errors of many kinds for damaged files
             reason = str(error)[:200]
-            hook, sys.unraisablehook = sys.unraisablehook, lambda _: None  # and when its half-read file is deleted
+            # It also raises them when a half-read file object is deleted.
+            hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
             error.__traceback__ = error.__context__ = None
             gc.collect()
             sys.unraisablehook = hook
-            raise InputError.at(path, f"is no whole MDF file: {reason}; save it again") from None
+            raise InputError.at(path, f"is an incomplete or invalid MDF file: {reason}; save it again") from None
         rasters = {signal.timestamps.tobytes(): signal.timestamps for signal in signals if signal.timestamps.size}
         if not rasters:
             return Table()
         time = np.unique(np.concatenate([*rasters.values()]))
         if 8 * time.size * len(signals) > MOST_BYTES:
             million = f"{time.size * len(signals) / 1e6:.0f} million values"
-            raise InputError.at(path, f"has {million}, more than are read; export fewer channels")
+            raise InputError.at(path, f"has {million}, above the limit; export fewer channels")
         places = {key: np.searchsorted(time, raster) for key, raster in rasters.items()}
         columns = [Column("time", "s", time)]
         for signal in signals:
@@ -63,7 +64,7 @@ class Mdf(Source):
                 columns.append(Column(signal.name, signal.unit or "", cells, is_text=True))
         assumed = [f"{counted(len(rasters), 'time channel')} are joined"] if len(rasters) > 1 else []
         omitted = [s.name for s in signals if s.samples.ndim != 1 or s.samples.dtype.names]
-        assumed += [f"arrays and structures are left out: {join_names(omitted)}"] if omitted else []
+        assumed += [f"arrays and structures were not read: {join_names(omitted)}"] if omitted else []
         return Table(columns, assumed=tuple(assumed), own_times=len(rasters) > 1)
 
 

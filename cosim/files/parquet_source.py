@@ -20,7 +20,7 @@ UNIT = b"unit"  # key of a column's metadata
 PANDAS = b"pandas"  # key of the metadata that pandas writes, in JSON
 UNNAMED = re.compile(r"__index_level_\d+__")  # name that pandas gives to an index without one
 NO_NAME = (
-    "is the index of a pandas table and has no name: its whole numbers may count rows or seconds; "
+    "is an index of pandas without a name: its whole numbers may count rows or seconds; "
     "name it by `rename_axis('time')`, or write a column time"
 )
 MOST_VALUES = 200_000_000  # numbers in a file, 1.6 GB in memory
@@ -43,17 +43,17 @@ class Parquet(Source):
             with ParquetFile(path) as file:
                 rows, columns = file.metadata.num_rows, file.metadata.num_columns
                 if rows * columns > MOST_VALUES:
-                    size = f"{rows} rows of {columns} columns, more than the {MOST_VALUES:.0e} values that are read"
-                    raise InputError.at(path, f"has {size}; leave out columns or rows")
+                    size = f"{rows} rows of {columns} columns; the limit is {MOST_VALUES:.0e} values"
+                    raise InputError.at(path, f"has {size}; remove columns or rows")
                 content = file.read(use_threads=False)
         except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
             reason = str(error).strip().partition("\n")[0][:200]
-            raise InputError.at(path, f"is no whole Parquet file: {reason}; write it again") from None
+            raise InputError.at(path, f"is an incomplete or invalid Parquet file: {reason}; write it again") from None
         found: list[Column] = []
         for k in _order(content.schema):
             name, unit = heading_of(content.schema.field(k), names)
             found.append(_column(name, unit, content.column(k), is_text=name in text))
-        if found and UNNAMED.fullmatch(found[0].name):  # Whole numbers may number the rows.
+        if found and UNNAMED.fullmatch(found[0].name):  # Whole numbers may be row numbers.
             is_whole = found[0].numeric and np.asarray(found[0].values).dtype.kind == "i"
             found[0] = replace(found[0], name="time", unit="s", fault=NO_NAME if is_whole else found[0].fault)
         return Table(found)
@@ -95,10 +95,10 @@ def heading_of(field: Any, names: Container[str] = ()) -> tuple[str, str]:
 
 
 def _order(schema: Any) -> list[int]:
-    """Return the places of the columns, that of the time first.
+    """Return the indices of the columns, with the time first.
 
-    pandas writes the index of a table as its last column. The time is the column `time` or else the index. An index
-    without a name beside a column `time` numbers the rows; it is left out.
+    pandas writes the index of a table as its last column. The time is the column `time`, or else the index. An index
+    without a name beside a column `time` is a row number, and is left out.
     """
     names = [field.name for field in schema]
     try:
@@ -131,6 +131,6 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
     if is_whole and not column.null_count:
         return Column(name, unit, plain_numbers(column.to_numpy()))
     if not (is_whole or types.is_floating(kind) or types.is_null(kind)):
-        return Column(name, unit, fault=f"has {str(kind)[:60]}; write numbers, times in seconds, one column a number")
+        return Column(name, unit, fault=f"has the type {str(kind)[:60]}; write one number per cell, times in seconds")
     values = column.cast("float64", safe=False).to_numpy()  # with NaN for missing ones
     return Column(name, unit, np.asarray(values, dtype=np.float64))

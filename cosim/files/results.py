@@ -1,4 +1,4 @@
-"""Results of a run: a row per communication point, a column per `component.variable`."""
+"""Results of a run: one row per communication point, one column per `component.variable`."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from cosim.files.table import (
     time_scale,
 )
 
-EXACT = 2**53  # integers below this size are doubles
+EXACT = 2**53  # integers below this size are exact as doubles
 INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
-FEWER = 0.7  # share of the rows to try next on a full disk
+FEWER = 0.7  # share of the rows for the next attempt on a full disk
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,14 @@ class Results:
         columns: Names `component.variable` of the columns of `values`.
         values: Shape (rows, columns).
         units: Name → unit, "" without unit.
-        exact: Name → column of values beyond doubles: text, 64-bit integers, binary data.
+        exact: Name → column of values that doubles cannot store: text, 64-bit integers, binary data.
         whole: Columns of integers, Booleans and enumerations.
         notes: Notes on the run.
         loop: Stepping loop: "C", or "Python: " with the reason; "" if unknown.
-        events: Handled events and ticks of a run with event mode: time [s], component, cause; the first ones.
-        event_counts: Their numbers, by component and cause.
-        details: Entries of the manifest about the steps.
-        words: Names in `exact` of text and binary data, which may look like integers; none if that is not known.
+        events: The first events and clock ticks of a run with event mode: time [s], component, cause.
+        event_counts: Number of events by component and cause.
+        details: Entries for the manifest on the communication steps.
+        words: Names of the text and binary columns in `exact`; empty if unknown.
     """
 
     time: Array
@@ -75,7 +75,7 @@ class Results:
         return name in self._places
 
     def with_integers(self) -> Results:
-        """Return results whose columns of 64-bit integers beside the doubles are numbers too, rounded to doubles."""
+        """Return results in which columns of 64-bit integers in `exact` are also in `values`, rounded to doubles."""
         found: dict[str, Array] = {}
         for name, values in self.exact.items():
             is_whole = (INTEGER.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
@@ -87,7 +87,7 @@ class Results:
         return replace(self, columns=(*self.columns, *found), values=every, whole=self.whole | {*found})
 
     def texts(self) -> dict[str, list[str]]:
-        """Return the columns beside the doubles as text."""
+        """Return the columns of `exact` as text."""
         return {name: [as_text(value) for value in values] for name, values in self.exact.items()}
 
     @cached_property
@@ -118,7 +118,7 @@ class Results:
 
 
 def is_rounded(values: Any) -> bool:
-    """Return whether integers, perhaps already as doubles, are too large for doubles to hold each of them."""
+    """Return True if integers, perhaps stored as doubles, are too large for exact doubles."""
     return bool(values.size) and bool(values.max() >= EXACT or values.min() <= -EXACT)
 
 
@@ -135,13 +135,13 @@ def read_results(
 ) -> Results:
     """Return written results, or any table with a time.
 
-    Times in other units, and dates, become seconds; `notes` say what was assumed.
+    Times in other units, and dates, become seconds; `notes` list the assumptions.
 
     Args:
         units: Units of columns without unit in the header.
         text: Columns of text; other columns are classified by their cells.
-        words: Columns of `text` that are no integers, also if they look like it.
-        names: Column → name in the results, or `time`, of columns with another name.
+        words: Columns of `text` that are not integers, even if their cells look like integers.
+        names: Column → its name in the results, or `time`, for columns to rename.
 
     Raises:
         InputError: The file has faults, or lacks a column of `names`.
@@ -180,7 +180,7 @@ def read_results(
             numbers[column.name] = values.astype(np.float64)
             whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
-    assert time is not None  # as it is not spare
+    assert time is not None  # set above: the time is not spare
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
@@ -190,12 +190,12 @@ def read_results(
 
 
 def rows_name(stem: str, format_: str) -> str:
-    """Return the name of a rows file; raise InputError if the format cannot be written."""
+    """Return the file name for rows in a format; raise InputError if the format cannot be written."""
     source = source_named(format_)
     source.check_writable()
     return f"{stem}{source.suffixes[0]}"
 
 
 def rows_in(folder: Path, stem: str = "results") -> Path | None:
-    """Return a folder's rows file, in any format."""
+    """Return the file with the rows in a folder, in any format."""
     return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)

@@ -1,6 +1,6 @@
-"""Entries of a folder of results: what, when, outcome, and the inputs that changed since the run before.
+"""The list of results: command, time, outcome, and inputs changed since the previous run.
 
-Results are named by path, number, name or pattern; earlier runs can be removed.
+A path, number, name or pattern selects results; earlier runs can be removed.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from cosim.files.folders import (
 )
 from cosim.files.run_inputs import changes_between, input_leaves, input_text, short_input
 
-OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
+OUTCOMES = ("verdict", "status", "sentence")  # keys of a record that may contain the outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
 NO_ROWS = "rows are gone"
 MOST_CHANGES = 3  # in a text
-PATTERN = ("*", "?", "[")  # characters that make a text a pattern
+PATTERN = ("*", "?", "[")  # characters of a pattern
 DAY = 86_400.0  # [s]
 DEEPEST = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
 EARLIER = "runs"  # folder within results of cosim 0.9 and before, with the earlier runs of a name: 0001, 0002
@@ -53,18 +53,18 @@ class Entry:
     """Results of one command.
 
     Attributes:
-        number: Number for good: by age when results were first listed, the next one for new results.
+        number: Permanent number: by age when results were first listed, the next free number for new results.
         name: Path within the folder of results: `tank/0001`, or `sub/tank` for a folder that was named by --out.
-        of: Name without the number of the run, the same for all runs of it.
+        of: Name without the run number, shared by all runs of a series.
         verb: Command that wrote the results, without `cosim`; "" if unknown.
         time: Time of writing [s] since 1970.
-        outcome: Outcome of criteria, verdict or status, `unfinished`, `running`, `interrupted`, `damaged record`,
-            `rows without a record`, `rows are gone`, or "".
-        record: File by which the results are known, whose time is `time`.
-        changes: Input → value, where it differs from the run before of the same name; None for a removed input.
-        version: Version of cosim that wrote the record, or its schema, if it is another one; otherwise "".
+        outcome: Result of criteria, verdict or status; `unfinished`, `running`, `interrupted`, `damaged record`, `rows
+            without a record`, `rows are gone`, or "".
+        record: File that describes the results; its modification time is `time`.
+        changes: Input → value, for inputs that differ from the previous run of the same name; None for a removed input.
+        version: Version of cosim, or of the schema, that wrote the record, if it differs from the current one; else "".
         warnings: Values of wrong types in the record.
-        is_newest: Whether no later run has the same name.
+        is_newest: True if no later run has the same name.
         criteria: Judged criteria in the record.
         display: Unit → name of its display unit, factor and offset to its values.
     """
@@ -86,7 +86,7 @@ class Entry:
 
     @property
     def merits(self) -> dict[str, tuple[float, str]]:
-        """Return title of each criterion → its value, and the value in its display unit."""
+        """Return for each criterion: title → (value, value in its display unit)."""
         found = {}
         with showing({"display": self.display}):
             for c in self.criteria:
@@ -100,7 +100,7 @@ class Entry:
 
     @property
     def met(self) -> bool | None:
-        """Return whether all criteria were met; None without criteria."""
+        """Return True if all criteria were met; None without criteria."""
         return all(bool(c["met"]) for c in self.criteria) if self.criteria else None
 
     def check_current(self) -> None:
@@ -113,7 +113,7 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Return number and changed inputs: `run 3 (mass = 440)`."""
+        """Return the number and the changed inputs: `run 3 (mass = 440)`."""
         return f"{self.short} ({self.changed or self.name})"
 
     @property
@@ -131,9 +131,9 @@ class Entry:
 
 
 def entries(results: Path | None = None) -> list[Entry]:
-    """Return all results in a folder and in the folders within, the oldest first.
+    """Return all results in a folder and its subfolders, the oldest first.
 
-    Folders that are links, hidden folders within and folders without results of a command are left out.
+    Links, hidden subfolders, and folders without results of a command are left out.
 
     Args:
         results: Folder of results, by default `results`.
@@ -166,22 +166,22 @@ def entries(results: Path | None = None) -> list[Entry]:
             with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
                 stream.write("".join(f"{line}\n" for line in new))
             known = numbered_lines(root)
-        for line in new:  # where the file cannot be written
+        for line in new:  # the file cannot be written
             known.setdefault(line, len(known) + 1)
     return [replace(entry, number=known[line]) for entry, line in zip(every, lines, strict=True)]
 
 
 def _results_within(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
-    """Yield the results in a folder and in the folders within, with their records.
+    """Yield the results in a folder and its subfolders, with their records.
 
     Args:
-        name: Path of the folder from the folder of results, or that of the latter.
+        name: Path of the folder relative to the folder of results.
     """
     try:
         with os.scandir(place) as listed:
             items = {item.name: item for item in listed}
         found = _recorded(place, name, items)
-    except OSError:  # removed meanwhile, or closed to this user
+    except OSError:  # removed meanwhile, or without read permission
         return
     parts: set[str] = set()
     if found is not None:
@@ -194,7 +194,7 @@ def _results_within(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry
 
 
 def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) -> tuple[Entry, Mapping[str, Any]] | None:
-    """Return the results in a folder and their record, if there are any."""
+    """Return the results in a folder and their record; None if the folder has no results."""
     written = [a for a in artefacts() if a.verb]
     marks = [(mark, a) for a in written for mark in a.marks if mark in items]
     parts = [(m, a) for a in written for m in a.unfinished if m.split("/")[0] in items and (place / m).is_file()]
@@ -246,12 +246,12 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
 
 
 def _outcome(content: Mapping[str, Any]) -> str:
-    """Return the outcome in a record: criteria, else verdict, status or sentence."""
+    """Return the outcome in a record: criteria, otherwise verdict, status or sentence."""
     if "sweep" in content and isinstance(runs := content.get("runs"), int):
         counts = f"{runs} runs" + (f", {content['failed']} failed" if content.get("failed") else "")
         met = content.get("met_all") if content.get("criteria") else None
         return counts if met is None else f"{counts}, {met} met all criteria"
-    if "signals" in content and "within" in content:  # of a comparison
+    if "signals" in content and "within" in content:  # a comparison
         return {True: "within the tolerance", False: "beyond the tolerance"}.get(content["within"], "")
     if judged := _judged(content):
         return f"{sum(bool(c['met']) for c in judged)} of {len(judged)} criteria met"
@@ -283,12 +283,12 @@ def numbered_lines(root: Path) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Selected:
-    """Results that a text names.
+    """Results selected by a text.
 
     Attributes:
         path: Folder of a command, or a table of rows.
         entry: Entry of the folder of results; None for other paths.
-        by_pattern: Whether a pattern matched, so that results without rows may be left out.
+        by_pattern: True if a pattern matched, so that results without rows may be left out.
     """
 
     path: Path
@@ -297,28 +297,28 @@ class Selected:
 
     @property
     def short(self) -> str:
-        """Return a short name: `run 3`, or the name of the path."""
+        """Return a short name: `run 3`, or the file name of the path."""
         own = run_name(self.path) if self.path.is_dir() else self.path.stem
         return own if self.entry is None else self.entry.short
 
     @property
     def longer(self) -> str:
-        """Return a longer name: `run 3 (tank/0001)`, or the name of the path."""
+        """Return a longer name: `run 3 (tank/0001)`, or the file name of the path."""
         return self.short if self.entry is None else f"{self.short} ({self.entry.name})"
 
 
 def select_groups(texts: Sequence[str], results: Path | None = None) -> list[list[Selected]]:
     """Return, for each text, the results of paths, numbers, names and patterns such as `tank/*`, in this order.
 
-    A path that exists is taken as a path, but for a folder without results that has the name of results. A folder of
-    numbered runs, or its name, means the newest of them. A pattern gives its matches by age, without results that are
-    there already.
+    An existing path takes precedence, except a folder without results whose name is also a name of results. A folder of
+    numbered runs, or its name, means the newest run. A pattern selects its matches by age, without results already
+    selected.
 
     Args:
         results: Folder of results, by default `results`.
 
     Raises:
-        InputError: Every text that names no results.
+        InputError: A text selects no results; every such text is reported.
     """
     root = RESULTS if results is None else results
     inside = root.resolve() if root.is_dir() else None
@@ -348,13 +348,13 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
 
 
 def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
-    """Return the entries of numbers, names and patterns, in this order, each once; without texts all of a folder.
+    """Return the entries of numbers, names and patterns in this order, each once. Without texts, return all entries.
 
     Raises:
-        InputError: A text matches no entry, or the folder is not the default one and not there.
+        InputError: A text matches no entry, or a folder other than the default does not exist.
     """
     if results != RESULTS and not results.is_dir():
-        raise InputError.at(results, "no such folder; give the folder that has the results as --results")
+        raise InputError.at(results, "no such folder; give the folder of the results as --results")
     every = entries(results)
     if not texts:
         return every
@@ -368,9 +368,9 @@ def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
 
 
 def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
-    """Return the entries of a name, a number, a pattern or a folder within the folder of results.
+    """Return the entries selected by a name, a number, a pattern or a subfolder of the folder of results.
 
-    The name of several runs means the newest.
+    The name of several runs selects the newest.
     """
     if text.isdecimal() and not any(e.name == text for e in every):
         return [e for e in every if str(e.number) == text.lstrip("0")]
@@ -383,7 +383,7 @@ def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> li
 
 
 def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
-    """Return the message about a text that names no results."""
+    """Return the message for a text that selects no results."""
     if text.isdecimal() and every:
         known = {number: name for name, number in numbered_lines(root).items()}
         if (name := known.get(int(text))) is not None:
@@ -391,7 +391,7 @@ def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
         return f"no results with the number {text}; `cosim list` shows the numbers, up to {max(known, default=0)}"
     is_pattern = any(character in text for character in PATTERN)
     if not every and (is_pattern or text.isdecimal()):
-        return "no results here; run a command without --out first, or name their folder as --results"
+        return "no results here; run a command without --out first, or give --results FOLDER"
     if is_pattern:
         return "no results match; `cosim list` shows all"
     hint = did_you_mean(text, [name for entry in every for name in (entry.of, entry.name)])
@@ -409,7 +409,7 @@ class Removal:
     """Earlier runs to remove, or removed, and their size in bytes.
 
     Attributes:
-        warnings: Warnings about runs that were gone already.
+        warnings: Warnings about runs that no longer existed.
         faults: Reasons why runs cannot be removed.
     """
 
@@ -422,12 +422,12 @@ class Removal:
 def plan_removal(
     entries: Sequence[Entry], *, keep: int = 0, older: float = 0.0, chosen: Iterable[Entry] | None = None
 ) -> Removal:
-    """Return the earlier runs to remove; the newest results of a name stay, and unfinished runs.
+    """Return the earlier runs to remove. The newest results of each name and unfinished runs are kept.
 
     Args:
         entries: All results, the oldest first.
-        keep: Number of earlier runs of each name that stay: the latest ones.
-        older: Age [days] from which a run is removed.
+        keep: Number of earlier runs of each name to keep: the latest ones.
+        older: Minimum age [days] of runs to remove.
         chosen: Entries that may be removed; by default all.
     """
     by_name: dict[str, list[Entry]] = {}
@@ -448,7 +448,7 @@ def remove(entries: Iterable[Entry]) -> Removal:
     removed, size, warnings, faults = list[Entry](), 0, list[str](), list[Fault]()
     for entry in entries:
         if not entry.folder.is_dir():
-            warnings.append(f"{entry.folder} is gone already")
+            warnings.append(f"{entry.folder} no longer exists")
             continue
         taken = _size(entry.folder)
         try:

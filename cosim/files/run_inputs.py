@@ -17,7 +17,7 @@ LONGEST = 24  # characters of a value in a label
 
 @dataclass(frozen=True)
 class DifferingInput:
-    """An input whose value is not the same in all runs.
+    """An input whose value differs between runs.
 
     Attributes:
         kind: parameter, scenario, FMU, seed or version.
@@ -30,7 +30,7 @@ class DifferingInput:
 
 
 def input_leaves(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return path → value of the inputs in a command's record: scenario, files and settings."""
+    """Return the inputs in a command's record (scenario, files and settings) as path → value."""
     scenario = record.get("scenario")
     tree = {**(scenario if isinstance(scenario, dict) else {}), **{key: record[key] for key in OWN if key in record}}
     return dict(_leaves(tree, ""))
@@ -56,7 +56,7 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict
 
 
 def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInput]:
-    """Return the inputs that differ between recorded runs, those of a label first.
+    """Return the inputs that differ between recorded runs, in the order of labels.
 
     Runs without a record, for example tables of other tools, have no inputs and are not compared.
     """
@@ -93,12 +93,14 @@ def labels_of(
     longer: Sequence[str] = (),
     baseline: int | None = None,
 ) -> list[str]:
-    """Return a label that differs from all others for each run: `run 3 (mass = 440)`.
+    """Return a unique label for each run: `run 3 (mass = 440)`.
 
     Args:
-        baseline: Index of a run whose inputs are not repeated in the labels of runs that have the same.
-        unique: A text for each run, such as its path, that tells runs with equal labels apart.
-        longer: Labels of runs without an input that differs, by default their names.
+        names: Short names of the runs.
+        inputs: Inputs that differ between the runs.
+        unique: A unique text for each run, such as its path, appended to equal labels.
+        longer: Labels of runs without a differing input, by default their names.
+        baseline: Index of a run; inputs equal to those of this run are left out of the labels.
     """
     listed = [row for row in inputs if row.kind != VERSION]
     labels = []
@@ -116,12 +118,12 @@ def labels_of(
 
 
 def short_input(path: str) -> str:
-    """Return an input without the parts of its path that every component has."""
+    """Return the path of an input without the parts common to all components."""
     return path.removeprefix("components.").replace(".start.", ".")
 
 
 def input_text(value: Any) -> str:
-    """Return the value of an input as text, a dash if there is none."""
+    """Return the value of an input as text, or a dash if it is missing."""
     if value is None:
         return "–"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

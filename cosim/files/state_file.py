@@ -24,7 +24,7 @@ BLOB = "blob"
 
 
 class BadState(ValueError):
-    """Error: a file is no state file, is of another version, or is damaged."""
+    """A file that is not a state file, has another version, or is damaged."""
 
 
 def pack(content: Any) -> bytes:
@@ -46,7 +46,7 @@ def pack(content: Any) -> bytes:
 def unpack(data: bytes) -> Any:
     """Return the values; raise BadState if damaged."""
     if not data.startswith(MAGIC):
-        raise BadState("it does not begin as a state file of this version")
+        raise BadState("it is not a state file of this version")
     digest, _, body = data[len(MAGIC) :].partition(b"\n")
     if hashlib.sha256(body).hexdigest().encode() != digest:
         raise BadState("its SHA-256 differs from its content: it is incomplete or was changed")

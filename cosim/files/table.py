@@ -1,4 +1,4 @@
-"""Tables of signals with time and units in any format: reading, conversion, and the place of every fault.
+"""Tables of signals with time and units in any format: reading, conversion, and faults with their places.
 
 A format is a subclass of `Source` with an object registered in the group `cosim.sources`; see docs/extending.md.
 """
@@ -57,7 +57,7 @@ class Column:
         unit: Unit, "" if absent.
         values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
         fault: Reason for missing numbers, e.g. "has time stamps; write seconds", or "".
-        is_text: Whether the file declares the values as text or binary data, also if they look like numbers.
+        is_text: True if the file declares the values as text or binary data, even if they look like numbers.
         cell: Number of the column in the file, from 1; set by `read_table`.
     """
 
@@ -70,12 +70,12 @@ class Column:
 
     @property
     def numeric(self) -> bool:
-        """Return whether the column has numbers."""
+        """Return True if the values are numbers."""
         return isinstance(self.values, np.ndarray) and not self.fault
 
     @property
     def holds_words(self) -> bool:
-        """Return whether the column has text or another type: no number, and not only decimal commas."""
+        """Return True if the column has text or values of another type, apart from numbers with decimal commas."""
         if self.numeric or self.fault:
             return bool(self.fault)
         cells = [str(value) for value in self.values]
@@ -91,10 +91,10 @@ class Table:
     Attributes:
         lines: Line of each row; empty in formats without lines.
         header: Line of the header; 0 in formats without lines.
-        faults: Faults after which rows are missing.
-        assumed: What was assumed to read the file, in words.
-        own_times: Whether columns have values at times of their own, so that an input holds its last value at others.
-        spoiled: Names of columns with a cell without a finite number that were left out; set by `read_table`.
+        faults: Faults of rows that could not be read.
+        assumed: Assumptions made when the file was read, as sentences.
+        own_times: True if columns have values at different times; an input then keeps its last value between them.
+        spoiled: Names of columns left out because a cell is not a finite number; set by `read_table`.
     """
 
     columns: Sequence[Column] = ()
@@ -129,13 +129,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Use:
-    """How a caller uses a column.
+    """Use of a column by a caller.
 
     Attributes:
         name: Name of the signal.
-        factor: Factor on the numbers of the column, `offset` is added after it.
-        role: Description, "the time" or "an input", of a column without gaps; "" allows empty cells as NaN.
-        spare: Whether a cell without a finite number leaves the column out.
+        factor: Factor for the numbers of the column; `offset` is added afterwards.
+        role: Description of a column that must have no gaps, such as "the time" or "an input"; "" allows empty cells as
+            NaN.
+        spare: True if a cell without a finite number removes the column instead of being a fault.
     """
 
     name: str
@@ -185,7 +186,7 @@ class Source:
 
 
 class Faults:
-    """Faults of a file; those of one kind in many cells of a column are one, at the first cell.
+    """Faults of a file. Equal faults in many cells of a column are reported once, at the first cell.
 
     Attributes:
         header: Line of the header.
@@ -198,22 +199,24 @@ class Faults:
         self.faulty: set[int] = set()
 
     def note(self, line: int, cell: int, message: str) -> None:
-        """Note a fault; line and cell count from 1, 0 means the file."""
+        """Record a fault; line and cell count from 1, 0 means the file."""
         self.items.append(Fault(self.path, line, cell, message))
 
     def note_cells(self, rows: Rows, lines: Sequence[int], cell: int, message: Callable[[int], str]) -> None:
-        """Note faulty cells of a column.
+        """Record faulty cells of a column as one fault.
 
         Args:
             message: Function from a row to its message.
         """
         if len(rows):
             self.faulty.add(cell)
-            further = f" ({counted(len(rows) - 1, 'further cell')} of this column likewise)" if len(rows) > 1 else ""
+            further = (
+                f" (same fault in {counted(len(rows) - 1, 'further cell')} of this column)" if len(rows) > 1 else ""
+            )
             self.note(lines[rows[0]], cell, f"{message(int(rows[0]))}{further}")
 
     def raise_any(self) -> None:
-        """Raise InputError if any fault was noted."""
+        """Raise InputError if any fault was recorded."""
         items = sorted(self.items, key=lambda fault: (fault.line, fault.column))
         if (more := len(items) - SHOWN_FAULTS) > 0:
             items = [*items[:SHOWN_FAULTS], Fault(self.path, 0, 0, f"{counted(more, 'further fault')} below")]
@@ -224,11 +227,11 @@ class Faults:
 
 
 def read_source(faults: Faults, names: Container[str] = (), text: Collection[str] = ()) -> Table:
-    """Return all columns of a file, and note its faults; an empty table if it cannot be read."""
+    """Return all columns of a file, and record its faults; an empty table if the file is unreadable."""
     path = faults.path
     try:
         if not path.is_file():
-            faults.note(0, 0, "is no file" if path.exists() else "no such file")
+            faults.note(0, 0, "is not a file" if path.exists() else "no such file")
             return Table()
         table = source_of(path).read(path, names, text)
     except InputError as error:
@@ -251,19 +254,18 @@ def read_table(
     times: Collection[str] | None = None,
     jumps: bool = False,
 ) -> Table | None:
-    """Return the columns that a caller wants, as numbers in the wanted units, and note all faults.
+    """Return the columns that a caller selects, as numbers in the requested units, and record all faults.
 
     Args:
         choose: Function from a column to its use; None skips the column, perhaps with a fault.
         description: Description of the columns after time, for messages on empty files.
         names: Known names, whose brackets are not units.
-        times: Names that the user gave to the time, in a table in which it may have any place and name; None: it is the
-            first column, `time`.
-        jumps: Whether equal times are allowed, which are a jump.
+        times: Column names that the user declared as time; the time may then be any column. None: the first column must
+            be `time`.
+        jumps: Allow equal times, which mark a jump.
 
     Returns:
-        None if the file has no header that can be read. If no column is the time, which is a fault, the rest follows
-        without it.
+        None if the header is unreadable. Without a time column, which is a fault, the other columns are returned.
     """
     table = read_source(faults, names)
     if not table.columns:
@@ -286,7 +288,7 @@ def read_table(
             faults.note(table.header, cell, f'column "{column.name}" appears twice, first as column {before}; keep one')
         elif (use := choose(column)) is not None and use.name in uses:
             before = uses[use.name][1].cell
-            faults.note(table.header, cell, f'column "{column.name}" is {use.name}, as column {before} is; keep one')
+            faults.note(table.header, cell, f'columns {before} and "{column.name}" are both {use.name}; keep one')
         elif use is not None:
             uses[use.name] = use, column
     columns, spoiled = list[Column](), list[str]()
@@ -300,11 +302,11 @@ def read_table(
 
 
 def time_first(table: Table, faults: Faults, named: Collection[str], signals: Container[str]) -> Table:
-    """Return a table with the time as first column, in seconds if it has dates.
+    """Return a table with the time as first column; dates become seconds.
 
-    The time is the column that the user names, else `time`, else one with another usual name, else the first with
-    increasing numbers; the last two are no signals of the model. A column without a name that numbers the rows is left
-    out.
+    The time is the column named by the user, otherwise `time`, otherwise a column with another usual name, otherwise
+    the first column with increasing numbers. The last two must not be signals of the model. A column of row numbers
+    without a name is left out.
     """
     columns = [c for c in table.columns if not (c.name.casefold() in NAMELESS and _counts_rows(c))]
     assumed = list(table.assumed)
@@ -313,27 +315,27 @@ def time_first(table: Table, faults: Faults, named: Collection[str], signals: Co
     usual = [c for c in others if c.name.casefold() in TIMES]
     if named and not any(c.name in named for c in columns):
         (wanted, *_), known = named, [c.name for c in columns]
-        message = f'has no column "{wanted}"{did_you_mean(wanted, known)} (it is to be the time)'
+        message = f'has no column "{wanted}"{did_you_mean(wanted, known)} for the time'
         faults.note(table.header, 1, message)
     if not exact and len(usual) > 1:
         names = ", ".join(c.name for c in usual)
-        message = f"{names} may each be the time; say which is, as --column {usual[0].name}=time"
+        message = f"each of {names} may be the time; choose one with --column {usual[0].name}=time"
         faults.note(table.header, usual[1].cell, message)
     time = next(iter([*exact, *usual, *(c for c in others if number_of(c.name) is None and _increases(c))]), None)
     if time is None:
         return replace(table, columns=columns or table.columns)
     if time.name not in named and not (is_time(time.name) and time.cell == 1):
-        assumed.append(f"the time is column {time.cell}, {time.name}{f' [{time.unit}]' if time.unit else ''}")
+        assumed.append(f"time is read from column {time.cell}, {time.name}{f' [{time.unit}]' if time.unit else ''}")
     values = time.values
     if not time.numeric and not time.fault and (found := _seconds_of_dates(time, table, faults)) is not None:
         values, begin = found
-        assumed.append(f"times count from {begin.isoformat(sep=' ')}")
+        assumed.append(f"time 0 is {begin.isoformat(sep=' ')}")
     first = replace(time, name="time", values=values)
     return replace(table, columns=[first, *(c for c in columns if c is not time)], assumed=tuple(assumed))
 
 
 def _counts_rows(column: Column) -> bool:
-    """Return whether a column has the whole numbers of its rows."""
+    """Return True if a column contains the numbers of its rows."""
     values = column.values
     return isinstance(values, np.ndarray) and values.dtype.kind in "iu" and bool(np.all(np.diff(values) == 1))
 
@@ -349,7 +351,10 @@ def _increases(column: Column) -> bool:
 
 
 def date_of(text: Any) -> datetime | None:
-    """Return a point in time: one of a spreadsheet, ISO 8601, or day.month.year with a time of day; None for others."""
+    """Return the date of a spreadsheet cell, an ISO 8601 text, or day.month.year with a time of day.
+
+    The result is None for other values.
+    """
     if isinstance(text, datetime):
         return text
     cell = str(text).strip()
@@ -362,7 +367,10 @@ def date_of(text: Any) -> datetime | None:
 
 
 def _seconds_of_dates(column: Column, table: Table, faults: Faults) -> tuple[Array, datetime] | None:
-    """Return seconds since the first row, and that; None if the first cell is no date. Other cells are faults."""
+    """Return seconds since the first row, and the date of the first row; None if the first cell is not a date.
+
+    Other cells without a date are faults.
+    """
     dates = [date_of(text) for text in column.values]
     begin = next(iter(dates), None)
     if begin is None:
@@ -372,23 +380,24 @@ def _seconds_of_dates(column: Column, table: Table, faults: Faults) -> tuple[Arr
     seconds = [(d - begin).total_seconds() if is_good and d else 0.0 for d, is_good in zip(dates, good, strict=True)]
 
     def message(row: int) -> str:
-        return f'"{str(column.values[row]).strip()[:40]}" is no time stamp like {str(column.values[0]).strip()[:40]}'
+        return f'"{str(column.values[row]).strip()[:40]}" is not a time stamp like {str(column.values[0]).strip()[:40]}'
 
     faults.note_cells(np.flatnonzero(~good), table.row_lines, column.cell, message)
     return np.where(good, seconds, np.nan), begin
 
 
 def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps: bool = False) -> Array | None:
-    """Return a column's numbers in the wanted unit, and note its faulty cells; None for a spoiled spare column.
+    """Return a column's numbers in the requested unit, and record its faulty cells.
 
-    Times that are too large or do not increase are faults too; equal times are allowed if they are `jumps`.
+    Times that are too large or decrease are faults too; equal times are faults unless `jumps`. The result is None for a
+    spare column with faulty cells.
     """
     lines, cell = table.row_lines, column.cell
     wrong = np.zeros(len(lines), bool)
     values = np.full(len(lines), np.nan)
     if column.numeric:
         values[:] = column.values
-    elif column.fault or not table.header:  # Only the cells of a text have places.
+    elif column.fault or not table.header:  # Only cells read as text have places.
         if use.spare:
             return None
         faults.faulty.add(cell)
@@ -403,17 +412,17 @@ def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps:
         values = np.where(last >= 0, values[last], np.nan)
     if use.spare:
         return use.factor * values if np.isfinite(values).all() else None
-    cure = "write a number or leave the row out" if use.role else "leave the cell empty where there is no value"
+    cure = "write a number or delete the row" if use.role else "leave the cell empty if the value is missing"
     infinite, missing = np.isinf(values), np.isnan(values) & ~wrong & bool(use.role)
 
     def message(row: int) -> str:
         text = str(column.values[row]).strip()[:30]
         if missing[row]:
-            known = f"{use.role} is known at every row, so fill the cell or leave the row out"
+            known = f"{use.role} needs a value in every row: fill the cell or delete the row"
             return f"{use.name} has no value here; {known}"
         if DECIMAL_COMMA.fullmatch(text):
-            return f'"{text}" in column {use.name} has a decimal comma: write a point'
-        return f'"{text}" in column {use.name} is {"not finite" if infinite[row] else "no number"}; {cure}'
+            return f'"{text}" in column {use.name} has a decimal comma; use a decimal point'
+        return f'"{text}" in column {use.name} is {"not finite" if infinite[row] else "not a number"}; {cure}'
 
     for kind in (wrong, infinite, missing):
         faults.note_cells(np.flatnonzero(kind), lines, cell, message)
@@ -430,14 +439,14 @@ def number_of(text: str) -> float | None:
     if not text or text.isspace():
         return math.nan
     try:
-        return None if "_" in text else float(text)  # Python reads over an underscore.
+        return None if "_" in text else float(text)  # Python ignores underscores in numbers.
     except ValueError:
         return None
 
 
 def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *, jumps: bool) -> None:
-    """Note times that are too large or do not increase."""
-    cure = "too large to count differences of times; write seconds, or leave the row out"
+    """Record times that are too large or do not increase."""
+    cure = "too large for differences of times; write seconds, or delete the row"
     large = np.abs(time) > MOST_TIME
     faults.note_cells(np.flatnonzero(large), lines, cell, lambda row: f"time is {time[row]:g} s, {cure}")
     rows = np.flatnonzero(np.isfinite(time) & ~large)
@@ -446,7 +455,7 @@ def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *
     before = dict(zip(rows[late].tolist(), time[rows[late - 1]].tolist(), strict=True))
 
     def message(row: int) -> str:
-        cure, spacing = "sort the rows, keep one of each", math.ulp(time[row])
+        cure, spacing = "sort the rows, and keep one row per time", math.ulp(time[row])
         if time[row] == before[row] and spacing > FLOAT_RESOLUTION_S:
             cure = f"doubles of this size are {spacing:.2g} s apart: subtract the first time from all before writing"
         return f"time {time[row]:g} s does not increase, the row before has {before[row]:g} s; {cure}"
@@ -455,26 +464,25 @@ def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *
 
 
 def note_wrong_first(faults: Faults, table: Table) -> None:
-    """Note a first column that is not time."""
+    """Record the fault that the first column is not time."""
     first = table.columns[0].name if table.columns else ""
     place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
     if place:
         hint = f"; time is column {place}: move it to the front"
     elif number_of(first) is not None and first:
-        hint = "; the file has no header: write the names of the columns into the first line"
+        hint = "; the file has no header: add a first line with the column names"
     else:
-        rename = f"; rename it, or say it by --column {shlex.quote(f'{first}=time')} where a command has that option"
+        rename = f"; rename it, or use --column {shlex.quote(f'{first}=time')} if the command has that option"
         hint = did_you_mean(first, ["time"]) or rename
     faults.note(table.header, 1, f'the first column is "{first}"; it must be "time" [s]{hint}')
 
 
 def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] = ()) -> Table:
-    """Read time [s] and every fully numeric column. Equal times are a jump.
+    """Read time [s] and every fully numeric column. Equal times mark a jump.
 
     Args:
-        names: Required columns, whose brackets are not units. If given, other columns may hold non-numbers and are then
-            ignored.
-        text: Columns to leave out, because they hold text.
+        names: Required columns, whose brackets are not units. If given, other columns without numbers are ignored.
+        text: Text columns, which are not read.
 
     Raises:
         InputError: The file has faults.
@@ -493,14 +501,14 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
 
     table = read_table(faults, choose, "signals", names=names, times=(), jumps=True)
     if table is not None and not table.rows and not table.faults:
-        faults.note(table.header + 1, 1, "has no row; write at least one below the header")
+        faults.note(table.header + 1, 1, "has no rows; write at least one below the header")
     faults.raise_any()
     assert table is not None
     return table
 
 
 def read_header(path: Path) -> list[str]:
-    """Return a file's column names, none if unreadable."""
+    """Return a file's column names; an empty list if unreadable."""
     try:
         return source_of(path).column_names(path) if path.is_file() else []
     except (InputError, OSError, ValueError):
@@ -511,14 +519,15 @@ def read_header(path: Path) -> list[str]:
 
 
 def is_time(name: str) -> bool:
-    """Return whether a name means time, in any case."""
+    """Return True if a name is `time`, in upper or lower case."""
     return name.casefold() == "time"
 
 
 def table_by_time(columns: Sequence[Column]) -> Table:
-    """Return the columns as long as the time, which comes first, from a file of another tool; none without a time.
+    """Return the columns of another tool's file as a table with the time first; without a time, an empty table.
 
-    The time is `time` in any case, else `t`; `T` is rather a temperature.
+    The time is `time` in any case, otherwise `t`; `T` usually is a temperature. Columns of another length are left
+    out.
     """
     names = [column.name for column in columns]
     found = next((name for name in names if is_time(name)), "t" if "t" in names else None)
@@ -530,10 +539,10 @@ def table_by_time(columns: Sequence[Column]) -> Table:
 
 
 def time_scale(faults: Faults, line: int, unit: str) -> float:
-    """Return the factor from the unit of time to seconds, and note an unknown unit."""
+    """Return the factor from the unit of time to seconds, and record an unknown unit."""
     scale = factor(unit, "s")
     if scale is None:
-        faults.note(line, 1, f'"{unit}" is no unit of time; known here: {", ".join(alternatives("s"))}')
+        faults.note(line, 1, f'"{unit}" is not a unit of time; known units: {", ".join(alternatives("s"))}')
     return 1.0 if scale is None else scale
 
 
@@ -551,7 +560,7 @@ def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
 
 
 def plain_numbers(values: Array) -> Array:
-    """Return doubles, or integers with a sign, or without one if one is beyond 63 bits."""
+    """Return an array as doubles or as integers; unsigned if a value exceeds 63 bits."""
     if values.dtype.kind not in "biu":
         return values.astype(np.float64)
     is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
@@ -559,7 +568,7 @@ def plain_numbers(values: Array) -> Array:
 
 
 def as_text(value: Any) -> str:
-    """Return a value that is no double as text, binary data as hexadecimal digits."""
+    """Return a value other than a double as text; binary data as hexadecimal digits."""
     return value.hex() if isinstance(value, bytes) else str(value)
 
 
@@ -594,16 +603,16 @@ def source_of(path: Path) -> Source:
         return by_head[0]
     if not by_suffix and b"\0" in head:
         formats = ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in sources())
-        raise InputError.at(path, f"has none of the formats that are read: {formats}")
+        raise InputError.at(path, f"has an unknown format; supported: {formats}")
     return (by_suffix or sources())[0]
 
 
 def source_named(name: str) -> Source:
-    """Return the named format for results; raise InputError if unknown or read-only."""
+    """Return the format of this name for writing; raise InputError if it is unknown or read-only."""
     word = name.lower().removeprefix(".")
     written = [source for source in sources() if source.writes]
     found = [source for source in written if word == source.name.lower() or f".{word}" in source.suffixes]
     if not found:
         known = ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in written)
-        raise InputError.at(Path("--format"), f'no format "{name}"; known here: {known}')
+        raise InputError.at(Path("--format"), f'no format "{name}"; known formats: {known}')
     return found[0]

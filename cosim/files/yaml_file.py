@@ -1,8 +1,8 @@
 """YAML and JSON with the place of every key and value, validated with all faults at once.
 
-Oversized, deep or unsupported content is rejected. Nodes come from ruamel.yaml, whose messages are used, or for long
-texts from the faster libyaml if present. Supported are mappings with text keys, lists, text, numbers, true, false and
-null, and anchors, aliases and merge keys with limited expansion.
+Oversized, deep or unsupported content is rejected. ruamel.yaml parses the text and supplies the messages; long texts
+use the faster libyaml, if installed. Supported are mappings with text keys, lists, text, numbers, true, false and null,
+and anchors, aliases and merge keys with limited expansion.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MOST_YAML = 800_000  # text length [characters] readable within seconds
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
 MOST_PARTS = 400_000  # keys and values after expanding aliases
 MERGE, TAG = "<<", "tag:yaml.org,2002:"
-TOO_DEEP = f"is nested too deep; at most {DEEPEST} levels are read"
+TOO_DEEP = f"is nested more than {DEEPEST} levels deep; use fewer levels"
 SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}  # tags
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
@@ -59,7 +59,10 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 
 @dataclass(frozen=True)
 class InUnit:
-    """A number in a unit, or text such as `4 min` to convert; without unit, text waits for `YamlFile.in_units`."""
+    """Type of a number in a unit, or of text such as `4 min`, which is converted to the unit.
+
+    Without a unit, text stays until `YamlFile.in_units` converts it.
+    """
 
     unit: str | None
     difference: bool = False
@@ -99,7 +102,7 @@ class YamlFile:
     """A YAML document with the places of its parts; `root` is its data, read-only.
 
     Args:
-        origin: Maps faults to the source file of a generated document.
+        origin: Function that maps a fault of a generated document to its source file.
     """
 
     def __init__(self, path: Path, origin: Origin | None = None) -> None:
@@ -115,7 +118,7 @@ class YamlFile:
             raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
 
     def enter(self, key: str) -> None:
-        """Use the part under a key as the document."""
+        """Restrict the document to the part under a key."""
         self.root, self._within = self.root[key], (*self._within, key)
 
     def place(self, location: Location, key: bool = False) -> tuple[int, int]:
@@ -140,9 +143,10 @@ class YamlFile:
     def in_units(
         self, content: M, section: str, units: Mapping[str, str], *, difference: bool = False
     ) -> tuple[M, list[Fault]]:
-        """Return the content with text such as `400 kg` in a section converted, and faults.
+        """Return the content with text such as `400 kg` in a section converted to numbers, and faults.
 
-        A faulty value is omitted; a text with an unknown name becomes a number, because the name is reported elsewhere.
+        A faulty value is omitted. Text under an unknown name becomes a number without check, because the name is
+        reported elsewhere.
 
         Args:
             units: Name → unit of its number.
@@ -161,11 +165,11 @@ class YamlFile:
         content = content.model_copy(update={section: numbers})
         try:
             return self.validate(type(content), dict(content)), faults
-        except InputError as error:  # of a number out of its range
+        except InputError as error:  # for an out-of-range value
             return content, [*faults, *error.faults]
 
     def wrong(self, at: Location, value: Any, reason: object, *, key: bool = False) -> Fault:
-        """Return the fault of a value."""
+        """Return the fault of an invalid value."""
         name, text = ".".join(map(short, at)) or "it", str(reason).replace(", or it should be ", " or ")
         return self.fault(at, f"{name} is {format_value(value)}: {text}", key=key)
 
@@ -180,10 +184,10 @@ class YamlFile:
     def partly(self, model: type[M], first: str) -> tuple[M, list[Fault]]:
         """Return the document as a model without its faulty parts, and the faults.
 
-        An unknown top-level key does not affect the rest, unless it resembles the key `first`, which the others need.
+        An unknown top-level key does not affect the other parts, unless it resembles the key `first`, which they need.
 
         Raises:
-            InputError: A faulty part is essential, or a faulty key at the top may affect the rest.
+            InputError: A faulty part is essential, or a faulty top-level key may affect the others.
         """
         data = copy.deepcopy(self.root)
         try:
@@ -230,7 +234,7 @@ class YamlFile:
                 faults.append(self.fault(location[:-1], f'"{name}" is missing; add it'))
             elif each["type"] == "extra_forbidden":
                 key, keys = str(location[-1]), _allowed_keys(model, each["loc"][:-1])
-                message = f'unknown key "{short(key)}"{did_you_mean(key, keys)} (known here: {", ".join(keys)})'
+                message = f'unknown key "{short(key)}"{did_you_mean(key, keys)} (allowed: {", ".join(keys)})'
                 if cure := REMOVED_KEYS.get(key):
                     message = f'"{short(key)}" is no longer supported. {cure}'
                 faults.append(self.fault(location, message, key=True))
@@ -249,7 +253,7 @@ def _text(path: Path) -> str:
         with open_bytes(path) as stream:
             content = stream.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
-            limit = f"the {MOST_BYTES / 1e6:.0f} MB that are read; make it shorter"
+            limit = f"the limit of {MOST_BYTES / 1e6:.0f} MB; make it shorter"
             raise InputError.at(path, f"has {path.stat().st_size / 1e6:.0f} MB, more than {limit}")
         return content.decode()
     except UnicodeDecodeError:
@@ -284,9 +288,9 @@ def short(text: object) -> str:
 REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
     "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
     "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
-    "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
+    "carry_logs": "Remove it, and give the validation logs together with the FMU.",
     "delivery": "A refined FMU contains the original and the terms: omit the key.",
-    "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
+    "design": "Design the controller first: cosim build --model MODEL --design FILE.",
 }
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
 
@@ -389,22 +393,25 @@ class Document:
         self._is_large = len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
         self._is_json = True
         try:
-            self.data = json.loads(text, object_pairs_hook=with_unique_keys, parse_constant=int)  # NaN is no int
+            self.data = json.loads(text, object_pairs_hook=with_unique_keys, parse_constant=int)  # an int cannot be NaN
             if "\\u" in text:
-                json.dumps(self.data, ensure_ascii=False).encode()  # rejects unpaired surrogates
+                json.dumps(self.data, ensure_ascii=False).encode()  # this rejects unpaired surrogates
             return
         except (ValueError, RecursionError):  # YAML, or a fault whose place only YAML reading finds
             self._is_json = False
         if self._is_large:
             raise NotYaml(
-                f"has {len(text) / 1e6:.1f} MB of YAML, of which at most {MOST_YAML / 1e6:g} MB and about {MOST_MARKS} "
-                "keys and values are read; write it as JSON, which may have 8 MB, or make it shorter"
+                f"has {len(text) / 1e6:.1f} MB of YAML; the limits are {MOST_YAML / 1e6:g} MB and about {MOST_MARKS} "
+                "keys and values; write it as JSON, with a limit of 8 MB, or make it shorter"
             )
         self.data = None if self._root is None else self._value(self._root, 0)
 
     @cached_property
     def _root(self) -> Any:
-        """Root node, None if empty: id (scalar, sequence, mapping), tag, value, start_mark; a scalar has a style."""
+        """Root node with id (scalar, sequence, mapping), tag, value and start_mark; a scalar also has a style.
+
+        The node of an empty document is None.
+        """
         text = self._text
         if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
             with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
@@ -415,10 +422,10 @@ class Document:
             raise NotYaml(TOO_DEEP) from None
         except (YAMLError, ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError) as error:
             told = " ".join(filter(None, (getattr(error, "context", None), getattr(error, "problem", None))))
-            if not told and isinstance(error, YAMLError):  # others come from mistakes of ruamel.yaml's scanner
+            if not told and isinstance(error, YAMLError):  # other errors are defects of ruamel.yaml's scanner
                 told = str(error).partition("\n")[0]
             mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-            raise NotYaml(f"is not YAML: {' '.join(told.split())[:200] or 'it cannot be understood'}", mark) from None
+            raise NotYaml(f"is not YAML: {' '.join(told.split())[:200] or 'it cannot be parsed'}", mark) from None
 
     def place(self, location: Location, key: bool = False) -> Place:
         """Return line and column of the nearest part at a location.
@@ -448,7 +455,7 @@ class Document:
         return (1, 1) if place is None else (place.line + 1, place.column + 1)
 
     def _value(self, node: Any, depth: int) -> Any:
-        """Return the plain data of a YAML node; raise a fault if the file is too large or nested too deeply."""
+        """Return the plain data of a YAML node; raise NotYaml if the file is too large or nested too deeply."""
         self._parts += 1
         if self._parts > MOST_PARTS:
             raise NotYaml(
@@ -464,7 +471,7 @@ class Document:
             return [self._value(value, depth + 1) for value in node.value]
         if node.id != "scalar" or kind not in SCALARS:
             tag = str(node.tag).replace(TAG, "!!")[:60]
-            raise NotYaml(f'the tag "{tag}" means nothing here; leave it out', node.start_mark)
+            raise NotYaml(f'the tag "{tag}" is not supported; remove it', node.start_mark)
         text = _text_of(node)
         if kind == "null":
             return None
@@ -475,25 +482,25 @@ class Document:
         try:
             return getattr(CONSTRUCTOR, f"construct_yaml_{kind}")(ScalarNode(node.tag, node.value))
         except (ValueError, IndexError):
-            raise NotYaml(f'"{text[:30]}" is no number', node.start_mark) from None
+            raise NotYaml(f'"{text[:30]}" is not a number', node.start_mark) from None
 
 
-document_of = lru_cache(maxsize=2)(Document)  # A file is examined for its kind first, and then read.
+document_of = lru_cache(maxsize=2)(Document)  # cached: a file is parsed for its kind first, and again for its content
 
 
 def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
-    """Return key → (key node, value node) of a mapping with its merged keys, which replace the node's value."""
+    """Return key → (key node, value node) of a mapping with its merged keys; the node's value is replaced by them."""
     entries = node.value
     if isinstance(entries, dict):
         return entries
     node.value = None
     if entries is None:
-        raise NotYaml("merges itself; take the merge out", node.start_mark)
+        raise NotYaml("merges itself; remove the merge key", node.start_mark)
     own: dict[str, tuple[Any, Any]] = {}
     merged: dict[str, tuple[Any, Any]] = {}
     for key, value in entries:
         if key.id != "scalar":
-            raise NotYaml("a key is text, no list and no mapping", key.start_mark)
+            raise NotYaml("a list or mapping is used as a key; use text", key.start_mark)
         if key.value == MERGE and not key.style:
             for other in value.value if value.id == "sequence" else [value]:
                 if other.id != "mapping":
@@ -514,5 +521,5 @@ def _text_of(node: Any) -> str:
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
     except UnicodeDecodeError:
         raise NotYaml(
-            "contains half a character (one half of a surrogate pair); write the whole character", node.start_mark
+            "contains an unpaired surrogate (half a character); write the whole character", node.start_mark
         ) from None

@@ -10,7 +10,7 @@ STUDY_KEYS = frozenset({"logs", "noise", "tolerance", "inputs", "candidates", "c
 ARTEFACTS = (
     Artefact(
         MODEL,
-        "`cosim build --model {file}` builds its FMU, a study names it as model:",
+        "`cosim build --model {file}` builds its FMU; a study names it under model:",
         keys=(frozenset({"model"}), frozenset({"parameters"}), frozenset({"parameters_from"}), frozenset({"sensors"})),
         without=SCENARIO_KEYS | STUDY_KEYS,
         schema="cosim.fmi.building.file:ModelFile",
@@ -20,7 +20,7 @@ ARTEFACTS = (
     ),
     Artefact(
         CODE,
-        "`cosim build --model {file}:Class` builds its FMU, a study names it as model:",
+        "`cosim build --model {file}:Class` builds its FMU; a study names it under model:",
         endings=(".py",),
         check="cosim.fmi.building.substep:check_model",
     ),

@@ -1,4 +1,4 @@
-"""The model description of an FMU, read leniently, and the FMU's fitness to run."""
+"""The model description of an FMU, read with tolerance for schema violations, and checks whether the FMU can run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)
 EXPERIMENT, BOUNDS = ("startTime", "stopTime", "stepSize", "tolerance"), ("min", "max")
 CONVERSION = (*SI, "factor", "offset")
 _WORD = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
-PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # which every naming convention allows
+PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # characters allowed by every naming convention
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
@@ -30,25 +30,25 @@ PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
 def reason_of(error: Exception) -> str:
-    """Return FMPy's reason in a line, without Python terms."""
+    """Return FMPy's error in one line, without Python jargon."""
     if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):
-        return "its modelDescription.xml lacks what FMI demands, or has it in the wrong place"
+        return "a required element or attribute of its modelDescription.xml is missing or misplaced"
     if isinstance(error, ValueError):
-        return "a value in its modelDescription.xml is of the wrong kind"
+        return "a value in its modelDescription.xml has the wrong type"
     return " ".join(str(error).split())[:2000]
 
 
 def check_identifiers(path: Path, description: Any) -> None:
-    """Raise FmuError if a library name leads outside the FMU."""
+    """Raise FmuError if a library name would lead outside the FMU."""
     for way in filter(None, (description.coSimulation, description.modelExchange)):
         name = way.modelIdentifier
         if name is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", name) or name in {".", ".."}:
-            reason = f'its modelIdentifier "{str(name)[:SHOWN]}" is no name of a file'
+            reason = f'its modelIdentifier "{str(name)[:SHOWN]}" is not a file name'
             raise FmuError(f"{path} is not a valid FMU: {reason}")
 
 
 def check_numbers(path: Path, description: Any) -> None:
-    """Raise FmuError for text in place of a needed number. Only descriptions with schema violations need this check."""
+    """Raise FmuError for text in place of a number. Only descriptions with schema violations need this check."""
     parts: list[tuple[str, Any, tuple[str, ...]]] = [
         ("its default experiment", description.defaultExperiment, EXPERIMENT)
     ]
@@ -67,7 +67,7 @@ def check_numbers(path: Path, description: Any) -> None:
             if kind is int or value not in (None, ""):
                 kind(value)
         except (TypeError, ValueError):
-            what = f'{place} is "{str(value)[:60]}", which is no {"whole number" if kind is int else "number"}'
+            what = f'{place} is "{str(value)[:60]}", not a {"whole number" if kind is int else "number"}'
             raise FmuError(f"{path} is not a valid FMU: {what}") from None
 
 
@@ -81,12 +81,12 @@ def without_wrapping(words: str) -> str:
 
 
 def validation(path: Path) -> list[str]:
-    """Return FMPy's findings on variable names and model structure."""
+    """Return FMPy's messages on variable names and model structure."""
     import fmpy
     from fmpy.model_description import ValidationError
 
     are_plain = False
-    with suppress(Exception):  # The second reading tells the reason.
+    with suppress(Exception):  # A second reading finds the reason.
         variables = fmpy.read_model_description(str(path), validate=False).modelVariables
         are_plain = all(PLAIN_NAME.fullmatch(v.name) for v in variables)
     try:
@@ -129,7 +129,7 @@ def read_description(path: Path) -> Any:
     try:
         check_archive(path)
     except BadArchive as error:
-        raise FmuError(f"{path} is no FMU: {error}") from None
+        raise FmuError(f"{path} is not an FMU: {error}") from None
     except OSError as error:
         raise FmuError(f"{path} cannot be read: {error.strerror}") from None
     slips: tuple[str, ...] = ()
@@ -151,14 +151,14 @@ def read_description(path: Path) -> Any:
     if not ways(description):
         kind = ", ".join(way for way, part in PARTS.items() if getattr(description, part) is not None) or "nothing"
         raise FmuError(
-            f"{path} is FMI {description.fmiVersion} for {kind}; FMI 1.0, 2.0 and 3.0 for co-simulation or model "
-            "exchange, and 3.0 for scheduled execution, are run here"
+            f"{path} is FMI {description.fmiVersion} for {kind}; supported are FMI 1.0, 2.0 and 3.0 for co-simulation "
+            "or model exchange, and 3.0 for scheduled execution"
         )
     if description.guid is None:
         attribute = "instantiationToken" if description.fmiVersion.startswith("3") else "guid"
         raise FmuError(
-            f"{path} is not a valid FMU: its modelDescription.xml has no {attribute}, which its library compares "
-            "when it is loaded; export the FMU again, or ask the tool that made it"
+            f"{path} is not a valid FMU: its modelDescription.xml has no {attribute}, which its library needs "
+            "for loading; export the FMU again"
         )
     add_unread_attributes(path, description)
     _slips[description] = slips
@@ -166,12 +166,12 @@ def read_description(path: Path) -> Any:
 
 
 def slips_of(description: Any) -> tuple[str, ...]:
-    """Return tolerated violations of FMI's schema or rules."""
+    """Return the tolerated violations of FMI's schema or rules."""
     return _slips.get(description, ())
 
 
 def ways(description: Any) -> tuple[Way, ...]:
-    """Return the usable interfaces, the preferred one first."""
+    """Return the usable interfaces (co-simulation, model exchange, …), the preferred one first."""
     version = description.fmiVersion
     if version not in {"1.0", "2.0", "3.0"} and not version.startswith("3.0."):
         return ()
@@ -191,13 +191,13 @@ def state_names(description: Any) -> list[str]:
 
 
 def takes_any_step(description: Any) -> bool:
-    """Return whether communication steps may have any length."""
+    """Return True if communication steps may have any length."""
     cosimulation = description.coSimulation
     return cosimulation is None or bool(cosimulation.canHandleVariableCommunicationStepSize)
 
 
 def declares_slopes(path: Path, way: Way) -> bool:
-    """Return whether an FMU declares directional derivatives for an interface."""
+    """Return True if an FMU declares directional derivatives for an interface."""
     tag = "CoSimulation" if way == "co-simulation" else "ModelExchange"
     about = ElementTree.fromstring(description_of(path)).find(tag)
     # FMPy reads the attribute of FMI 2.0 only; FMI 3.0 has a plural s.
@@ -223,9 +223,9 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message on a missing library, with remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
-    text = f"it has no library for {here}{f'; it has some for {others}' if others else ' or another platform'}"
+    text = f"it has no library for {here}{f', only for {others}' if others else ' or another platform'}"
     if C_CODE in platforms:
-        text += "; it has sources: --compile (in Python compile=True) compiles and runs them"
+        text += "; to compile and run its sources, use --compile (in Python compile=True)"
     return text
 
 
@@ -237,9 +237,7 @@ def library_file(folder: Path, description: Any, identifier: str) -> Path:
 
 
 def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str] | None:
-    """Return the library for this platform and a warning.
-
-    The warning is about an unexpected file name.
+    """Return the library for this platform, and a warning if its file name is unexpected.
 
     Raises:
         FmuError: Several libraries with unexpected names exist.
@@ -252,12 +250,12 @@ def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, s
         return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
     if libraries:
         names = ", ".join(p.name for p in libraries)
-        raise FmuError(f"none of its libraries is {library.name}, as its modelIdentifier says: {names}")
+        raise FmuError(f"none of its libraries has the name {library.name} required by its modelIdentifier: {names}")
     return None
 
 
 def matches(pattern: str, component: str, variable: str) -> bool:
-    """Return whether a pattern with * matches a variable. Brackets are literal, as in array names."""
+    """Return True if a pattern with * matches `component.variable`. Brackets are literal, as in array names."""
     return fnmatchcase(f"{component}.{variable}", pattern.replace("[", "[[]"))
 
 
@@ -265,7 +263,7 @@ def matches(pattern: str, component: str, variable: str) -> bool:
 
 
 def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
-    """Return a defined unit's SI exponents, factor and offset."""
+    """Return the SI exponents, factor and offset of a unit defined by the FMU."""
     for definition in description.unitDefinitions:
         if definition.name == unit and definition.baseUnit is not None:
             base = definition.baseUnit
@@ -280,7 +278,7 @@ def enumeration_items(variable: Any) -> dict[str, int]:
 
 
 def is_difference(variable: Any) -> bool:
-    """Return whether a variable is declared as a difference."""
+    """Return True if a variable is declared as a difference (relativeQuantity)."""
     own, declared = variable.relativeQuantity, variable.declaredType
     return bool((declared is not None and declared.relativeQuantity) if own is None else own)
 
@@ -292,15 +290,15 @@ def unit_of(variable: Any) -> str:
 
 
 def display_unit_of(variable: Any) -> str:
-    """Return the display unit of a variable or its type, "" without one."""
+    """Return the display unit of a variable or its type; "" if it has none."""
     declared = variable.declaredType
     return variable.displayUnit or (declared is not None and declared.displayUnit) or ""
 
 
 def display_units(descriptions: Iterable[Any]) -> dict[str, tuple[str, float, float]]:
-    """Return the display unit of each unit as name, factor and offset: displayed value = factor·value + offset.
+    """Return each unit's display unit as name, factor and offset: displayed value = factor·value + offset.
 
-    A unit for which variables name several display units is left out.
+    A unit is left out if its variables declare different display units.
     """
     found: dict[str, set[tuple[str, float, float]]] = {}
     for description in descriptions:
@@ -343,7 +341,7 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
 
 def reals(description: Any, causality: str) -> list[Any]:
-    """Return real outputs, or continuous real inputs."""
+    """Return the real outputs or the continuous real inputs, by `causality`."""
     variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
     return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
 
@@ -354,5 +352,5 @@ def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
 
 
 def units_of(variables: Sequence[Any]) -> dict[str, str]:
-    """Return element names with units."""
+    """Return the units of variables, by element name."""
     return {name: unit_of(v) for v in variables for name in element_names(v)}

@@ -20,7 +20,7 @@ class FmiType:
         function: Suffix of its functions fmi2Get… and fmi2Set….
         low: Smallest value; an integer for a type of whole numbers.
         high: Largest value.
-        beside: Whether values are stored beside the row, because doubles cannot hold them exactly.
+        beside: True if values are stored outside the row of doubles, which cannot represent them exactly.
     """
 
     function: str
@@ -31,12 +31,12 @@ class FmiType:
 
     @property
     def is_whole(self) -> bool:
-        """Return whether all values are whole numbers."""
+        """Return True if all values are integers."""
         return isinstance(self.low, int)
 
     @property
     def nothing(self) -> Any:
-        """Return the value of a variable without one."""
+        """Return the default value of a variable without start value."""
         return {"String": "", "Binary": b""}.get(self.function, 0)
 
     def encode(self, value: Any) -> Any:
@@ -47,9 +47,9 @@ class FmiType:
             try:
                 return as_bytes(value)
             except ValueError:
-                raise ValueError(f"{str(value)[:40]!r} is no text of hexadecimal digits") from None
+                raise ValueError(f"{str(value)[:40]!r} is not a text of hexadecimal digits") from None
         if self.is_whole and not (math.isfinite(value) and int(value) == value):
-            raise ValueError(f"{value!r} is no whole number")
+            raise ValueError(f"{value!r} is not a whole number")
         if value < self.low or value > self.high:
             limits = f"{self.low} … {self.high}" if self.is_whole else f"±{self.high:.7g}"
             raise ValueError(f"{int(value) if self.is_whole else format(value, 'g')} is outside {limits}")
@@ -57,7 +57,7 @@ class FmiType:
 
 
 def _integer(bits: int, sign: str = "") -> FmiType:
-    """Return a type of whole numbers, unsigned with the sign U."""
+    """Return an integer type; unsigned with the sign U."""
     ctype, high = getattr(ctypes, f"c_{sign.lower()}int{bits}"), 2 ** (bits if sign else bits - 1) - 1
     return FmiType(f"{sign}Int{bits}", ctype, 0 if sign else -high - 1, high, beside=bits == 64)
 
@@ -88,9 +88,9 @@ FAMILIES = {
     "String": "text",
     "Binary": "binary",
     "Clock": "clock",
-    "": "number",  # of a reference or a recording; fits if its values do
+    "": "number",  # type of a reference or a recording; its values decide whether it fits
 }
-FLOWS = {  # allowed connections: no value may be lost
+FLOWS = {  # allowed connections, without loss of values
     "real": {"real"},
     "whole": {"whole", "real"},
     "boolean": {"boolean", "whole", "real"},
@@ -107,23 +107,23 @@ def kinds_of(version: str) -> dict[str, FmiType]:
 
 
 def is_compatible(source: str, target: str) -> bool:
-    """Return whether an output type may feed an input type."""
+    """Return True if an output type may feed an input type."""
     return FAMILIES.get(target) in FLOWS.get(FAMILIES.get(source, "?"), ())
 
 
 class Exchange:
-    """Variables of a type, read or written in a single call; all of them negated aliases of FMI 1.0, or none.
+    """Variables of one type, read or written in a single call; all or none of them are negated aliases of FMI 1.0.
 
     Attributes:
         clocks: Clocks at whose ticks the values are exchanged; none for other variables.
         names: Names of the scalars; an array of FMI 3.0 has several.
-        places: Their places in the row or beside the row.
-        is_direct: Whether the FMU reads and writes the row itself; all but doubles pass through a buffer.
+        places: Indices of the scalars in the row, or in the storage beside the row.
+        is_direct: True if the FMU reads and writes the row itself, as for doubles; other types use a buffer.
         finite: Number of leading values that are floating-point outputs, which must be finite.
-        judged: Places of these.
-        buffer: Values on their way; a list of bytes for binary data, which FMPy sets and reads.
-        arguments: Arguments of an FMI function after the instance; the last one is of FMI 3.0 only.
-        set, get: Functions that move the buffer to an instance and back, and return a status.
+        judged: Indices of these values.
+        buffer: Buffer of the values in transfer; for binary data a list of bytes, which FMPy sets and reads.
+        arguments: Arguments of the FMI function after the instance; the last one only in FMI 3.0.
+        set, get: Functions that copy the buffer to an instance and back, and return the FMI status.
     """
 
     set: Any
@@ -145,7 +145,7 @@ class Exchange:
             self.move_by((kind.ctype * self.count)())
 
     def move_by(self, buffer: Any) -> None:
-        """Set the memory which the FMU reads and writes."""
+        """Set the memory that the FMU reads and writes."""
         self.buffer = buffer
         self.arguments = ctypes.addressof(self.vrs), len(self.vrs), ctypes.addressof(buffer), self.count
 
@@ -153,13 +153,13 @@ class Exchange:
         """Return the values in the buffer."""
         values: list[Any] = self.buffer[:]
         if self.kind.function == "Binary":
-            return [value or b"" for value in values]  # None: NULL, no bytes
+            return [value or b"" for value in values]  # NULL: no bytes
         if self.kind.function == "String":
             return [(value or b"").decode("utf-8", "replace") for value in values]
         return [negative(self.kind.function, value) for value in values] if self.negated else values
 
     def encode(self, values: Sequence[Any]) -> None:
-        """Put values into the buffer; raise ValueError, with the variable, outside the type."""
+        """Put values into the buffer; raise ValueError, with the variable's name, for a value outside the type."""
         for k, (name, value) in enumerate(zip(self.names, values, strict=True)):
             try:
                 self.buffer[k] = self.kind.encode(negative(self.kind.function, value) if self.negated else value)
@@ -168,11 +168,11 @@ class Exchange:
 
 
 def elements(kind: FmiType, variable: Any, value: Any) -> list[Any]:
-    """Return the scalars of a variable's value, set or of the description, as they are stored in or beside the row.
+    """Return the scalars of a variable's value, given by the user or by the description, as they are stored in a row.
 
     Raises:
-        TypeError: There is no value.
-        ValueError: The text of a description is none of the type.
+        TypeError: The value is missing.
+        ValueError: The text in the description does not fit the type.
     """
     is_text = kind.function in {"String", "Binary"}
     scalars = value.split() if isinstance(value, str) and not is_text else value
@@ -194,17 +194,17 @@ def elements(kind: FmiType, variable: Any, value: Any) -> list[Any]:
 
 
 def as_bytes(value: Any) -> bytes:
-    """Return binary data, which texts hold as hexadecimal digits; raise ValueError for other text."""
+    """Return binary data from a text of hexadecimal digits; raise ValueError for other text."""
     return bytes.fromhex(value) if isinstance(value, str) else bytes(value or b"")
 
 
 def is_negated(variable: Any) -> bool:
-    """Return whether a variable is a negated alias of FMI 1.0; see `unread_attributes`."""
+    """Return True if a variable is a negated alias of FMI 1.0; see `unread_attributes`."""
     return getattr(variable, "negated", False)
 
 
 def input_aliases(description: Any) -> dict[str, dict[str, bool]]:
-    """Return input → its aliases among the inputs, each with True if the sign is negated."""
+    """Return input → its aliases among the inputs; the value of an alias is True if its sign is negated."""
     groups: dict[tuple[str, int], list[Any]] = {}
     for v in description.modelVariables:
         if v.causality == "input" and not v.shape:
@@ -218,7 +218,7 @@ def input_aliases(description: Any) -> dict[str, dict[str, bool]]:
 
 
 def negative(kind: str, value: Any) -> Any:
-    """Return the value of a negated alias from that of its value reference, and the reverse."""
+    """Convert between the value of a negated alias and the value of its value reference."""
     return (1 if kind == "Boolean" else 0) - value
 
 

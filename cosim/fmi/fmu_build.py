@@ -1,7 +1,7 @@
-"""FMU builds: sources in a uniquely named package, packed by pythonfmu, completed, byte-reproducible.
+"""FMU builds: sources in a uniquely named package, packed by pythonfmu, byte-reproducible.
 
-All Python FMUs of a process share `sys.modules`. Each of cosim's FMUs therefore carries its sources in a package named
-by their content: FMUs never see the modules of each other or of the host.
+All Python FMUs of a process share `sys.modules`. Each of cosim's FMUs therefore carries its sources in a package whose
+name is a hash of their content, so FMUs do not import modules of each other or of the host.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Recipe:
         values: Parameter defaults that differ from the declared ones.
         own: File and class of a user's model.
         printed: Modules generated at build time: dotted name, source code.
-        starts: Start values of a slave without model that differ from its own.
+        starts: Start values that replace those of a slave without model.
     """
 
     slave: tuple[str, str]
@@ -83,7 +83,7 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
 
 
 def about_model(model: Model, text: str) -> Description:
-    """Return the data of a model from which its modelDescription.xml is written."""
+    """Return the data for the modelDescription.xml of a model."""
     from cosim.fmi.ports import model_ports
     from cosim.model.symbolic.symbols import direct_dependencies, initial_dependencies
 
@@ -108,7 +108,7 @@ def build(recipe: Recipe, path: Path) -> Path:
 
 
 def _pack(recipe: Recipe, folder: Path) -> Path:
-    """Pack the sources of an FMU as a Python package named by their hash; return the draft of the FMU."""
+    """Pack the sources of an FMU as a Python package named by their hash; return the path of the draft FMU."""
     from pythonfmu.builder import FmuBuilder
 
     sources = dict(_sources(recipe))
@@ -118,7 +118,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     identity = recipe.slave, class_name, recipe.values, recipe.substep, recipe.integrator, recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
-    # imports of the framework and of the carried packages, which in the FMU are those of its own package
+    # imports of the framework and of carried packages, redirected to the FMU's own package
     names = "|".join((FRAMEWORK, *recipe.packages))
     whole, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
     for name, text in sources.items():
@@ -179,7 +179,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
             spec = find_spec(name)
         if spec is not None and spec.origin is not None:
             path = f"{name.replace('.', '/')}{'/__init__' if spec.submodule_search_locations is not None else ''}.py"
-            # The framework's own __init__ is the whole command line, not needed in an FMU.
+            # The __init__ of the framework is the command line, which an FMU does not need.
             modules[name] = (path, b"" if name == FRAMEWORK else Path(spec.origin).read_bytes())
             queue += [*_imports(modules[name][1]), name.rpartition(".")[0]]
     yield "__init__.py", b""
@@ -187,7 +187,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
 
 
 def _imports(source: bytes) -> Iterator[str]:
-    """Yield the imported modules; an imported name may be a module too."""
+    """Yield the imported modules; a name imported from a package may be a module too."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -197,7 +197,7 @@ def _imports(source: bytes) -> Iterator[str]:
 
 
 def archive_member(name: str) -> zipfile.ZipInfo:
-    """Return the entry of a member with the same date and rights everywhere."""
+    """Return the ZIP entry of a member with a fixed date and fixed permissions."""
     info = zipfile.ZipInfo(name, EPOCH)
     info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
     return info

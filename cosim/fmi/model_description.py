@@ -1,4 +1,4 @@
-"""Model descriptions, completed from those of pythonfmu, and the documentation inside an FMU."""
+"""Model descriptions, completed from those of pythonfmu, and documentation pages of FMUs."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from cosim.model.traits import Traits
 
 LICENCE = "MIT"
 ASSETS = Path(__file__).resolve().parent / "assets"
-NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, inputs held.</p>"
+NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, with constant inputs.</p>"
 METHOD = {AUTO: "RK4", RK4: "RK4", STIFF: "RODAS, linearly implicit,"}
 SWITCHES = (
-    "<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects the base model lacks. At their\n"
+    "<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects that the base model lacks. At their\n"
     "start value an effect is dormant and costs nothing.</p>"
 )
 OF_FMI = ("input", "output", "parameter")  # causalities; other variables are local
@@ -36,7 +36,7 @@ class Description:
     """Content of a model description apart from names and start values of variables.
 
     Attributes:
-        sampled: Parameter with the only accepted communication step [s]; "" accepts any step.
+        sampled: Name of the parameter with the only accepted communication step [s]; "" for any step.
     """
 
     description: str
@@ -61,7 +61,7 @@ def naming_convention(names: Iterable[str]) -> str:
 
 
 def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
-    """Return pythonfmu's model description with all missing content."""
+    """Return pythonfmu's model description with all missing content added."""
     root: Any = fromstring(xml)
     root.attrib.pop("generationDateAndTime", None)  # Equal sources must give equal bytes.
     interface, categories = root.find("CoSimulation"), root.find("LogCategories")
@@ -86,13 +86,13 @@ def described(
     locals: Sequence[Port] = (),
     dependencies: Mapping[str, Sequence[str]] | None = None,
 ) -> bytes:
-    """Return a model description from its root with the interfaces.
+    """Return a complete model description, built on a root element that has the interfaces.
 
     Args:
         categories: Log categories.
         state: Format of the serialized FMU state.
         locals: Variables of native FMUs.
-        dependencies: Dependencies of outputs and derivatives; by default those of the description.
+        dependencies: Dependencies of outputs and derivatives; by default those of `about`.
     """
     variables = (*about.ports, *locals)
     root.attrib |= {
@@ -123,7 +123,7 @@ def described(
 
 
 def _annotations(about: Description, state: str) -> list[Element]:
-    """Return annotations of cosim: traits, and the accepted step."""
+    """Return cosim's vendor annotations: traits of the model, and the accepted step."""
     annotations = []
     if traits := about.traits:
         annotations.append(node := Element("Traits", state=state))
@@ -158,7 +158,7 @@ def model_variables(variables: Sequence[Port], fmi: int = 2) -> Element:
         reference = str(len(variables))
         head = {"name": "time", "valueReference": reference, "causality": "independent", "variability": "continuous"}
         SubElement(root, "Float64", head)
-    states = iter([k for k, v in enumerate(variables) if v.causality == "state"])  # in the order of their derivatives
+    states = iter([k for k, v in enumerate(variables) if v.causality == "state"])  # in the order of the derivatives
     for k, v in enumerate(variables):
         if v.causality == "indicator" and fmi == 2:
             continue

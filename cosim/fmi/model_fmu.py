@@ -1,4 +1,4 @@
-"""A model as an FMI slave, using only the standard library and pythonfmu's module."""
+"""A model as an FMI slave; it uses only the standard library and pythonfmu's module."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ModelSlave(Slave):
     model: ClassVar[Model]
 
     def initialize(self, values: dict[str, Value]) -> None:
-        """Build the model from the host's values and defaults."""
+        """Build the model from the values set by the host and the defaults."""
         starts = {name.removesuffix("_start"): v for name, v in values.items() if name.endswith("_start")}
         signals = {q.name for q in self.model.inputs}
         model = self.model.with_values(
@@ -33,7 +33,7 @@ class ModelSlave(Slave):
         self.follow_inputs()
 
     def advance(self, t: float, h: float) -> None:
-        """Integrate over the step; the host keeps the time."""
+        """Integrate over the step `h` from time `t` [s]."""
         if not self.has_warned and (warning := self.stepper.model.warning(self.inputs)):
             self.has_warned = True
             self.log(f"at t = {t:g} s: {warning}", Fmi2Status.warning)
@@ -44,12 +44,12 @@ class ModelSlave(Slave):
             model = self.stepper.model
             quantities = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
             largest, value = max(((q.name, v) for q, v in quantities), key=lambda pair: abs(pair[1]))
-            message = f"the state is not finite any more; largest before the step: {largest} = {value:g}"
+            message = f"the state is not finite after the step; the largest state before it: {largest} = {value:g}"
             raise ArithmeticError(message) from error
         self.follow_inputs()
 
     def follow_inputs(self) -> None:
-        """Write the outputs of the state and new inputs."""
+        """Write the outputs for the current state and the new inputs."""
         self.set_outputs(self.stepper.output(self.moment.t, self.moment.state, self.inputs))
 
     def snapshot(self) -> Any:

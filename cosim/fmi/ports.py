@@ -19,8 +19,8 @@ class Port:
     """An FMI variable; its index in the tuple of ports is its value reference.
 
     Attributes:
-        causality: That of FMI; for a local variable of a native FMU, what it is.
-        optional: Whether the input may stay unconnected without record or warning.
+        causality: FMI causality; for a local variable of a native FMU, its role (state, derivative, memory, …).
+        optional: True if the input may stay unconnected without record or warning.
     """
 
     name: str

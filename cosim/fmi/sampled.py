@@ -1,4 +1,4 @@
-"""Vendor annotations of cosim's own FMUs, as read from them: traits of the model, accepted step, optional inputs."""
+"""Vendor annotations of cosim's own FMUs: traits of the model, accepted step, optional inputs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FRAME = ("x", "y", "heading", "forward", "right")
 
 
 def sampled_by(fmu: Path) -> str | None:
-    """Return an FMU's parameter of its accepted step, if any."""
+    """Return the name of an FMU's parameter with its only accepted communication step, if any."""
     node = _own_annotation(fmu, "Sampled")
     return None if node is None else node.get("parameter")
 

@@ -1,7 +1,7 @@
-"""Common part of FMI slaves: variables, phases, checks and state.
+"""Base class of FMI slaves in Python: variables, phases, checks and state.
 
-pythonfmu turns an exception into fmi2Fatal with its text in the log, and anything weaker into a Discard, which most
-hosts ignore. Checks therefore raise.
+pythonfmu turns an exception into fmi2Fatal with the exception's text in the log. Other failures become a Discard,
+which most hosts ignore. Checks therefore raise exceptions.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
 
 
 def tuples(value: Any) -> Any:
-    """Return nested lists as tuples, which JSON lacks and integrators need."""
+    """Return nested lists as nested tuples: JSON has no tuples, and integrators need them."""
     return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
 
 
 @contextmanager
 def loggable() -> Iterator[None]:
-    """Raise errors with text safe for FMI's printf-like logger."""
+    """Re-raise errors with text that is safe for FMI's printf-like logger."""
     try:
         yield
     except Exception as error:
@@ -42,7 +42,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
         initialize(values): Initialize from values set by the host, and write the outputs. Called after every change of
             a value.
-        advance(t, h): Step from `t` to `t + h` [s] with held inputs, and write outputs.
+        advance(t, h): Step from `t` to `t + h` [s] with constant inputs, and write the outputs.
         snapshot(): Return the state beyond the variables' values as JSON types.
         restore(snapshot): Restore the state from a snapshot.
     """
@@ -66,7 +66,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             self.register_variable(TYPES[port.kind](port.name), nested=False)
 
     def follow_inputs(self) -> None:
-        """Write the outputs that follow new inputs at once, without a step; those of a sampled FMU do not."""
+        """Update outputs that depend directly on inputs, without a step. Sampled FMUs do nothing."""
 
     @property
     def inputs(self) -> tuple[Any, ...]:
@@ -74,7 +74,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         return tuple(self.values[: self.input_count])
 
     def set_outputs(self, outputs: tuple[float, ...] | list[float]) -> None:
-        """Publish the outputs; raise ArithmeticError for a non-finite value."""
+        """Set the outputs; raise ArithmeticError for a value that is not finite."""
         if not math.isfinite(sum(outputs)):
             for port, value in zip(self.ports[self.output_slice], outputs, strict=True):
                 if not math.isfinite(value):
@@ -95,9 +95,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         if self.phase is not STEP:
-            raise RuntimeError(f"a step while {self.phase}; end initialization first")
+            raise RuntimeError(f"doStep was called in phase {self.phase}; end initialization first")
         if not (0.0 < step_size < math.inf and math.isfinite(current_time)):
-            raise ValueError(f"step of {step_size} s at t = {current_time} s; a step is positive and finite")
+            raise ValueError(f"step of {step_size} s at t = {current_time} s; it must be positive and finite")
         with loggable():
             try:
                 self.advance(current_time, step_size)
@@ -131,7 +131,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         for vr, value in zip(vrs, values):  # noqa: B905 - hot loop
             if value - value != 0.0:
-                raise ValueError(f"{self.ports[vr].name} is set to {value}; it is a finite number")
+                raise ValueError(f"{self.ports[vr].name} is set to {value}; use a finite number")
             if vr >= self.input_count:
                 self._check_settable(vr, "Real")
             self.values[vr] = value
@@ -164,7 +164,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         if state.get("model") != self.identity:
-            raise ValueError("this FMU state is of another FMU")
+            raise ValueError("this FMU state belongs to another FMU")
         # Checks compare phases by identity.
         self.phase = next(p for p in (INSTANTIATED, INITIALIZATION, STEP) if p == state["phase"])
         self.start_time, self.host_values = state["start_time"], set(state["given"])

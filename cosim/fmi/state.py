@@ -1,8 +1,8 @@
-"""Serialized states of cosim's FMUs, as read by a replay.
+"""Serialized states of cosim's FMUs, as read by `replay`.
 
-"own" of a Python FMU's JSON holds everything that determines the future: time, continuous state, and the memory of each
-shaping effect. A native FMU writes doubles instead, as laid out in `cosim/fmi/native/instance.c`: its memory is a
-delay's command history, then the memory of further effects.
+In the JSON of a Python FMU, "own" has everything that determines the future: time, continuous state, and the memory of
+each shaping effect. A native FMU writes doubles instead, in the layout of `cosim/fmi/native/instance.c`: a delay's
+command history, then the memory of further effects.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def with_memory(data: bytes, memory: Memory) -> bytes:
         elif part == MEMORY and place <= memories:
             fixed[split + place - 1] = value
         else:
-            raise KeyError(f"no place {place} in part {part} of a state")
+            raise KeyError(f"index {place} is outside part {part} of a state")
     rows = [number for since, command in history for number in (since, *command)]
     return data[:GUID] + np.array([*fixed, len(history), *rows]).tobytes() + texts
 
@@ -73,4 +73,4 @@ def _parts_of_native(data: bytes) -> tuple[list[float], int, int, int, list[Any]
             table = np.reshape(numbers[end + 1 : end + 1 + size], (rows, 1 + inputs)).tolist()
             history = [[t, u] for t, *u in table]
             return numbers[:end], first, split, memories, history, data[len(data) - texts :]
-    raise ValueError("not the state of an FMU of ours")
+    raise ValueError("not the state of an FMU built by cosim")

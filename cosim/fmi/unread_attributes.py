@@ -1,4 +1,4 @@
-"""What FMPy does not read of a description: dependencies and negated aliases of FMI 1.0, differences, display units."""
+"""Attributes that FMPy ignores: dependencies and negated aliases of FMI 1.0, differences, inverse display units."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TRUE = {"true", "1"}
 
 
 class NegatedAlias(ModelVariable):  # type: ignore[misc]
-    """A variable of FMI 1.0 whose value is minus that of its value reference; of a Boolean, the other value."""
+    """A variable of FMI 1.0 whose value is the negative of its value reference's; for a Boolean, the complement."""
 
     __slots__ = ()
     negated = True

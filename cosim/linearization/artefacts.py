@@ -6,13 +6,13 @@ from cosim.files.artefact import Artefact
 
 ARTEFACTS = (
     Artefact(
-        "an answer of `cosim linearize`",
-        "the linear.py beside it loads it in Python; `cosim linearize MODEL` makes one",
+        "a result of `cosim linearize`",
+        "import linear.py of its folder in Python; `cosim linearize MODEL` writes one",
         keys=(frozenset({"schema_version", "states", "models"}),),
         verb="cosim linearize",
         marks=("linear.json",),
         files=("linear.json", "linear.mat", "linear.py", "report.html"),
         folder="the folder of a linearisation",
-        folder_step="its report.html opens in a browser, its linear.py loads it in Python",
+        folder_step="open its report.html in a browser, or import its linear.py in Python",
     ),
 )

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from cosim.core.arrays import Array
 
-MIN_COUPLING = 1e-9  # smallest entry of a matrix that couples, relative to its largest entry
-MAX_RATE_AT_REST = 1e-6  # [state unit/s]
-POLE_TOLERANCE = 1e-6  # distance of equal poles, relative to the fastest pole
-RANK_TOLERANCE = 1e-9  # largest zero singular value, relative to the largest singular value
+MIN_COUPLING = 1e-9  # smallest nonzero entry of a matrix, relative to its largest entry
+MAX_RATE_AT_REST = 1e-6  # largest derivative at an equilibrium [state unit/s]
+POLE_TOLERANCE = 1e-6  # largest distance of equal poles, relative to the fastest pole
+RANK_TOLERANCE = 1e-9  # largest singular value that counts as zero, relative to the largest singular value
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Linear:
 
     @property
     def at_rest(self) -> bool:
-        """Return True at an equilibrium. Only there the poles determine stability."""
+        """Return True at an equilibrium. The poles determine stability only at an equilibrium."""
         return float(np.abs(self.rates).max(initial=0.0)) < MAX_RATE_AT_REST
 
     def ss(self) -> Any:
@@ -72,12 +72,12 @@ class Linear:
 
 
 def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
-    """Return the model with fast states eliminated at their steady state.
+    """Return the model with fast states replaced by their steady state.
 
     0 = A₂₁·x + A₂₂·x₂ + B₂·u is solved for x₂.
 
     Raises:
-        ValueError: The states do not settle by themselves (A₂₂ singular).
+        ValueError: The fast states have no steady state (A₂₂ is singular).
     """
     if not fast:
         return linear
@@ -89,15 +89,15 @@ def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
     try:
         slow = control.model_reduction(system, places, "matchdc", warn_unstable=False)
     except ValueError:
-        text = "they do not settle while the other states are constant (their block of A is singular)"
-        cure = "leave out states that only integrate"
+        text = "with the other states constant, they have no steady state (their block of A is singular)"
+        cure = "omit pure integrators"
         raise ValueError(f"{', '.join(fast)} cannot be residualized: {text}; {cure}") from None
     kept = select(linear, [n for n in linear.states if n not in fast], linear.inputs, linear.outputs)
     return replace(kept, A=slow.A, B=slow.B[:, :-1], C=slow.C, D=slow.D[:, :-1], rates=slow.B[:, -1])
 
 
 def missing_states(linear: Linear, states: Sequence[str]) -> list[str]:
-    """Return the states outside a selection that influence selected states."""
+    """Return the states outside a selection that influence the selected states."""
     rows = [linear.states.index(n) for n in states]
     influence = np.abs(linear.A[rows]).max(axis=0, initial=0.0)
     least = MIN_COUPLING * np.abs(linear.A).max(initial=0.0)
@@ -105,7 +105,7 @@ def missing_states(linear: Linear, states: Sequence[str]) -> list[str]:
 
 
 def select(linear: Linear, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> Linear:
-    """Return a selection of states, inputs and outputs; contributions of other states are lost."""
+    """Return a model with selected states, inputs and outputs; contributions of other states are neglected."""
     x = [linear.states.index(n) for n in states]
     u = [linear.inputs.index(n) for n in inputs]
     y = [linear.outputs.index(n) for n in outputs]
@@ -151,7 +151,7 @@ class Structure:
     """Poles, slowest first, and ranks of controllability and observability.
 
     Attributes:
-        condition: Condition of (B, AB, … Aⁿ⁻¹B); infinite without full rank.
+        condition: Condition number of (B, AB, … Aⁿ⁻¹B); infinite without full rank.
     """
 
     poles: tuple[Pole, ...]

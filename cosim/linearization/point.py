@@ -26,17 +26,20 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.packaged import is_ssp
 from cosim.simulation.workflow import run
 
-MAX_OUTPUT_DIFFERENCE = 1e-6  # between model and component, relative to the output's range
-MAX_NAMES = 8  # missing signals in a message
+MAX_OUTPUT_DIFFERENCE = 1e-6  # largest difference between model and component, relative to the output's range
+MAX_NAMES = 8  # missing signals listed in a message
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
 MAX_TIMES = 100_000
 AT = Path("--at")
 
 
 def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array]:
-    """Return the values by name of `--at` texts, which override those of a scenario, the scenario, and its times [s].
+    """Parse the texts of `--at`.
 
     Forms: `NAME=VALUE[,NAME=VALUE …]` and at most one `SCENARIO@TIME` or `SCENARIO@START:STOP:STEP`.
+
+    Returns:
+        Values by name, which override those of the scenario; the scenario, if any; its times [s].
 
     Raises:
         InputError: Every invalid text.
@@ -55,7 +58,7 @@ def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array
         for part in text.split(","):
             name, _, value = (piece.strip() for piece in part.partition("="))
             if not (name and value):
-                kinds = "neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
+                kinds = "has neither the form NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
                 faults.append(f"{short(text)} is {kinds}")
                 break
             if name in values:
@@ -63,7 +66,7 @@ def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array
                 faults.append(f"{name} is given twice, {both}; give it once")
             values.setdefault(name, value)
     if len(moments) > 1:
-        faults.append(f"{len(moments)} scenarios are named; name one")
+        faults.append(f"{len(moments)} scenarios are given; give one")
     refuse(Fault(AT, 0, 0, fault) for fault in faults)
     return values, *(moments[0] if moments else (None, np.zeros(0)))
 
@@ -79,15 +82,15 @@ def _times(text: str) -> Array:
         return np.array([first])
     last, step = more
     if not (last >= first and step > 0.0):
-        raise ValueError("STOP of START:STOP:STEP is before START, or STEP is not above 0; write times that go forward")
+        raise ValueError("STOP of START:STOP:STEP is before START, or STEP is not above 0; give increasing times")
     count = math.floor((last - first) / step + 1e-9) + 1
     if count > MAX_TIMES:
-        raise ValueError(f"{count} times are more than {MAX_TIMES}; take a longer step")
+        raise ValueError(f"{count} times exceed the limit of {MAX_TIMES}; use a longer step")
     return np.asarray(first + step * np.arange(count))
 
 
 def move(source: Source, point: Point, values: Mapping[str, str]) -> Point:
-    """Return the point with states and inputs of `--at`.
+    """Return the point with the states and inputs set by `--at`.
 
     Raises:
         InputError: Every unknown name and unsuitable value.
@@ -116,11 +119,12 @@ def points_along(
 ) -> tuple[Source, list[Point], list[str]]:
     """Return the source with a scenario's parameters, a point for each time of its run, and notes.
 
-    The model replaces a component of the scenario: equations are driven by its recorded inputs, an FMU is simulated.
+    The model takes the place of a component of the scenario. Equations are driven by its recorded inputs; an FMU is
+    simulated.
 
     Args:
         component: Name in the scenario if several components have the model's inputs and outputs.
-        over: Parameters that precede those of the scenario.
+        over: Parameters that override those of the scenario.
     """
     if not scenario.is_file():
         raise InputError.at(scenario, "no such scenario; check its path")
@@ -156,11 +160,11 @@ def points_along(
         if difference[worst] > MAX_OUTPUT_DIFFERENCE * span[worst]:
             output = source.outputs[worst]
             size = f"{difference[worst]:.3g} {source.units.get(output, '')}".rstrip()
-            notes.append(f"{name} is not this model: driven alike, {output} differs by up to {size}")
+            notes.append(f"{name} is not this model: with the same inputs, {output} differs by up to {size}")
     else:
         values = _columns(results, name, source.states)
         if names := ", ".join(np.array(source.states)[np.isnan(values).all(axis=0)]):
-            raise InputError.at(AT, f"{name} of {scenario} records no {names}")
+            raise InputError.at(AT, f"{name} of {scenario} does not record {names}")
     return source, [Point(float(time[k]), values[k], inputs[k]) for k in rows], notes
 
 
@@ -174,18 +178,18 @@ def _component(results: Results, source: Source, scenario: Path, name: str) -> s
         return name or fitting[0]
     if not name and fitting:
         names = ", ".join(fitting)
-        raise InputError.at(AT, f"several components fit the model: {names}; choose one as --component NAME")
+        raise InputError.at(AT, f"several components fit the model: {names}; choose one with --component NAME")
     absent = missing.get(name, signals)
     names = f"{', '.join(absent[:MAX_NAMES])}{', …' if len(absent) > MAX_NAMES else ''}"
     if name:
-        text = f"{name} lacks inputs and outputs of {source.title} ({names}); name another component"
+        text = f"{name} lacks inputs or outputs of {source.title} ({names}); give another component"
         raise InputError.at(AT, text)
     text = f"no component of {scenario} has the inputs and outputs of {source.title} ({names})"
-    raise InputError.at(AT, f"{text}; name another scenario")
+    raise InputError.at(AT, f"{text}; give another scenario")
 
 
 def _columns(results: Results, component: str, names: Sequence[str]) -> Array:
-    """Return signals of a component as columns, NaN for a signal without a record."""
+    """Return signals of a component as columns; NaN for signals that are not recorded."""
     empty = np.full(len(results.time), np.nan)
     columns = [results[c] if (c := f"{component}.{name}") in results else empty for name in names]
     return np.stack(columns, axis=1) if columns else np.empty((len(empty), 0))
@@ -211,7 +215,7 @@ def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inp
 def _check_times(scenario: Path, times: Array, first: float, last: float) -> None:
     for time in times.tolist():
         if not first - rounding(first) <= time <= last + rounding(last):
-            text = f"{time:g} s is not within {scenario}, which runs from {first:g} to {last:g} s"
+            text = f"{time:g} s is outside the run of {scenario} from {first:g} to {last:g} s"
             raise InputError.at(AT, text)
 
 

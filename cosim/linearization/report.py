@@ -21,21 +21,21 @@ from cosim.report.template import render
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
 CURVES_PER_PANEL = 6
 MAX_PAIRS = 40  # of panels, magnitude and phase
-MAX_COLUMNS = 24  # of a displayed matrix
-POINTS = 400  # frequencies
-DECADE = 10.0  # factor below the slowest and above the fastest nonzero pole
-MIN_RESPONSE = 1e-12  # relative to the largest response
+MAX_COLUMNS = 24  # rows and columns of a displayed matrix
+POINTS = 400  # number of frequencies
+DECADE = 10.0  # range of frequencies, as a factor below the slowest and above the fastest nonzero pole
+MIN_RESPONSE = 1e-12  # smallest drawn response, relative to the largest
 
 
 def page(outcome: Outcome) -> str:
-    """Return a self-contained page of the first linearisation."""
+    """Return a self-contained page of the first linearization."""
     linear, structure, charts = outcome.first, outcome.structure, Charts()
     times = np.array([m.point.time for m in outcome.linear])
     description = f"{outcome.title}, linearised at t = {plain(linear.point.time)} s: {linear.method}."
     if len(times) > 1:
         description += (
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
-            "linear.json and linear.mat hold all."
+            "linear.json and linear.mat contain all."
         )
     stability, reach = split_sentence(headline(structure, linear))
     omega = frequencies(linear)
@@ -50,7 +50,7 @@ def page(outcome: Outcome) -> str:
         real = np.array([sorted(poles(m.A).real) for m in outcome.linear]).reshape(len(times), -1)
         traces = [Trace(f"{j + 1}", real[:, j], f"s{j % 6}") for j in range(real.shape[1])]
         (along,) = charts.over(times).plots([Panel("Real parts of the poles", "1/s", traces)])
-    stable = "asymptotically stable" if linear.at_rest else "all poles to the left"
+    stable = "asymptotically stable" if linear.at_rest else "all poles in the left half-plane"
     rates = [number(v) for v in linear.rates]
     at_point = [
         {"name": n, "unit": written(linear.units.get(n, "")), "value": number(v), "rate": rate}
@@ -79,7 +79,9 @@ def page(outcome: Outcome) -> str:
                 Badge(counted(len(linear.inputs), "input")),
                 Badge(counted(len(linear.outputs), "output")),
                 Badge(stable, "good") if structure.stable else Badge(f"not {stable}", "plain"),
-                Badge("equilibrium", "good") if linear.at_rest else Badge("no equilibrium: derivatives are not zero"),
+                Badge("equilibrium", "good")
+                if linear.at_rest
+                else Badge("not an equilibrium: derivatives are not zero"),
             ],
             "notes": outcome.notes,
             "point": at_point,
@@ -126,7 +128,7 @@ def frequencies(linear: Linear) -> Array:
 
 
 def bode_panels(linear: Linear, omega: Array) -> list[tuple[str, Panel, Panel]]:
-    """Return magnitude and phase of each output, of the inputs that act on it."""
+    """Return panels of magnitude and phase of each output, with a curve for each input that affects it."""
     g = np.asarray(linear.ss()(1j * omega, squeeze=False))  # (outputs, inputs, frequencies)
     sizes = np.abs(g).max(axis=2, initial=0.0)
     acting = sizes > MIN_RESPONSE * np.maximum(sizes.max(axis=0, initial=0.0), 1e-300)

@@ -34,9 +34,11 @@ MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
 NAME = "fmu"
 EXACT = "the equations, differentiated exactly"
 DIRECTIONAL = "directional derivatives of the FMU"
-DIFFERENCE_STEP = 1e-5  # of central differences, relative to each state and input, or to 1
-MAX_SLOPE_DEVIATION = 1e-3  # of an FMU's derivatives from differences, relative to the largest in a row
-MAX_RATE_AT_STEADY_STATE = 1e-12  # of fast states, relative to slope and size of the states
+DIFFERENCE_STEP = 1e-5  # step of central differences, relative to each state and input, or to 1
+# smallest derivative of an FMU that differences can resolve, relative to the largest in a row
+MAX_SLOPE_DEVIATION = 1e-3
+# tolerance of a steady state of fast states, relative to derivative and size of the states
+MAX_RATE_AT_STEADY_STATE = 1e-12
 MAX_NEWTON_STEPS = 50
 
 
@@ -58,7 +60,7 @@ class EquationSource:
         self._linearizer = Linearizer(model)
 
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> EquationSource:
-        """Return the source with a scenario's parameters, except those set in `over`."""
+        """Return the source with a scenario's parameters, except those in `over`."""
         names = self.model.declared.keys() - {text.partition("=")[0].strip() for text in over}
         texts = [f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in values.items() if n in names]
         if not texts:
@@ -66,11 +68,11 @@ class EquationSource:
         return EquationSource(replace(self._loaded, model=with_parameters(self.model, texts)), self.name)
 
     def computed(self, t: float, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the value of a function of the equations; raise SimulationError where they have none."""
+        """Return the value of a function of the equations; raise SimulationError if it is undefined."""
         try:
             return function(*arguments)
         except (ArithmeticError, ValueError) as error:
-            raise SimulationError(self.name, t, f"the equations have no value there: {error}") from None
+            raise SimulationError(self.name, t, f"the equations are undefined at this point: {error}") from None
 
     def evaluate(self, t: float, x: Array, u: Array) -> Array:
         """Return derivatives and outputs in one array."""
@@ -84,7 +86,9 @@ class EquationSource:
             SimulationError: The model has no finite derivatives.
         """
         shaping = overrides(self.model.awake, "shape", Effect)
-        notes = [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
+        notes = [
+            f"{e.name} ({e.equation}) acts on the inputs only and is not part of the linear model" for e in shaping
+        ]
         models = []
         for point in points:
             values = self.evaluate(point.time, point.states, point.inputs)
@@ -109,15 +113,15 @@ class ExchangeSource:
     ) -> None:
         if "model-exchange" not in ways(description):
             cure = "give the model's own file (model.yaml, file.py:Class or base), or an FMU for model exchange"
-            text = f"is for co-simulation only, and hides its states and derivatives; {cure}"
-            raise InputError.at(path, f"{text}; `cosim build --native` makes one of any model here")
+            text = f"supports co-simulation only, without access to states and derivatives; {cure}"
+            raise InputError.at(path, f"{text}; `cosim build --native` builds one from a model of cosim")
         if len(states_of(description)) != len(description.derivatives):
             text = (
                 "declares derivatives without their states; its modelDescription.xml needs the attribute `derivative`"
             )
             raise InputError.at(path, text, FmuError.exit_code)
         self._worker, self._path, self._description, self._start = worker, path, description, dict(start)
-        # FMI 1.0 has a number of states without names; the library may name them.
+        # FMI 1.0 declares a number of states without names; the library may name them.
         if description.fmiVersion == "1.0" and description.numberOfContinuousStates > len(description.derivatives):
             name_states(path, description, self._call(read, "state_references"))
         self.title, self.files = description.modelName or path.stem, (path,)
@@ -129,7 +133,7 @@ class ExchangeSource:
         self._directional = step is None and block.gives_slopes
 
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
-        """Return the source with the start values of a scenario's component; own start values take precedence."""
+        """Return the source with the start values of a scenario's component; values set by the user override them."""
         names = {v.name for v in self._description.modelVariables}
         texts = [f"{n}={v if isinstance(v, str) else json.dumps(v)}" for n, v in values.items() if n in names]
         start = start_values(self._path, texts, lambda name, message: Fault(self._path, 0, 0, message))
@@ -137,7 +141,7 @@ class ExchangeSource:
 
     @property
     def start(self) -> Point:
-        """Return the start after the FMU's initialization."""
+        """Return the point after the FMU's initialization."""
         return Point(0.0, *self._call(read, "current_point"))
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
@@ -160,8 +164,8 @@ def linear_model(
     """Return the linear model of a source.
 
     Args:
-        slopes: Derivatives of rates and outputs (rows) by states and inputs (columns).
-        values: Rates and outputs at the point.
+        slopes: Partial derivatives of derivatives and outputs (rows) by states and inputs (columns).
+        values: Derivatives and outputs at the point.
     """
     n, names = len(source.states), (source.states, source.inputs, source.outputs)
     matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
@@ -188,9 +192,9 @@ def differentiate(
     step: float,
     directional: bool,
 ) -> list[Differentiated]:
-    """Return the arguments of the linear model at each point.
+    """Return, for each point, the arguments of `linear_model`.
 
-    If directional derivatives fail, the FMU is reopened for differences.
+    If directional derivatives fail, the FMU is reopened and finite differences are used.
     """
     try:
         with closing(_open(path, description, start)) as block:
@@ -211,16 +215,18 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
     moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
     if moved.any():
         text = ", ".join(f"{name} = {v:.6g}" for name, v, m in zip(states, after, moved, strict=True) if m)
-        notes.append(f"an event of the FMU at this point has moved its states: {text}")
-    method = f"central differences of the FMU, step {step:g} of each value or of 1"
+        notes.append(f"an event of the FMU at this point has changed its states: {text}")
+    method = f"central differences of the FMU, with a step of {step:g} relative to each value or to 1"
     if directional:
         method = DIRECTIONAL
         differences, _, _ = slopes_at(block, point.time, after, point.inputs, step, directional=False)
         size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
         deviates = np.abs(slopes - differences).max(axis=1, initial=0.0) > MAX_SLOPE_DEVIATION * np.maximum(size, 1e-9)
         if deviates.any():
-            rows = ", ".join(compress([*(f"the rate of {name}" for name in states), *outputs], deviates))
-            notes.append(f"differences of step {step:g} are taken for {rows}: the FMU's own slopes of these differ")
+            rows = ", ".join(compress([*(f"the derivative of {name}" for name in states), *outputs], deviates))
+            notes.append(
+                f"differences with step {step:g} are used for {rows}: the FMU's own derivatives deviate from them"
+            )
             slopes = np.where(deviates[:, None], differences, slopes)
     return replace(point, states=after), slopes, rates, method, notes
 
@@ -239,12 +245,12 @@ def _open(path: Path, description: Any, start: Mapping[str, Any]) -> Differentia
 
 
 def settle(source: Source, point: Point, fast: Sequence[str]) -> Point:
-    """Return the point with fast states at rest, by Newton steps.
+    """Return the point with fast states at their steady state, found by Newton steps.
 
-    The other states and the inputs are held: f₂(x₂) = 0.
+    The other states and the inputs are constant: f₂(x₂) = 0.
 
     Raises:
-        ValueError: The states do not come to rest.
+        ValueError: No steady state was found.
     """
     if not fast:
         return point
@@ -263,8 +269,8 @@ def settle(source: Source, point: Point, fast: Sequence[str]) -> Point:
         if not np.isfinite(states).all():
             break
         point = replace(point, states=states)
-    text = "no values were found at which they are at rest while the other states are constant"
-    cure = "name other states, or another operating point"
+    text = "no steady state was found with the other states constant"
+    cure = "give other states, or another operating point"
     raise ValueError(f"{', '.join(fast)} cannot be residualized: {text}; {cure}")
 
 
@@ -282,7 +288,7 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
         name, sign, value = (part.strip() for part in text.partition("="))
         declared = model.declared.get(name)
         if not sign or not name:
-            faults.append(f"{short(text)} is not NAME=VALUE; for example mass=2")
+            faults.append(f"{short(text)} does not have the form NAME=VALUE; for example mass=2")
         elif declared is None:
             faults.append(f'{model.title} has no parameter "{name}"{did_you_mean(name, model.declared)}')
         else:
@@ -295,6 +301,6 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
                 continue
             if fault := declared.fault(values[name]):
                 effect, dot, _ = name.rpartition(".")
-                faults.append(f"{effect}{dot}{fault}; correct this value")
+                faults.append(f"{effect}{dot}{fault}; correct the value")
     refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
     return model.with_values(values)

@@ -95,8 +95,8 @@ def linearize(
                     text = f'{source.title} has no {kind} "{name}"{did_you_mean(name, names)}'
                     faults.append(Fault(Path(f"--{option}"), 0, 0, text))
                 if list(chosen).count(name) > 1:
-                    faults.append(Fault(Path(f"--{option}"), 0, 0, f"{name} is named twice; name it once"))
-        text = "is also selected by --states; name it in one of the two"
+                    faults.append(Fault(Path(f"--{option}"), 0, 0, f"{name} is given twice; give it once"))
+        text = "is also selected by --states; remove it from one of the two"
         faults += [Fault(Path("--residualize"), 0, 0, f"{name} {text}") for name in residualize if name in states]
         refuse(faults)
         states = states or [n for n in source.states if n not in residualize]
@@ -115,12 +115,12 @@ def linearize(
             raise InputError.at(Path("--residualize"), str(error)) from None
         if others := dict.fromkeys(n for each in reduced for n in missing_states(each, states)):
             text = f"the selected states depend on {', '.join(others)}"
-            cure = "add them, or, if they settle at once, name them as --residualize"
+            cure = "add them, or if they are fast, give them as --residualize"
             raise InputError.at(Path("--states"), f"{text}; {cure}")
         linear = [select(each, states, inputs, outputs) for each in reduced]
         effects = np.max([np.abs(np.vstack([m.B, m.D])).max(axis=0, initial=0.0) for m in linear], axis=0)
         idle = [name for name, effect in zip(inputs, effects, strict=True) if effect == 0.0]
-        notes += [f"{name} moves nothing at this point: a dead band or a stop, perhaps" for name in idle]
+        notes += [f"{name} has no effect at this point, perhaps because of a dead band or a stop" for name in idle]
         notes += [n for n in dict.fromkeys(n for each in linear for n in each.notes) if n not in notes]
         outcome = Outcome(str(model), source.title, tuple(linear), structure(linear[0]), tuple(notes), folder)
         if folder is not None:
@@ -149,6 +149,6 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
             start = start_values(path, values, lambda name, message: Fault(Path("--set"), 0, 0, message))
             return ExchangeSource(stack.enter_context(Worker(*MODULES)), path, description, start, step)
     if step is not None:
-        raise InputError.at(option, "is of FMUs only: equations are differentiated exactly; leave it out")
+        raise InputError.at(option, "applies to FMUs only: equations are differentiated exactly; remove it")
     loaded = load_model(text if is_model(text) else str(refined_file(path)), Path())
     return EquationSource(replace(loaded, model=with_parameters(loaded.model, values)), text)

@@ -1,4 +1,4 @@
-"""A linear model in files and words: linear.json, linear.mat for MATLAB, linear.py for python-control, tables."""
+"""Files and texts of a linear model: linear.json, linear.mat for MATLAB, linear.py for python-control, tables."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cosim.linearization.linear_model import Linear, Pole, Structure
 
 FILES = ("linear.json", "linear.mat", "linear.py")
 GROUPS = ("states", "inputs", "outputs")
-HEADER = 116  # bytes of text at the start of a .mat file, in which scipy writes the time of day
+HEADER = 116  # bytes of text at the start of a .mat file, where scipy writes the time of day
 SCRIPT = '''"""The linear model of linear.json beside this file, for python-control: `from linear import system`."""
 
 import json
@@ -39,8 +39,8 @@ systems = [
 system = systems[0]
 '''
 MAX_COLUMNS = 16  # of a matrix on a terminal
-MAX_OSCILLATING_DAMPING = 0.9  # damping ratio of a pair of poles, from which its overshoot is below 0.2 %
-AXIS_TOLERANCE = 1e-9  # [1/s] real part of a pole on the imaginary axis
+MAX_OSCILLATING_DAMPING = 0.9  # damping ratio of a pole pair above which its overshoot is below 0.2 %
+AXIS_TOLERANCE = 1e-9  # largest real part [1/s] of a pole on the imaginary axis
 HEAD = (
     "pole [1/s]",
     "times",
@@ -79,7 +79,7 @@ def write(folder: Path, outcome: Outcome) -> None:
 
 
 def content(outcome: Outcome) -> dict[str, Any]:
-    """Return the content of linear.json, with matrices as lists of rows; a number that is not finite is null."""
+    """Return the content of linear.json, with matrices as lists of rows; a number that is not finite becomes null."""
     first, structure = outcome.first, outcome.structure
     poles = [
         {
@@ -137,10 +137,11 @@ def headline(structure: Structure, linear: Linear) -> str:
     """Return a sentence on stability, and a sentence on controllability and observability."""
     n = len(linear.states)
     if not n:
-        return "The model has no states: its outputs follow its inputs without delay."
-    if not linear.at_rest:  # neighbours of a motion may part though the poles of each of its points lie to the left
+        return "The model has no states: its outputs depend directly on its inputs."
+    # Neighbouring trajectories may diverge although the poles at each of their points are in the left half-plane.
+    if not linear.at_rest:
         share = "all" if structure.stable else "not all"
-        stability = f"No equilibrium: the model moves here; {share} poles are to the left of the imaginary axis"
+        stability = f"Not an equilibrium: the derivatives are not zero; {share} poles are in the left half-plane"
     elif structure.stable:
         slowest = max(structure.poles, key=lambda p: p.value.real)
         stability = f"Stable equilibrium: the slowest deviation {meaning(slowest)}"
@@ -152,17 +153,15 @@ def headline(structure: Structure, linear: Linear) -> str:
         count = counted(sum(p.count for p in on_axis), "pole")
         longest = max(on_axis, key=lambda p: p.count)
         stability = f"Not asymptotically stable: {count} on the imaginary axis; a deviation {meaning(longest)}"
-    reach = (
-        f"The inputs reach {structure.controllable} of {counted(n, 'state')}; the outputs show {structure.observable}"
-    )
+    reach = f"{structure.controllable} of {counted(n, 'state')} controllable, {structure.observable} observable"
     return f"{stability}. {reach}."
 
 
 def meaning(p: Pole) -> str:
-    """Return the behaviour of a deviation along a pole, as the predicate of a sentence."""
+    """Return the behaviour of a deviation along a pole's mode, as the predicate of a sentence."""
     real, imag = p.value.real, abs(p.value.imag)
     if not p.value:
-        return "stays" if p.count == 1 else "stays or grows with a power of time (integrators)"
+        return "stays" if p.count == 1 else "is constant or grows with a power of time (integrators)"
     oscillates = imag and p.damping_ratio < MAX_OSCILLATING_DAMPING
     oscillation = f"oscillates with a period of {plain(2 * math.pi / imag)} s" if oscillates else ""
     if abs(real) <= AXIS_TOLERANCE:

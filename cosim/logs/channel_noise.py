@@ -9,12 +9,12 @@ import numpy as np
 
 from cosim.core.arrays import Array
 
-NORMAL_95 = 1.96  # standard deviations within which 95 % of a normal distribution lie
+NORMAL_95 = 1.96  # 95 % limits of a normal distribution, in standard deviations
 APART = 1.5  # multiple of the usual span of five readings beyond which readings are no neighbours
 
 
 def noise_level(values: Array) -> float:
-    """Return the robust white-noise level of a smooth signal, NaN below 5 values.
+    """Return the white-noise level of a smooth signal, by a robust estimate; NaN for fewer than 5 values.
 
     The signal's fourth derivative times h⁴/6 counts as noise.
     """
@@ -22,7 +22,7 @@ def noise_level(values: Array) -> float:
 
 
 def least_noise_level(values: Array, model: Array) -> float:
-    """Return the noise level of a signal, without motion that the output of the model explains."""
+    """Return the noise level of a signal, excluding motion that the model's output explains."""
     return float(np.fmin(noise_level(values), noise_level(values - model)))
 
 
@@ -33,7 +33,7 @@ def white_noise(deviations: Array) -> float:
 
 
 def surprise(values: Array) -> Array:
-    """Return the deviation from four neighbours, scaled to the noise; NaN if unknown.
+    """Return each reading's deviation from its four neighbours, scaled to the noise level; NaN if unknown.
 
     The cubic through two neighbours on each side predicts y_k, for equal rows as (−1, 4, 4, −1)/6; white noise σ gives
     a difference of σ·√(1 + Σ w²). Neighbours of a slow sensor are its own samples, but not across a gap.

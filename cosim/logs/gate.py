@@ -1,4 +1,4 @@
-"""Gate: checks of a log before use, of clock, channels, units, frame and excitation."""
+"""Checks of a log before use: clock, channels, units, frame and excitation."""
 
 from __future__ import annotations
 
@@ -62,10 +62,13 @@ def gate(
     findings += [Finding("warning", "undeclared", name, text) for name, text in log.undeclared.items()]
     for name, hint in log.unread.items():
         if hint:
-            message = f"is not read: the model has none of this name{hint}"
+            message = f"is not read: the model has no signal of this name{hint}"
             findings.append(Finding("warning", "unread", name, message))
-    if others := [name or "one without a name" for name, hint in log.unread.items() if not hint]:
-        message = f"{counted(len(others), 'column')} not read, for the model has none of this name: {name_list(others)}"
+    if others := [name or "a column without a name" for name, hint in log.unread.items() if not hint]:
+        message = (
+            f"{counted(len(others), 'column')} not read, because the model has no signal of this name: "
+            f"{name_list(others)}"
+        )
         findings.append(Finding("note", "unread", "", message))
     return sorted(findings, key=lambda f: ORDER.index(f.severity))
 
@@ -96,8 +99,8 @@ def _timing(log: Log) -> Iterator[Finding]:
     spread, worst = float(np.std(regular)), float(np.max(np.abs(regular - 1.0), initial=0.0))
     if worst > 0.01:
         message = (
-            f"rows are {amount(log.step, 's')} apart, give or take {percent(spread)} (at most {percent(worst)}); "
-            "replays step at their times, the filter of `cosim refine` at equal ones"
+            f"rows are {amount(log.step, 's')} apart, with a jitter of {percent(spread)} (at most {percent(worst)}); "
+            "`cosim replay` steps at these times, `cosim refine` at equal intervals"
         )
         yield Finding("warning" if spread > 0.1 else "note", "jitter", "time", message)
     holes = np.flatnonzero(ratio > MISSING)
@@ -109,43 +112,45 @@ def _timing(log: Log) -> Iterator[Finding]:
             rows, first, longest = int(missing[chosen].sum()), float(log.time[places[0]]), float(dt[places].max())
             message = (
                 f"{counted(rows, 'row')} missing in {counted(places.size, 'place')}, first after t = {first:.6g} "
-                f"s, the longest {amount(longest, 's')}; commands are held over them, so what was commanded in "
-                "between is not replayed"
+                f"s, the longest {amount(longest, 's')}; inputs are held constant there, so changes in "
+                "between are lost"
             )
             numbers = {"rows": rows, "places": places.size, "first": first, "longest": longest}
             yield Finding("warning", kind, "time", message, numbers)
     duration = float(log.time[-1] - log.time[0])
     if duration < SHORT * log.slowness:
-        message = f"the log lasts {amount(duration, 's')}; {plain(2.0 * SHORT * log.slowness)} s and more tell more"
+        message = (
+            f"the log lasts {amount(duration, 's')}; {plain(2.0 * SHORT * log.slowness)} s or more give better results"
+        )
         yield Finding("warning", "short", "time", message)
     if abs(start := float(log.time[0])) > 1e6:
-        message = f"time starts at {start:.0f} s; a model whose effects depend on time takes it as it is"
+        message = f"time starts at {start:.0f} s; the model uses this time unchanged"
         yield Finding("note", "epoch", "time", message)
 
 
 def _rate(log: Log, rate: float) -> Iterator[Finding]:
-    """Yield a finding on rows that are not as far apart as the steps of the model."""
+    """Yield a finding if the row spacing differs from the step of the model."""
     ratio, duration = log.step / rate, float(log.time[-1] - log.time[0])
-    # Not stated, the unit may be another one. A log in minutes appears to last only seconds; otherwise rows really are
-    # minutes apart.
+    # Without a stated unit, the time may be in another unit. A log in minutes then appears to last seconds; otherwise
+    # its rows really are minutes apart.
     units = (("ms", 1e3), ("us", 1e6), *((("min", 1.0 / 60.0),) if duration < SHORT else ()))
     unit = next((unit for unit, factor in units if 0.5 < ratio / factor < 2.0 and not log.written.get("time")), None)
     severity: Severity = "note"
     if unit:
         severity = "fault"
-        told = f'; is the time in {unit}? Then call it "time [{unit}]", or "time [s]" if it is not'
+        told = f'. If the time is in {unit}, rename its column to "time [{unit}]", otherwise to "time [s]"'
     elif ratio > SLOWER:
         severity = "warning"
-        told = "; what was commanded between two rows is not in the log, and no command but that of a row acts"
+        told = "; inputs are held constant between rows"
     elif ratio < 1.0 / FASTER:
-        severity, told = "warning", ": each row is a step, and takes its time; fewer would do"
+        severity, told = "warning", "; each row is one step, so fewer rows would be faster"
     elif abs(1.0 / ratio - round(1.0 / ratio)) > 0.02:
-        told = ", no whole number of rows a step"
+        told = ", which is not a whole number of rows per step"
     elif abs(ratio - 1.0) > 0.02:
-        told = f": {counted(round(1.0 / ratio), 'row')} a step"
+        told = f": {counted(round(1.0 / ratio), 'row')} per step"
     else:
         return
-    message = f"rows are {plain(log.step)}\u00a0s apart, the model is made for {plain(rate)}\u00a0s{told}"
+    message = f"rows are {plain(log.step)}\u00a0s apart; the step of the model is {plain(rate)}\u00a0s{told}"
     yield Finding(severity, "rate", "time", message)
 
 
@@ -153,12 +158,12 @@ def _rate(log: Log, rate: float) -> Iterator[Finding]:
 
 
 def _inputs(log: Log) -> Iterator[Finding]:
-    """Yield findings on the excitation by each input: RMS, 95 % power bandwidth and saturation; and on alike inputs."""
+    """Yield findings on each input (RMS, 95 % power bandwidth, saturation), and on inseparable inputs."""
     moving = {}
     for name, values in log.inputs.items():
         if np.count_nonzero(np.diff(values)) < 3 or np.ptp(values) <= 1e-9 * np.abs(values).max():
             message = (
-                f"is constant at {amount(float(np.median(values)), log.units[name])}: it excites nothing, and "
+                f"is constant at {amount(float(np.median(values)), log.units[name])}: it gives no excitation, and "
                 "effects that act only through it cannot be identified"
             )
             yield Finding("note", "constant", name, message)
@@ -174,21 +179,18 @@ def _inputs(log: Log) -> Iterator[Finding]:
             unit = log.units[name]
             typical = amount(float(values.std()), unit, difference=True)
             least, most = (amount(size, unit) for size in (low, high))
-            at_ends = f", there {percent(share)} of the rows" if share else ""
-            message = (
-                f"moves {typical} (rms) with 95 % of its power below {bandwidth}, between {least} and {most}{at_ends}"
-            )
+            at_ends = f" ({percent(share)} of the rows at a limit)" if share else ""
+            message = f"range {least} … {most}{at_ends}, {typical} rms, 95 % of its power below {bandwidth}"
             yield Finding("note", "excitation", name, message)
     if log.inputs and not moving:
-        yield Finding("warning", "no_excitation", "", "no input moves: such a log says next to nothing about a model")
+        yield Finding(
+            "warning", "no_excitation", "", "all inputs are constant: the log has almost no information about a model"
+        )
     for one, other in combinations(moving, 2):
         rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
         if abs(rho) > ALIKE:
             direction, correlation = "with" if rho > 0 else "against", plain(rho, 3)
-            message = (
-                f"moves {direction} {other} (correlation {correlation}): what one does cannot be separated from "
-                "what the other does"
-            )
+            message = f"moves {direction} {other} (correlation {correlation}): their effects cannot be separated"
             yield Finding("note", "alike", one, message, {"correlation": rho})
 
 
@@ -218,8 +220,9 @@ def _outputs(log: Log) -> Iterator[Finding]:
             noise, span = noise_level(readings), float(np.ptp(readings))
             if usual >= 2.0 and np.mean(np.abs(runs - usual) <= 1.0) > 0.8:
                 message = (
-                    f"changes only every {usual:.0f} rows: a slower sensor, held. Leave the cells in between empty, or "
-                    "the hold passes for a delay"
+                    f"changes only every {usual:.0f} rows: a slower sensor with repeated values. Empty the cells "
+                    "in between; otherwise "
+                    "the repetition looks like a delay"
                 )
                 yield Finding("warning", "held", name, message)
             elif usual == 1.0 and most * log.step > 0.2 and most >= 10 and noise > 1e-5 * span:
@@ -227,7 +230,7 @@ def _outputs(log: Log) -> Iterator[Finding]:
                 value, first = amount(float(readings[k]), log.units[name]), float(log.time[good][k])
                 message = (
                     f"is exactly {value} in {most} rows from t = {first:.6g} s, although its noise is larger "
-                    "elsewhere: the sensor was frozen, at the end of its range, or at rest where it makes no noise"
+                    "elsewhere: the sensor was frozen, at the end of its range, or at rest without noise"
                 )
                 yield Finding("warning", "frozen", name, message, {"rows": float(most), "first": first})
 
@@ -238,9 +241,9 @@ def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
         first, worst = float(log.time[rows[0]]), float(out_of_line(log, log.outputs[name])[rows].max())
         count, deviation = counted(rows.size, "reading"), amount(worst, log.units[name], difference=True)
         message = (
-            f"has {count} that its neighbours and the model do not explain, first at t = {first:.6g} s, the "
-            f"farthest off by {deviation}; `cosim refine` leaves such readings out, other commands take them as "
-            "they are: leave the cells empty"
+            f"has {count} (not explained by neighbours or model), first at t = {first:.6g} s, the "
+            f"largest deviation {deviation}; `cosim refine` ignores such readings, other commands use them: "
+            "empty the cells"
         )
         yield Finding("warning", "outliers", name, message)
 
@@ -265,12 +268,12 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         limits = bounds.get(name)
         good = values[np.isfinite(values)]
         size = float(np.abs(good).max())
-        cure, stated = f'if it is in degrees, call it "{name} [deg]"', log.written.get(name)
+        cure, stated = f'if it is in degrees, rename the column to "{name} [deg]"', log.written.get(name)
         if stated:
-            cure = f'its header says "{stated}": is it so, and may the model not go there?'
+            cure = f'check the unit "{stated}" in its header, or extend the limits of the model'
         if limits and not limits[0] <= float(good.min()) <= float(good.max()) <= limits[1]:
             low, high = (plain(v) for v in limits)
-            message = f"reaches {plain(size)} rad, beyond what the model allows ({low} to {high}); {cure}"
+            message = f"reaches {plain(size)} rad, outside the limits of the model ({low} to {high}); {cure}"
             yield Finding("fault", "degrees", name, message)
         elif not stated and ((name in log.inputs and size > TURN) or size > 20.0 * TURN):
             yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}")
@@ -278,21 +281,19 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         if jumps.size and name in log.outputs and size <= 20.0 * TURN:
             first = float(log.time[np.isfinite(values)][jumps[0] + 1])
             message = (
-                f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s; an angle "
-                "is continuous"
+                f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s; angles "
+                "must be continuous"
             )
             yield Finding("warning", "jumps", name, message, {"count": float(jumps.size), "first": first})
     for name, times in log.unwrapped.items():
-        message = (
-            f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous"
-        )
+        message = f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; the jumps are removed"
         yield Finding("note", "wrapped", name, message)
     if traits and (frame := traits.planar) and {frame.x, frame.y, frame.heading} <= log.outputs.keys():
         yield from _axis_findings(log, frame)
 
 
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
-    """Yield findings from comparing a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
+    """Yield findings from a comparison of a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
 
     With consistent units, signs and sensors, s is 1 and b is 0.
     """
@@ -316,8 +317,9 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         moved, turned = float(np.std(change)), float(np.std(integral))
         if not jumps and moved > FAR_OFF * noise_level(log.outputs[name]) and turned > 0.5 * moved:
             message = (
-                f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), though both move far beyond "
-                "their noise: one of them has another sign in a part of the log, or belongs to another body"
+                f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), although both change by "
+                "far more than "
+                "their noise: the sign of one changes within the log, or they belong to different bodies"
             )
             yield Finding("warning", "disagreement", name, message)
         return
@@ -330,8 +332,9 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     severity: Severity = "fault" if declared else "warning"
     if slope < 0.0:
         message = (
-            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); turn one of them round: the rate is "
-            "positive where the signal grows"
+            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); reverse the sign of one: the "
+            "rate must be "
+            "positive while the signal increases"
         )
         yield Finding(severity, "sign", rate, message)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
@@ -339,18 +342,18 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         ratio, cure = plain(float(max(slope, 1 / slope)), 3), f'Give the unit in the header, "{degrees} [{unit}]"'
         if log.written.get(degrees):
             headers = " and ".join(f'"{n} [{log.written[n]}]"' for n in (degrees, other) if log.written.get(n))
-            cure = f"The header says {headers}: one of the units is wrong"
-        message = f"is {ratio} times what {other} says: one is in degrees, the other in radians. {cure}"
+            cure = f"The units in the header are {headers}; one of them is wrong"
+        message = f"is {ratio} times the value expected from {other}: one is in degrees, the other in radians. {cure}"
         yield Finding(severity, "degrees", degrees, message)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
         message = (
-            f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is off, or one of "
+            f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is wrong, or one of "
             "them is limited"
         )
         yield Finding("warning", "scale", rate, message)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
         bias = amount(float(-drift / slope), log.units[rate], 2, difference=True)
-        message = f"is {bias} above d {name}/dt throughout: a bias of one of the sensors"
+        message = f"is {bias} above d {name}/dt in the whole log: one of the sensors has a bias"
         yield Finding("note", "drift", rate, message)
 
 
@@ -368,14 +371,17 @@ def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], m
         return
     if float(np.corrcoef(change, integral)[0, 1]) > MIN_AGREEMENT:
         message = (
-            f"jumps by {amount(abs(float(miss[k])), log.units[name], difference=True)} at one place, and {rate} shows "
-            "no such motion: was the sensor set anew?"
+            f"jumps by {amount(abs(float(miss[k])), log.units[name], difference=True)} at one place, but {rate} shows "
+            "no such motion: the sensor may have been reset"
         )
         yield Finding("warning", "jumps", name, message)
 
 
 def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
-    """Yield warnings for a reversed axis, exchanged axes and jumps; a body mostly moves along its heading."""
+    """Yield warnings for a reversed axis, exchanged axes and jumps.
+
+    The test assumes motion mostly along the heading.
+    """
     x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))
     good = np.flatnonzero(np.isfinite(x + y + heading))[:: max(1, round(SPACING / log.step))]
     if good.size < LEAST_POSITIONS:
@@ -387,14 +393,14 @@ def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
     ratio = sideways["as recorded"] / sideways[best] if sideways[best] > 0.0 else 0.0
     if ratio > TURNED and best == "mirrored":
         message = (
-            f"the body moves sideways unless {frame.x}, {frame.y} or {frame.heading} is turned round: world Y "
+            f"the body moves sideways unless the sign of {frame.x}, {frame.y} or {frame.heading} is reversed: world Y "
             f"points left and {frame.heading} is positive to the left"
         )
         yield Finding("warning", "mirrored", frame.y, message)
     elif ratio > TURNED and float(pointing.std()) > MIN_TURN:
-        message = f"the body moves sideways unless {frame.x} and {frame.y} are exchanged: are the columns swapped?"
+        message = f"the body moves sideways unless {frame.x} and {frame.y} are exchanged: the columns may be swapped"
         yield Finding("warning", "swapped", frame.x, message)
-    for name in (frame.x, frame.y):  # a position that jumps between two rows and stays there
+    for name in (frame.x, frame.y):  # a position that jumps between two rows and does not return
         good = np.flatnonzero(np.isfinite(log.outputs[name]))
         steps = np.abs(np.diff(log.outputs[name][good]))
         if steps.size < LEAST_POSITIONS or not (largest := float(steps.max())) > JUMP * float(np.quantile(steps, 0.99)):
@@ -406,7 +412,8 @@ def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
         if abs(after - before) > 0.5 * largest:
             message = (
                 f"jumps by {amount(largest, log.units[name], difference=True)} in the row at t = "
-                f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: was the sensor set anew, or "
-                "are two logs joined?"
+                f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: the sensor may have been "
+                "reset, or "
+                "two logs joined"
             )
             yield Finding("warning", "jumps", name, message)

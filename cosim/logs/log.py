@@ -53,11 +53,11 @@ class Log:
         units: Name → unit of the model, else the header's unit in SI.
         written: Name → unit in the header, "" without one.
         undeclared: Signal without a unit in the model, but with one in the header → message.
-        assumed: What was assumed to read the file, in words.
-        step: Usual time between rows [s], see `usual_step`.
+        assumed: Assumptions made when the file was read, as sentences.
+        step: Typical time between rows [s], see `usual_step`.
         unwrapped: Angle → times of removed jumps by a turn [s].
         header: Line of the column names in the file.
-        called: Name in the file → name in the model, if different.
+        called: Name in the file → name in the model, if they differ.
         unread: Column unknown to the model → suggestion, or "".
     """
 
@@ -83,12 +83,12 @@ class Log:
 
     @property
     def slowness(self) -> float:
-        """Return the factor by which checks extend durations for a long step; see `slowness`."""
+        """Return the factor on the durations of checks for a long step; see `slowness`."""
         return slowness(self.step)
 
     @property
     def pause(self) -> float:
-        """Return the time [s] beyond which missing rows are a pause, with unknown commands and state."""
+        """Return the duration [s] above which missing rows count as a pause, with unknown inputs and state."""
         return max(GAP, LOST * self.step)
 
     @cached_property
@@ -122,7 +122,7 @@ class Finding:
 
     @property
     def whole(self) -> str:
-        """Return the sentence, preceded by the channel if the finding is on a column."""
+        """Return the sentence, preceded by the channel if the finding concerns a column."""
         return self.sentence if self.channel in ("", "time") else f"{self.channel} {self.sentence}"
 
     @property
@@ -132,7 +132,7 @@ class Finding:
 
 
 def rename_signals(log: Log, names: Mapping[str, str]) -> Log:
-    """Return a log with other names of its signals; signals without an entry keep theirs."""
+    """Return a log with renamed signals; signals without an entry keep their names."""
     groups = ("inputs", "outputs", "units", "written", "unwrapped", "undeclared", "cells")
     changed: dict[str, Any] = {g: {names.get(n, n): v for n, v in getattr(log, g).items()} for g in groups}
     return replace(log, called={n: names.get(v, v) for n, v in log.called.items()}, **changed)
@@ -147,12 +147,13 @@ def read_log(
     alone: bool = False,
     declare: Callable[[Column, Faults], str | None] | None = None,
 ) -> Log:
-    """Return a log of a model with these signals.
+    """Read a log with the signals of a model.
 
     Args:
-        columns: Name in the file → name in the model, or `time`, if different.
-        alone: True if `columns` applies to this file alone, so that a missing column is a fault.
-        declare: For a log without a model, function that returns the unit of a column, None to leave it out.
+        inputs, outputs: Signals of the model; the log must contain every input and at least one output.
+        columns: Name in the file → name in the model, or `time`, if they differ.
+        alone: True if `columns` is for this file only, so that a missing column is a fault.
+        declare: For a log without a model: function that returns the unit of a column, or None to ignore the column.
 
     Raises:
         InputError: Every fault of the file.
@@ -187,7 +188,7 @@ def read_log(
         by = conversion(column.unit, wanted, difference=name in differences, definitions=definitions)
         if by is None:
             known = ", ".join(alternatives(wanted))
-            message = f'"{column.unit}" is no unit of {name}, which is in {wanted}; known here: {known}'
+            message = f'the unit "{column.unit}" does not fit {name} [{wanted}]; known units: {known}'
             faults.note(faults.header, column.cell, message)
         by = by or Conversion()
         return Use(name, by.factor, by.offset, role)
@@ -202,7 +203,7 @@ def read_log(
         if declare is None:
             _check_header(table, faults, into, units, renamings=columns, alone=alone, unread=unread, cells=cells)
         elif len(cells) < 2:
-            faults.note(table.header, 1, "holds no column beside the time; a log holds what was measured")
+            faults.note(table.header, 1, "has no column besides the time; a log needs inputs and measured outputs")
         if not table.faults:
             _check_values(table, faults, {"time", *into})
     faults.raise_any()
@@ -248,50 +249,54 @@ def _check_header(
     unread: Mapping[str, str],
     cells: Mapping[str, int],
 ) -> None:
-    """Note faults of missing inputs and outputs; `signals` has both."""
+    """Record faults of missing inputs and outputs; `signals` has both."""
     line, outputs = table.header, [name for name in signals if name not in inputs]
     for column, name in renamings.items():
         if name == "time":
             continue
         if name not in signals:
             cure, names = did_you_mean(name, signals), name_list(signals)
-            faults.note(line, 1, f'"{column}" is to be {name}, which the model does not have{cure} (it has {names})')
+            faults.note(
+                line,
+                1,
+                f'column "{column}" is assigned to {name}, which the model does not have{cure} (it has {names})',
+            )
         elif column not in cells and (alone or name not in table):
-            faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} (it is to be {name})')
+            faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} for {name}')
     missing = [name for name in inputs if name not in table]
-    # of the model is a log with some column of it, or with a name similar to one of its signals
+    # a log belongs to the model if it has one of its columns, or a name similar to one of its signals
     known = renamings or len(unread) > HINTS or any(name in table for name in signals)
-    other = "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
+    other = "if columns have other names, use --column COLUMN=VARIABLE, or `columns` in a study"
     if missing and not known and not any(closest(name, unread) for name in signals):
         message = (
-            f"holds none of the columns of the model: {name_list(signals)}; a log of another model is checked "
-            f"with --model FILE:CLASS and replayed with --fmu FMU; {other}"
+            f"has no column of the model: {name_list(signals)}; check a log of another model "
+            f"with --model FILE:CLASS, and replay it with --fmu FMU; {other}"
         )
         faults.note(line, 1, message)
         return
-    every = f"a log holds every input of the model: {name_list(inputs)}"
+    every = f"a log needs every input of the model: {name_list(inputs)}"
     for name in missing:
         if close := closest(name, unread):
-            message = f'"{close}" is no column of the model; did you mean "{name}", which is missing? A{every[1:]}'
+            message = f'"{close}" is not a signal of the model; did you mean "{name}", which is missing? A{every[1:]}'
             faults.note(line, cells[close], message)
         else:
-            cure = f"for a column of another name say --column COLUMN={name}, or `columns` in a study"
+            cure = f"if its column has another name, use --column COLUMN={name}, or `columns` in a study"
             faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
     if outputs and not missing and not any(name in table for name in outputs):
         cure = "".join(dict.fromkeys(unread.values()))
-        message = f"holds no output of the model{cure}; at least one of {name_list(outputs)} is measured; {other}"
+        message = f"has no output of the model{cure}; it needs at least one of {name_list(outputs)}; {other}"
         faults.note(line, 1, message)
 
 
 def _check_values(table: Table, faults: Faults, complete: Container[str]) -> None:
-    """Note faults of whole columns: too few rows, no measurement, absurd values.
+    """Record faults of whole columns: too few rows, no measurement, absurd values.
 
     Args:
-        complete: Columns with a value in every row.
+        complete: Columns that need a value in every row.
     """
     if table.rows < 2 and not faults.faulty:
         count = "no row" if table.rows == 0 else "one row"
-        message = f"holds {count}; a log has at least two, and some hundred to be of use"
+        message = f"has {count}; a log needs at least two rows, and some hundred for useful results"
         faults.note(table.header + 1, 1, message)
         return
     for name, column in table.by_name.items() if table.rows else ():
@@ -300,15 +305,18 @@ def _check_values(table: Table, faults: Faults, complete: Container[str]) -> Non
         size, is_output = np.abs(table[name]), name not in complete
         if np.isnan(size).all():
             if is_output:
-                message = f'column "{name}" holds no value (NaN in every row); delete the column'
+                message = f'column "{name}" has no value (NaN in every row); delete the column'
                 faults.note(table.header, column.cell, message)
             continue
         # a logger may write 3.4e38 for `invalid`
         most = min(max(BEYOND * float(np.nanmedian(size)), ORDINARY), NEVER)
-        cure = "leave the cell empty" if is_output else "leave the row out"
+        cure = "leave the cell empty" if is_output else "delete the row"
 
         def absurd(row: int, name: str = name, cure: str = cure) -> str:
-            return f'{name} is {table[name][row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
+            return (
+                f"{name} is {table[name][row]:g} here, far beyond the other values; if it marks an invalid "
+                f"reading, {cure}"
+            )
 
         faults.note_cells(np.flatnonzero(size > most), table.lines, column.cell, absurd)
 
@@ -321,7 +329,12 @@ def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
     """
     parts = [[part.strip() for part in text.partition("=")] for text in texts]
     refuse(
-        Fault(log, 0, 0, f'--column "{short(text)}" is not COLUMN=VARIABLE, as in measured_speed=motor.w')
+        Fault(
+            log,
+            0,
+            0,
+            f'--column "{short(text)}" does not have the form COLUMN=VARIABLE, such as measured_speed=motor.w',
+        )
         for text, part in zip(texts, parts, strict=True)
         if not all(part)
     )
@@ -329,16 +342,18 @@ def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
 
 
 def name_list(names: Collection[str]) -> str:
-    """Return names in a line, shortened if very many."""
+    """Return a list of names as text, shortened if there are many."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(islice(names, SHOWN)) + more
 
 
 def usual_step(time: Array) -> float:
-    """Return the row spacing [s]: the slope of a line through the times, with whole steps over gaps.
+    """Return the typical row spacing [s]: the slope of a line through the times, with whole steps over gaps.
 
-    A median of differences is too inaccurate with jittering time stamps: an error of a thousandth adds up to whole rows
-    at the end of a log. If slope and median differ, the clock is irregular. The result is then a low percentile of the
+    A median of differences is too inaccurate with jittering time stamps: an error of a thousandth adds up to whole
+    rows
+    at the end of a log. If slope and median differ, the clock is irregular. The result is then a low percentile of
+    the
     differences, and longer differences count as gaps.
     """
     apart = np.diff(time)
@@ -357,10 +372,11 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> float:
-    """Return the factor by which checks extend durations for a log with a long step [s].
+    """Return a factor on the durations of checks for a log with the step `step` [s].
 
-    It is 1 for a usual step, and smaller for a short one. Durations such as 0.15 s or 1 s would otherwise contain too
-    few rows, e.g. of a tank logged every 0.5 s, or last longer than a log, e.g. of a converter logged every 50 us.
+    The factor is 1 for typical steps, larger for long steps and smaller for short ones. Otherwise durations such as
+    0.15 s or 1 s would contain too few rows, e.g. of a tank logged every 0.5 s, or exceed a log, e.g. of a converter
+    logged every 50 us.
     """
     return min(1.0, step / FAST) if step < USUAL else max(1, math.ceil(step / USUAL - 0.1))
 
@@ -380,8 +396,8 @@ def _cut(log: Log, rows: slice) -> Log:
 def stretches(log: Log) -> list[Log]:
     """Return the parts of a log between pauses.
 
-    In a pause, rows are missing (unknown commands and state), or measurements are missing (unknown state). A pause
-    in the measurements is longer than their usual spacing, so that a slow sensor makes none.
+    In a pause, rows are missing (unknown inputs and state), or measurements are missing (unknown state). Missing
+    measurements are a pause only if the gap is longer than their typical spacing, so a slow sensor makes no pauses.
     """
     pieces: list[tuple[int, int]] = []
     for first, end in pairwise([0, *(np.flatnonzero(np.diff(log.time) > log.pause) + 1).tolist(), log.rows]):
@@ -403,7 +419,7 @@ def stretches(log: Log) -> list[Log]:
 def fill_holes(log: Log) -> Log:
     """Return the log with lost rows inserted if an input is smooth.
 
-    Each input is held or interpolated, whichever predicts the existing rows better.
+    Each input is held constant or interpolated; the method that predicts the existing rows better is used.
     """
     grid, smooth = log.grid, set[str]()
     whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)

@@ -1,4 +1,4 @@
-"""Check of a log by `cosim check`, against a model or alone."""
+"""Check of a log by `cosim check`, with or without a model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ROWS = 1000  # first rows of a log in which the model's outputs are predicted
 def check_log(path: Path, checking: Checking) -> list[str]:
     """Return the findings on a log.
 
-    The log is compared with the named model, by default with the base model if an input matches, else with no model.
+    The log is compared with the named model; otherwise with the base model if an input matches, else with no model.
     """
     if checking.model is None and not is_model(BASE):
         return _findings_without_model(path, checking.columns)
@@ -62,7 +62,7 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
 
 
 def _findings_without_model(path: Path, columns: Mapping[str, str]) -> list[str]:
-    """Return the findings on a log without a model, one line each: clock, gaps, units and channels as measured.
+    """Return the findings on a log without a model, one line each: clock, gaps, units, channels.
 
     Raises:
         InputError: The log has faults.
@@ -70,7 +70,7 @@ def _findings_without_model(path: Path, columns: Mapping[str, str]) -> list[str]
     unknown, text = dict[str, str](), list[str]()  # column → unit unknown to the framework; columns of text
 
     def declare(column: Column, faults: Faults) -> str | None:
-        """Return the unit of a numeric column, in SI if its header has a unit; None for text."""
+        """Return the unit of a numeric column, in SI if the header has a unit; None for text."""
         if not column.name:
             faults.note(faults.header, column.cell, "the column has no name; name it or delete it")
         elif column.holds_words:
@@ -86,12 +86,11 @@ def _findings_without_model(path: Path, columns: Mapping[str, str]) -> list[str]
     refuse_faults(log, findings)
     lines = [f.line for f in findings]
     lines += [
-        f'warning: {name} "{unit}" is no unit known here: its numbers are taken as they are'
-        for name, unit in unknown.items()
+        f'warning: {name}: unknown unit "{unit}"; its numbers are not converted' for name, unit in unknown.items()
     ]
     if text:
         lines.append(f"note: {counted(len(text), 'column')} of text not read: {', '.join(text)}")
     return [
         *lines,
-        "note: checked without a model; --model FILE:CLASS compares names, units and signs with one",
+        "note: checked without a model; use --model FILE:CLASS to compare names, units and signs with a model",
     ]

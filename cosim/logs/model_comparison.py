@@ -1,4 +1,4 @@
-"""Comparison of a log with the model, to find errors of clocks, units, signs and columns."""
+"""Comparison of a log with the model, to find wrong clocks, units, signs and columns."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ TELLING = 0.6  # least correlation with the model for a delay estimate
 MAX_SLOPE_ERROR = 0.1  # standard error of a slope relative to the slope
 BLOCKS, MIN_BLOCK = 20, 10  # blocks of rows for the standard error, and rows of a block
 MIN_SIGNAL = 3.0  # multiple of its noise from which the size of a signal is judged
-REGULAR = "or, the motion being so regular, a wrong friction or inertia"
+REGULAR = "or, because the motion is nearly periodic, a wrong friction or inertia"
 FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
-DIRECTIONS = {  # of a delay and its likely causes, for positive and other times
-    True: ("trails", "a delay, a slower actuator"),
-    False: ("leads", "a faster actuator, a command logged late"),
+DIRECTIONS = {  # likely causes of a delay: of a positive one, of a negative one
+    True: ("trails", "a delay or a slower actuator"),
+    False: ("leads", "a faster actuator or a command logged late"),
 }
 
 
@@ -50,31 +50,32 @@ def input_unit_findings(
         if size > OTHER_SIZE * bound and unit != "rad":  # angles are checked against their bounds elsewhere
             # in the right unit, the input would lie within its bound
             question = other_unit(name, unit, size / bound, (MIN_SHARE_OF_BOUND, 1.0))
-            text = f"reaches {amount(size, unit)}, far beyond the {amount(bound, unit)} that the model allows"
-            text += f"; {question}" if question else ": is it scaled, or in another unit?"
+            text = f"reaches {amount(size, unit)}, far beyond the limit {amount(bound, unit)} of the model"
+            text += f"; {question}" if question else ": it may be scaled, or in another unit"
             yield Finding("fault", "unit", name, text)
         elif start and (question := other_unit(name, unit, size / start)):
-            text = f"reaches {amount(size, unit)}, where the model starts at {amount(start, unit)}; {question}"
+            text = (
+                f"reaches {amount(size, unit)}, but the start value in the model is {amount(start, unit)}; {question}"
+            )
             yield Finding("warning", "unit", name, text)
 
 
 def other_unit(name: str, unit: str, ratio: float, around: tuple[float, float] = SAME_SIZE) -> str:
-    """Return the question whether a column is in another unit, which brings the ratio of sizes, log to model, into a
-    range; "" without such a unit."""
+    """Return advice on the unit of a column if another unit fits the ratio of sizes (log to model), else ""."""
     if not unit or 1.0 / OTHER_SIZE < ratio < OTHER_SIZE:
         return ""
     sizes = {other: factor(other, unit) for other in (*alternatives(unit), "rpm")}
     other = next((u for u, f in sizes.items() if f and around[0] < ratio * f < around[1]), "")
-    return other and f'is its unit {other}? Then call the column "{name} [{other}]"'
+    return other and f'if its unit is {other}, rename the column to "{name} [{other}]"'
 
 
 def output_findings(log: Log, model: Mapping[str, Array]) -> list[Finding]:
-    """Return findings on outputs that follow their predictions late, in another unit, mirrored or in another column."""
+    """Return findings on outputs that are late, in another unit, sign-reversed or swapped relative to the model."""
     return [*scales(log, model), *swaps(log, model), *delays(log, model)]
 
 
 def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
-    """Yield findings on channels with a delay of half a row or more; slow channels are too uncertain."""
+    """Yield findings on channels with a delay of at least half a row; slow channels are too uncertain."""
     estimates = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
     fastest = max((d.frequency for d in estimates.values()), default=0.0)
     for name, (time, error, _, frequency) in estimates.items():
@@ -84,7 +85,7 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         if confirmed is False:
             continue
         serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]
-        doubt = "or clocks that differ" if confirmed else REGULAR
+        doubt = "or different clocks" if confirmed else REGULAR
         size = f"{amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}"
         message = f"{direction} the model by {size}: {cause}, {doubt}"
         yield Finding("warning" if serious else "note", "delay", name, message, {"delay": time, "error": error})
@@ -96,11 +97,11 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         if name not in model or (fit := fit_slope(log, measured, model[name])) is None:
             continue
         unit, written, numbers = log.units[name], log.written.get(name, ""), {"slope": fit.slope}
-        times = f"{plain(fit.slope)} ± {plain(fit.error, 1)} times as far"
+        times = f"{plain(fit.slope)} ± {plain(fit.error, 1)} times as much"
         is_alike = fit.correlation > LIKE
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
             message = (
-                f"moves against the model ({times}, correlation {plain(fit.correlation, 2)}): it, or a command, has "
+                f"moves opposite to the model ({times}, correlation {plain(fit.correlation, 2)}): it or an input has "
                 "the wrong sign"
             )
             yield Finding("warning", "sign", name, message, numbers)
@@ -109,23 +110,26 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             beyond = by is not None and not 1.0 / OTHER_SIZE < by < OTHER_SIZE
             if by is not None and beyond and SAME_SIZE[0] < fit.slope / by < SAME_SIZE[1]:
                 message = (
-                    f"was converted from {written} to {unit}, but agrees with the model without this conversion: leave "
-                    f'"[{written}]" out of the header'
+                    f"was converted from {written} to {unit}, but agrees with the model without this conversion: "
+                    "remove "
+                    f'"[{written}]" from the header'
                 )
             elif question := other_unit(name, unit, fit.slope):
-                message = f"moves with the model, but {times}; {question}"
+                message = f"follows the model, but {times}; {question}"
             else:
                 continue
             yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
-        else:  # unlike its prediction, a signal may still move more than it by the factor of another unit
+        else:  # even without correlation, a signal may be larger than its prediction by a factor between units
             size, own = (float(np.nanstd(moving_part(log, values))) for values in (measured, model[name]))
             ratio = size / own if own > 0.0 and size > MIN_SIGNAL * noise_level(measured) else 0.0
             if ratio > OTHER_SIZE and (question := other_unit(name, unit, ratio)):
-                yield Finding("warning", "unit", name, f"moves {plain(ratio, 2)} times as far as the model; {question}")
+                yield Finding(
+                    "warning", "unit", name, f"moves {plain(ratio, 2)} times as much as the model; {question}"
+                )
 
 
 def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
-    """Yield findings on two outputs that follow each other's prediction better than their own at any delay."""
+    """Yield findings on pairs of outputs that follow each other's prediction better than their own, at any delay."""
     names = [name for name in log.outputs if name in model]
     for one, other in combinations(names, 2):
         least = 1.0  # correlation of either with the prediction of the other, of the same size as in the other's unit
@@ -142,22 +146,22 @@ def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             largest = float(np.nanmax(np.abs(correlation_at_lags(*parts, _longest_lag(log))), initial=largest))
         if largest < least:
             text = (
-                f"moves as {other} does in the model (correlation {plain(least, 2)}), and {other} as {one}: are "
-                "the columns swapped?"
+                f"follows the model's {other} (correlation {plain(least, 2)}), and {other} follows {one}: the "
+                "columns may be swapped"
             )
             yield Finding("warning", "swapped", one, text)
 
 
 def _longest_lag(log: Log) -> int:
-    """Return the number of rows of the longest delay on trial."""
+    """Return the longest delay that is tried [rows]."""
     return max(0, min(round(LONGEST_DELAY * log.slowness / log.step), log.rows // 4))
 
 
 class SlopeFit(NamedTuple):
-    """Least-squares slope of a measured signal over its prediction, slow parts removed.
+    """Least-squares slope of a measured signal over its prediction, after removal of slow parts.
 
     Attributes:
-        error: Standard error from blocks of rows, so that the residual may be correlated; infinite without enough rows.
+        error: Standard error from blocks of rows, valid for correlated residuals; infinite without enough rows.
     """
 
     slope: float
@@ -171,7 +175,7 @@ class SlopeFit(NamedTuple):
 
 
 def fit_slope(log: Log, measured: Array, model: Array) -> SlopeFit | None:
-    """Return the slope of a measured signal over its prediction, or None if one of them does not move."""
+    """Return the slope of a measured signal over its prediction; None if one of them is constant."""
     y, x = moving_part(log, measured), moving_part(log, model)
     good = np.isfinite(y) & np.isfinite(x)
     y, x = y[good], x[good]
@@ -225,7 +229,7 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
 def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDelay) -> bool | None:
     """Return True if fast changes have the same delay as slow ones; None without fast changes.
 
-    A wrong friction or inertia has a frequency-dependent delay.
+    A wrong friction or inertia causes a frequency-dependent delay.
     """
     rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
     changes = (np.concatenate((np.full(rows, np.nan), y[rows:] - y[:-rows])) for y in (measured, model))
@@ -236,7 +240,7 @@ def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDel
 
 
 def moving_part(log: Log, values: Array) -> Array:
-    """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at the ends."""
+    """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at both ends."""
     from scipy.ndimage import uniform_filter1d
 
     half, finite = max(1, round(0.5 * SLOW * log.slowness / log.step)), np.isfinite(values)

@@ -1,8 +1,8 @@
 """Outliers of the recorder: single readings that neither their neighbours nor the model explain.
 
-`check`, `replay` and `refine` share one rule. A reading is suspect if its neighbours agree without it and the reading
-is far away from them. A suspect is genuine if the model moves as sharply, for example with an inrush current. Without a
-model, a suspect is genuine directly after a jump of an input.
+`check`, `replay` and `refine` share one rule. A reading is suspect if its neighbours agree with each other and the
+reading is far from them. A suspect is accepted as real if the model changes as sharply, for example with an inrush
+current. Without a model, a suspect is accepted directly after a jump of an input.
 """
 
 from __future__ import annotations
@@ -71,17 +71,17 @@ def drop_outliers(log: Log, spikes: Spikes) -> Log:
 
 
 def out_of_line(log: Log, values: Array) -> Array:
-    """Return the deviation of each reading from its neighbours, 0 for too few."""
+    """Return the deviation of each reading from its neighbours; 0 with too few neighbours."""
     place = np.concatenate(([0], np.cumsum(np.minimum(np.diff(log.grid), 5))))
     whole = np.full(place[-1] + 1, np.nan)
-    whole[place] = values  # readings beyond a pause are no neighbours
+    whole[place] = values  # readings beyond a pause do not count as neighbours
     measured = np.pad(np.isfinite(whole), 2)
     complete = np.lib.stride_tricks.sliding_window_view(measured, 5).all(axis=1)  # a slower sensor may miss motion
     return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(complete, surprise(whole), 0.0)[place])))
 
 
 def _suspects(log: Log, values: Array) -> Rows:
-    """Return rows that differ from agreeing neighbours."""
+    """Return the rows of readings that deviate from agreeing neighbours."""
     level = noise_level(values) * SCALE
     if not level > 0.0:
         return np.zeros(0, np.intp)
@@ -96,9 +96,9 @@ def _suspects(log: Log, values: Array) -> Rows:
 
 
 def _outlier_groups(values: Array, limit: float) -> list[int]:
-    """Return rows of groups of outliers.
+    """Return the rows of groups of outliers.
 
-    In a stretch of deviating readings, the outliers are those off the cubic through three readings on each side.
+    In a stretch of deviating readings, the outliers deviate from the cubic through three readings on each side.
     """
     rows = np.flatnonzero(np.isfinite(values))
     deviation = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
@@ -111,7 +111,7 @@ def _outlier_groups(values: Array, limit: float) -> list[int]:
         if deviation[first:last].max() < limit or last - first > REACH or not SIDE <= first < last <= rows.size - SIDE:
             continue
         stretch = rows[first - SIDE : last + SIDE]
-        if np.diff(stretch).max() > 3.0 * usual:  # readings beyond a pause are no neighbours
+        if np.diff(stretch).max() > 3.0 * usual:  # readings beyond a pause do not count as neighbours
             continue
         wild = _rows_off_cubic(values[stretch], stretch, limit)
         runs = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
@@ -136,7 +136,7 @@ def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
 
 
 def _neighbours_agree(values: Array, k: int, limit: float) -> bool:
-    """Return True if two readings on each side change evenly without the middle one."""
+    """Return True if the readings around row k change evenly when row k is ignored."""
     if not 2 <= k < values.size - 2:
         return False
     before, after = values[k - 2 : k], values[k + 1 : k + 3]

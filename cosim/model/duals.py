@@ -1,6 +1,6 @@
-"""Dual numbers, which compute the Jacobian of the equations without symbols.
+"""Dual numbers for forward-mode differentiation of the equations without symbols.
 
-A dual number is a value with its derivatives by all states. At a branch, the derivatives are those of the chosen side.
+A dual number is a value with its derivatives by all states. At a branch, the derivatives of the chosen side apply.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _value(number: Any) -> Any:
 
 
 def _lift(value: Callable[..., float], first: Slope, second: Slope | None = None) -> Callable[..., Any]:
-    """Return a function of one or two numbers on dual numbers, from its slopes by the operands."""
+    """Return a function of one or two dual numbers, from the function of floats and its partial derivatives."""
 
     def lifted(a: Any, b: Any = 0.0) -> Any:
         v, w = _value(a), _value(b)
@@ -86,7 +86,7 @@ class DualNamespace(Namespace):
 
     @staticmethod
     def rint(x: Any) -> Any:
-        """Round a number and keep its slope."""
+        """Round a value and keep its derivative."""
         return x + (Namespace.rint(_value(x)) - _value(x))
 
 

@@ -1,4 +1,4 @@
-"""Integration of a model over a communication step with held inputs and equal substeps."""
+"""Integration of a model over a communication step, with constant inputs and equal substeps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def substeps(step: float, longest: float) -> int:
 
 
 def rk4(f: Derivative, t: Number, x: Values, u: Values, h: Number) -> Values:
-    """Return x(t + h) by the classical Runge-Kutta method, command u held."""
+    """Return x(t + h) by the classical Runge-Kutta method, with constant command u."""
     half = 0.5 * h
     k1 = f(t, x, u)
     k2 = f(t + half, tuple([a + half * k for a, k in zip(x, k1)]), u)  # noqa: B905 - hot loop
@@ -51,7 +51,7 @@ class Stepper:
         self.shaping: tuple[Any, ...] = overrides(model.awake, "shape", Effect)
 
     def start(self, t: Number = 0.0, values: Mapping[str, Number] | None = None) -> Moment:
-        """Return the moment at `t` for start values of states and `effect.memory`."""
+        """Return the initial moment at time `t` [s] from start values of states and of `effect.memory`."""
         values = values or {}
         inputs = dict(zip((q.name for q in self.model.inputs), self.model.start_command(), strict=True))
         memory = tuple(
@@ -63,7 +63,7 @@ class Stepper:
     def shape(
         self, t: Number, h: Number, command: Values, memory: tuple[Values, ...]
     ) -> tuple[Values, tuple[Values, ...]]:
-        """Return the shaped command and the memory."""
+        """Return the command after all shaping effects, and their new memory."""
         after = []
         for effect, values in zip(self.shaping, memory, strict=True):
             command, values = effect.shape(self.namespace, t, h, command, values)
@@ -72,11 +72,11 @@ class Stepper:
 
     @cached_property
     def _slopes(self) -> Derivative:
-        """Return the derivative on dual numbers."""
+        """Return the derivative function on dual numbers, for the Jacobian."""
         return self.model.acting(DualNamespace()).derivative
 
     def step(self, moment: Moment, command: Values, h: float) -> Moment:
-        """Advance by the communication step `h` [s], `command` held."""
+        """Advance by the communication step `h` [s], with constant `command`."""
         n = substeps(h, self.model.substep)
         dt = h / n
         start, x, memory = moment.t, moment.state, moment.memory

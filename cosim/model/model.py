@@ -1,7 +1,7 @@
-"""Models: states, inputs, outputs, parameters, effects and one body of equations.
+"""Models: states, inputs, outputs, parameters, effects, and one body of equations.
 
-Integrator, FMU, linearization and fits need nothing more. An effect is a term that the base model lacks. At its neutral
-value, an effect is dormant, left out of the equations and free of cost.
+The integrator, FMU, linearization and fits use only this class. An effect is a term that the base model lacks. An
+effect is dormant at its neutral value: it is left out of the equations and costs no time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Parametric:
     """A frozen dataclass of parameters with checked bounds; one error names all faults."""
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each impossible value."""
+        """Return one sentence for each parameter outside its bounds."""
         return [fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
 
     def __post_init__(self) -> None:
@@ -43,11 +43,11 @@ class Effect(Parametric):
         name: Name in the catalogue and the FMU (`name.parameter`).
         states: Additional continuous states.
         memory: Quantities stored between substeps; each has a start value `name.memory_start`.
-        delay: Parameter that delays the whole command [s]. The effect comes first in the catalogue and stores a history
-            of commands, with one quantity in `memory` per input; with a whole log, the late command is looked up there.
+        delay: Name of the parameter that delays all inputs [s]. The effect is first in the catalogue and stores a
+            history of commands, with one quantity in `memory` per input. Fits use the log instead.
         starts: Additional start values of fits, for likelihoods with several maxima.
-        at_least: Parameter → lower-bound parameter of the same effect, a physical constraint of every fit.
-        resolved: Parameters whose lower limit is the resolution of the integration, where a fit may end.
+        at_least: Parameter → parameter of the same effect that is its lower bound in every fit.
+        resolved: Parameters limited below by the integration step; a fit may end at this limit.
     """
 
     name: ClassVar[str]
@@ -60,7 +60,7 @@ class Effect(Parametric):
     resolved: ClassVar[tuple[str, ...]] = ()
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each impossible value, with the effect's name before the parameter's."""
+        """Return one sentence for each parameter outside its bounds, with the effect's name before the parameter's."""
         return [f"{self.name}.{fault}" for fault in super().invalid_values()]
 
     @property
@@ -82,7 +82,7 @@ class Effect(Parametric):
         return command, memory
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
-        """Return input → effective command in derivative and output."""
+        """Return the effective commands by input name, as used in derivative and output."""
         return command
 
     @classmethod
@@ -111,7 +111,7 @@ class LocalEffect(Effect):
 
 
 def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...]:
-    """Return the effects whose class overrides `hook`, in order."""
+    """Return the effects, in order, whose class overrides the method `hook`."""
     return tuple(e for e in effects if getattr(type(e), hook) is not getattr(base, hook))
 
 
@@ -120,7 +120,7 @@ def _parameters_by_name(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
 
 
 class Validity(NamedTuple):
-    """Valid range of some inputs of one quantity, and the consequence outside, in words."""
+    """A valid range of some inputs of one quantity, with a sentence on the consequence of leaving it."""
 
     quantity: str
     inputs: tuple[str, ...]
@@ -198,11 +198,11 @@ class Model(Parametric):
         raise NotImplementedError
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Return start values that override base states."""
+        """Return start values that replace those declared for base states."""
         return {}
 
     def warning(self, command: Values) -> str | None:
-        """Return a warning for a command outside the valid ranges, or None."""
+        """Return a warning for a command outside the declared ranges, or None."""
         commands = {q.name: (value, q.unit) for q, value in zip(self.inputs, command, strict=True)}
         for quantity, inputs, low, high, beyond in self.valid:
             values = [commands[name] for name in inputs]
@@ -211,7 +211,7 @@ class Model(Parametric):
         return None
 
     def start_input(self) -> dict[str, Number]:
-        """Return start values of inputs that differ from the declared ones: name → value."""
+        """Return start values that replace those declared for inputs: name → value."""
         return {}
 
     # -- common to all models ----------------------------------------------------------------
@@ -244,7 +244,7 @@ class Model(Parametric):
         return values, ()
 
     def acting(self, m: Namespace) -> Equations:
-        """Return the equations with commands transmitted by effects."""
+        """Return the equations after the effects have changed the commands."""
         derivative, output = equations = self.equations(m)
         names = [q.name for q in self.inputs]
         terms = overrides(self.awake, "transmit", Effect)
@@ -290,7 +290,7 @@ class Model(Parametric):
         return _parameters_by_name(self.sensors)
 
     def with_effect(self, effect: Any) -> Self:
-        """Return the model with an effect added or replaced."""
+        """Return the model with an effect added; an effect of the same name is replaced."""
         others = tuple(e for e in self.effects if type(e) is not type(effect))
         return replace(self, effects=(*others, effect))
 

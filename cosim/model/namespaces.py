@@ -9,7 +9,7 @@ from typing import Any
 class Namespace:
     """Functions available to equations; numbers are floats, arrays of one shape, or symbols.
 
-    These are those of Python floats, as used by the FMU; the others have the same names.
+    This class works on Python floats, as in the FMU. Subclasses have the same names for arrays and symbols.
     """
 
     sin: Any = staticmethod(math.sin)
@@ -37,7 +37,7 @@ SCALAR = Namespace()
 
 
 def arrays() -> Any:
-    """Return the NumPy namespace for parallel runs."""
+    """Return the NumPy namespace, for many runs in parallel."""
     import numpy
 
     return numpy

@@ -26,8 +26,8 @@ class Parameter:
     """Declaration of a parameter.
 
     Attributes:
-        neutral: Value at which an effect is dormant; None for a parameter that only shapes the effect.
-        typical: Clearly visible size, the start and step scale of a fit.
+        neutral: Value at which the effect vanishes; None if no value of this parameter removes the effect.
+        typical: Size of a clearly visible effect, used as start value and step scale of a fit.
         tolerance: Relative uncertainty of the stated value, the half-width of 95 %.
     """
 
@@ -41,19 +41,19 @@ class Parameter:
     tolerance: float | None = None
 
     def fault(self, value: object) -> str | None:
-        """Return a sentence on why the parameter cannot have this value; None for a valid value.
+        """Return a sentence on why a value is not allowed; None for a valid value.
 
         Arrays and symbols are not checked.
         """
         if isinstance(self.default, bool):
-            return None if isinstance(value, bool) else f"{self.name} is {value!r}; it is true or false"
+            return None if isinstance(value, bool) else f"{self.name} is {value!r}; allowed: true or false"
         if isinstance(value, (bool, str)) or value is None:
-            return f"{self.name} is {value!r}; it is a number [{self.unit}]"
+            return f"{self.name} is {value!r}; use a number [{self.unit}]"
         if not isinstance(value, (int, float)):
             return None
         low, high = self.bounds
         if not (math.isfinite(value) and low <= value <= high):
-            return f"{self.name} is {value!r}; it lies in [{low:g}, {high:g}] {self.unit}".rstrip()
+            return f"{self.name} is {value!r}; allowed range: [{low:g}, {high:g}] {self.unit}".rstrip()
         return None
 
 
@@ -78,7 +78,7 @@ def size(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> An
 
 
 def parameters_of(owner: Any) -> tuple[Parameter, ...]:
-    """Return a dataclass' declared parameters in order."""
+    """Return the declared parameters of a dataclass in order."""
     kind = owner if isinstance(owner, type) else type(owner)
     parameters = _parameters.get(kind)
     if parameters is None:
@@ -88,4 +88,5 @@ def parameters_of(owner: Any) -> tuple[Parameter, ...]:
     return parameters
 
 
-_parameters: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()  # read thousands of times in a fit
+# A fit reads the parameters thousands of times.
+_parameters: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()

@@ -38,7 +38,7 @@ Derivative = Callable[[Any, Any, Any], Vector]
 
 
 def step(f: Derivative, J: Sequence[Vector], t: float, x: Vector, u: Vector, h: float) -> tuple[float, ...]:
-    """Return x(t + h) with command u held.
+    """Return x(t + h) with constant command u.
 
     Raises:
         ArithmeticError: The linear equations are singular.
@@ -79,7 +79,7 @@ def factor(a: list[list[float]]) -> list[int]:
 
 
 def solve(a: Sequence[Vector], order: Sequence[int], b: Vector) -> list[float]:
-    """Return the solution of factored equations."""
+    """Return the solution of equations factored by `factor`."""
     n = len(a)
     x = [b[k] for k in order]
     for i in range(n):

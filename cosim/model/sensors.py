@@ -1,7 +1,7 @@
 """Sensor errors, which act on the measurement and not on the plant.
 
-A model declares possible sensor errors as subclasses with a name, an output, and one parameter called `value` with the
-unit and usual size of that sensor's error.
+A model declares possible sensor errors as subclasses. Each has a name, an output, and one parameter `value` with unit
+and typical size of the error.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class SensorError(Effect):
 
     @classmethod
     def is_straight(cls) -> bool:
-        """Return True for a linear reading."""
+        """Return True if the reading is a linear function of the true value."""
         changed = cls.read is not SensorError.read or cls.readings is not SensorError.readings
         return not (changed or cls.depends_on_past())
 
     @classmethod
     def depends_on_past(cls) -> bool:
-        """Return True for a reading that depends on past values of its output."""
+        """Return True if the reading depends on past values of its output."""
         return cls.late or cls.lagging
 
 
@@ -88,7 +88,7 @@ class Scale(SensorError):
 
 @dataclass(frozen=True, kw_only=True)
 class Magnitude(SensorError):
-    """Magnitude in place of the signed value: reading (1 − m)·y + m·|y|, m = 1 for a sensor without direction."""
+    """Magnitude in place of the signed value: reading (1 − m)·y + m·|y|, with m = 1 for a sensor without direction."""
 
     equation = "reading (1 − m)·y + m·|y|"
     complete = 1.0
@@ -96,7 +96,7 @@ class Magnitude(SensorError):
     value: float
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
-        """Return the true value, with a part of its magnitude in place of the value."""
+        """Return the reading (1 − m)·y + m·|y|."""
         value = outputs[self.output]
         return m.where(value >= 0.0, value, (1.0 - 2.0 * self.value) * value)
 

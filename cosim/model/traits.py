@@ -1,6 +1,6 @@
-"""Signal properties of a model beyond names and units, for the checks of logs.
+"""Signal properties of a model besides names and units, for checks of logs.
 
-An FMU built by cosim stores the traits in its description, for use without the model.
+An FMU built by cosim stores these traits in its description, for use without the model.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Traits:
 
 
 def rate_of(name: str, names: Container[str]) -> str | None:
-    """Return the time derivative of `name` by its name, such as `angle_dot` or `vx`."""
+    """Return the name of the time derivative of `name`, found by naming convention, such as `angle_dot` or `vx`."""
     usual = (f"{name}_dot", f"v{name}", f"d{name}", f"der({name})")
     words = (name.replace("position", "velocity"), name.replace("angle", "rate"))
     return next((other for other in (*usual, *words) if other != name and other in names), None)
@@ -64,12 +64,12 @@ def rates_of(model: Model) -> dict[str, str]:
         try:
             with np.errstate(all="ignore"):
                 f = np.array(derivative(0.0, tuple(x.tolist()), command))
-                # [s] small relative to any change
+                # [s], small relative to any time constant
                 h = 1e-6 / (1.0 + float(np.max(np.abs(f) / (1.0 + np.abs(x)), initial=0.0)))
                 points = (tuple((x + s * h * f).tolist()) for s in (0.0, -1.0, 1.0))
                 values, before, after = (np.array(output(0.0, point, command)) for point in points)
                 slopes = (after - before) / (2.0 * h)
-        except (ArithmeticError, ValueError):  # an undefined state of a root or a logarithm
+        except (ArithmeticError, ValueError):  # a root or logarithm is undefined at this state
             continue
         samples += 1
         pairs = {

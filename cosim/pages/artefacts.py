@@ -7,7 +7,7 @@ from cosim.files.artefact import Artefact
 ARTEFACTS = (
     Artefact(
         "a file of layouts",
-        "`cosim view --layout {file}` opens it",
+        "open it with `cosim view --layout {file}`",
         keys=(frozenset({"schema_version", "layouts"}),),
     ),
 )

@@ -1,4 +1,4 @@
-"""Signals derived from others by a formula such as `a - b`, `der(a)` or `lowpass(a, 0.5)`, in numbers as drawn."""
+"""Signals derived by a formula such as `a - b`, `der(a)` or `lowpass(a, 0.5)`, computed from displayed values."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from cosim.pages.rows import TIME, Recording
 from cosim.pages.runs import ViewedRun
 
 LONGEST = 500  # characters of a formula
-LARGEST = 10**308  # of a number; larger ones are infinite
+LARGEST = 10**308  # largest number; larger ones become infinite
 
 
 def derivative(time: Array, values: Array) -> Array:
-    """Return the derivative by central differences; NaN at rows of one time, where the values may step."""
+    """Return the derivative by central differences; NaN at several rows of the same time, where values may jump."""
     if time.size < 2:
         return np.full(time.size, np.nan)
     rows = np.arange(time.size)
@@ -36,14 +36,14 @@ def derivative(time: Array, values: Array) -> Array:
 
 
 def integral(time: Array, values: Array) -> Array:
-    """Return the integral from the first row by trapezoids."""
+    """Return the integral from the first row by the trapezoidal rule."""
     return np.concatenate(([0.0], np.cumsum(np.diff(time) * (values[1:] + values[:-1]) / 2)))[: time.size]
 
 
 def lowpass(time: Array, values: Array, constant: float) -> Array:
-    """Return the output of 1/(constant·s + 1), which starts at the first value.
+    """Return the output of 1/(constant·s + 1), starting at the first value.
 
-    Each value acts until the next row, and the steps are exact for any distances of the rows.
+    Each value is constant until the next row, and the steps are exact for any row spacing.
     """
     steps = np.diff(time)
     gains = -np.expm1(-steps / constant) if constant > 0.0 else np.ones_like(steps)
@@ -77,12 +77,12 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
         name: Name of the derived signal, for the notes.
 
     Raises:
-        InputError: The formula is not understood, or uses a letter without a signal.
+        InputError: The formula is invalid, or uses a letter without a signal.
     """
     notes: list[str] = []
 
     def refuse(reason: str) -> NoReturn:
-        cure = f"use + - * / **, numbers, the letters of signals and {', '.join(FUNCTIONS)}"
+        cure = f"use + - * / **, numbers, letters of signals, and {', '.join(FUNCTIONS)}"
         raise InputError.at(Path("formula"), f"{text[:LONGEST]}: {reason}; {cure}")
 
     def value(node: ast.AST) -> Any:
@@ -108,21 +108,21 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
 
     def call(function: str, arguments: Sequence[Any]) -> Any:
         if function not in FUNCTIONS:
-            refuse(f"{function} is no function")
+            refuse(f"{function} is not a function")
         count = 2 if function in BINARY or function == "lowpass" else 1
         if len(arguments) != count:
             refuse(f"{function} takes {counted(count, 'argument')}")
         if function in PLAIN:
             return PLAIN[function](*arguments)
         if function == "lowpass" and (np.ndim(arguments[1]) or not float(arguments[1]) >= 0.0):
-            refuse("the time constant of lowpass is a number of seconds")
+            refuse("the time constant of lowpass must be a number [s]")
         values, out = np.broadcast_to(arguments[0], time.shape), np.full(time.size, np.nan)
         rows = np.flatnonzero(np.isfinite(values))
         wide = np.flatnonzero(np.diff(rows) > 1)
         if function == "integral" and wide.size:
             longest = float(np.max(time[rows[wide + 1]] - time[rows[wide]]))
             gaps = f"{counted(wide.size, 'gap')} without values, at most {longest:.3g} s"
-            notes.append(f"{name or text}: {gaps}, are bridged by straight lines")
+            notes.append(f"{name or text}: {gaps}, interpolated linearly")
         out[rows] = OVER_TIME[function](time[rows], values[rows], *map(float, arguments[1:]))
         return out
 
@@ -133,7 +133,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        refuse("it is no formula")
+        refuse("it is not a formula")
     with np.errstate(all="ignore"):
         values = np.broadcast_to(value(tree), time.shape).astype(np.float64)
     if not np.isfinite(values).any():
@@ -143,7 +143,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
 
 # -- derived signals of all runs ------------------------------------------------------------------------
 
-Signal = tuple[int, str]  # number of the run, name
+Signal = tuple[int, str]  # (number of the run, name)
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class Definition:
     """The formula of a derived signal, letter → signal, and its unit.
 
     Attributes:
-        unit: Unit stated by the user; "" for that of the signal if the formula is one letter, else none.
+        unit: Unit stated by the user; "" means the signal's unit if the formula is a single letter, otherwise no unit.
     """
 
     formula: str
@@ -168,7 +168,7 @@ class Derivations:
         self._notes: dict[Signal, list[str]] = {}
 
     def define(self, name: str, definition: Definition) -> list[dict[str, Any]]:
-        """Add a derived signal to the run of its first signal, or replace it; return it and all that depend on it.
+        """Define or replace a derived signal in the run of its first signal; return all signals with new values.
 
         Raises:
             InputError: The name is that of a signal of the run, the signal depends on itself, or the formula is wrong.
@@ -180,13 +180,14 @@ class Derivations:
         with self._lock:
             before, self._definitions = self._definitions, {**self._definitions, made: definition}
             try:
-                return self._compute([made, *self._dependents([made])])  # only the first one may be wrong
+                return self._compute([made, *self._dependents([made])])  # only the new definition may be wrong
             except CycleError as error:
                 self._definitions = before
-                cycle: list[Signal] = error.args[1][:0:-1]  # each is derived from the next, and the last from the first
+                # a cycle: each is derived from the next, and the last from the first
+                cycle: list[Signal] = error.args[1][:0:-1]
                 place = cycle.index(made)
                 chain = " ← ".join(signal for _, signal in (*cycle[place:], *cycle[:place], made))
-                reason = f"{name} would be derived from itself: {chain}; give another name"
+                reason = f"{name} would depend on itself: {chain}; use another name"
                 raise InputError.at(Path("name"), reason) from None
             except (InputError, OSError):
                 self._definitions = before
@@ -201,14 +202,14 @@ class Derivations:
         signal = number, name
         with self._lock:
             if signal not in self._definitions:
-                raise InputError.at(Path("name"), f"{name} is no derived signal")
+                raise InputError.at(Path("name"), f"{name} is not a derived signal")
             if others := [other for _, other in self._dependents([signal])]:
-                raise InputError.at(Path("name"), f"{', '.join(others)} is derived from {name}; remove that first")
+                raise InputError.at(Path("name"), f"{', '.join(others)} is derived from {name}; remove it first")
             del self._definitions[signal], self._notes[signal]
             self._runs[number].rows.remove(name)
 
     def renew(self, numbers: Collection[int]) -> None:
-        """Compute the signals that depend on runs with new rows."""
+        """Recompute the signals that depend on runs with new rows."""
         with self._lock:
             uses = [s for definition in self._definitions.values() for s in definition.of.values()]
             self._compute(self._dependents([s for s in uses if s[0] in numbers and s not in self._definitions]))

@@ -1,4 +1,4 @@
-"""Layouts of the page by name, in one JSON file."""
+"""Named layouts of the signal browser, stored in one JSON file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCHEMA_VERSION = 1
 LONGEST = 80  # characters of a name
 MOST_AXES = 4  # of a plot
 MOST_BYTES = 1 << 26  # of a file
-MOST_FAULTS = 10  # told of a file
+MOST_FAULTS = 10  # faults of a file that are reported
 LayoutName = Annotated[str, Field(min_length=1, max_length=LONGEST, pattern=r"\S")]
 
 
@@ -27,14 +27,14 @@ class SignalPlace(BaseModel):
 
 
 class Curve(SignalPlace):
-    """A curve, with the number of its colour."""
+    """A curve: a signal with the number of its colour."""
 
     colour: int = Field(0, ge=0)
     hidden: bool = False
 
 
 class Axis(BaseModel):
-    """An axis with its curves; without a range it takes that of the values."""
+    """An axis with its curves; without a range, it is scaled to the values."""
 
     range: tuple[FiniteFloat, FiniteFloat] | None = None
     curves: list[Curve]
@@ -59,7 +59,7 @@ class DerivedSignal(BaseModel):
 
 
 class View(BaseModel):
-    """The range of time in sight [s]."""
+    """The visible time range [s]."""
 
     begin: FiniteFloat = Field(alias="from")
     end: FiniteFloat = Field(alias="to")
@@ -75,7 +75,7 @@ class Layout(BaseModel):
 
 
 class LayoutFile(BaseModel):
-    """Layouts by name; further keys are of other versions."""
+    """Layouts by name; unknown keys of other versions are ignored."""
 
     schema_version: Literal[1]
     layouts: dict[LayoutName, Layout]
@@ -85,14 +85,14 @@ def check_layouts(file: Path, content: Any) -> dict[str, Any]:
     """Return the layouts of a file's content.
 
     Raises:
-        InputError: The content is no file of layouts; it lists the faults by their places.
+        InputError: The content is not a layout file; all faults are listed with their places.
     """
     if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError.at(file, "is no file of layouts of `cosim view`; name another one as --layout")
+        raise InputError.at(file, "is not a layout file of `cosim view`; give another --layout")
     try:
         LayoutFile.model_validate(content)
     except ValidationError as error:
-        cure = "correct it, or save this layout again in the page"
+        cure = "correct it, or save the layout again on the page"
         faults = []
         for fault in error.errors(include_url=False)[:MOST_FAULTS]:
             place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
@@ -125,9 +125,9 @@ class Layouts:
         return check_layouts(self.file, content)
 
     def put(self, name: Any, layout: Any) -> dict[str, Any]:
-        """Save a layout under a name, or remove it if it is None; return all."""
+        """Save a layout under a name, or remove it if `layout` is None; return all layouts."""
         if not isinstance(name, str):
-            raise InputError.at(self.file, "the request is not understood: a layout has a name")
+            raise InputError.at(self.file, "the request has no layout name; give one")
         if layout is not None:
             check_layouts(self.file, {"schema_version": SCHEMA_VERSION, "layouts": {name: layout}})
         with self._lock:
@@ -140,6 +140,6 @@ class Layouts:
             except OSError as error:
                 raise InputError.at(
                     self.file,
-                    f"cannot be written: {error.strerror}; download the layout, or name another file as --layout",
+                    f"cannot be written: {error.strerror}; download the layout, or give another --layout",
                 ) from None
         return layouts

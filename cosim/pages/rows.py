@@ -1,7 +1,7 @@
-"""Rows of a run with the extremes of their blocks, and the points that a picture of a signal needs.
+"""Rows of a run with a pyramid of block extremes, and the points needed to draw a signal.
 
-Level 0 contains the rows. A block of level k + 1 contains the least and the largest value of `FACTOR` blocks of
-level k. Time is a column like the others: its extremes are the first and the last time of a block.
+Level 0 contains the rows. A block of level k + 1 contains the smallest and largest value of `FACTOR` blocks of level k.
+Time is a column like the others: its extremes are the first and last time of a block.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from cosim.core.arrays import Array, Rows
 from cosim.files.results import is_rounded
 
 FACTOR, LEVELS = 16, 3
-GROUP: int = FACTOR**LEVELS  # rows of a block of the highest level
-BLOCKS = 4  # least number of blocks in a pixel column, so that an edge is wrong by a quarter of a column at most
-MAX_ROWS = 2  # rows for each pixel column that are drawn as they are
+GROUP: int = FACTOR**LEVELS  # number of rows up to which a block of the highest level is made
+BLOCKS = 4  # minimum number of blocks per pixel column, so that an edge is wrong by at most a quarter of a column
+MAX_ROWS = 2  # rows per pixel column up to which rows are drawn unchanged
 TIME = "time"
-Extremes = list[tuple[Array, Array]]  # least and largest values of the blocks of each level above 0
+Extremes = list[tuple[Array, Array]]  # smallest and largest values of the blocks of each level above 0
 Places = Rows | slice
 
 
 def extremes_of(values: Array) -> Extremes:
-    """Return least and largest values of the blocks of the levels above 0; missing values do not count."""
+    """Return smallest and largest values of the blocks of all levels above 0; missing values are ignored."""
     low = high = finite(values)
     levels: Extremes = []
     for _ in range(LEVELS):
@@ -45,7 +45,7 @@ def finite(values: Array) -> Array:
 
 
 def _picked(values: Array, places: Places) -> Array:
-    """Return values at places; NaN beyond the last one, as of a signal that was computed before the last rows."""
+    """Return values at indices; NaN beyond the last value, for signals computed before the last rows arrived."""
     if isinstance(places, slice):
         found, count = values[places], places.stop - places.start
         return found if found.size == count else np.append(found, np.full(count - found.size, np.nan))
@@ -56,11 +56,11 @@ def _picked(values: Array, places: Places) -> Array:
 class Picture:
     """Rows or blocks of a time range, and their pixel columns.
 
-    Few rows are taken as they are. Otherwise each pixel column has the extremes of all its rows, whatever the distances
+    If there are few rows, all are used. Otherwise each pixel column has the extremes of all its rows, for any spacing
     of their times. One row beyond each end is included.
 
     Attributes:
-        parts: Levels and places of their blocks.
+        parts: Levels and indices of their blocks.
         time: Times of the points [s].
         order: Order of the blocks of all parts by time.
         starts: First block of each point; None if the points are rows.
@@ -73,7 +73,7 @@ class Picture:
     starts: Rows | None = None
 
     def points(self, name: str) -> tuple[Array, Array]:
-        """Return least and largest value of each point of a signal; NaN without a finite value."""
+        """Return the smallest and largest value of each point of a signal; NaN without a finite value."""
         blocks = [self.recording.blocks(name, *part) for part in self.parts]
         low, high = (np.concatenate(side)[self.order] for side in zip(*blocks, strict=True))
         if self.starts is None:
@@ -82,16 +82,16 @@ class Picture:
 
 
 class Recording:
-    """Time and signals of a run in memory. A subclass has its columns in a file instead.
+    """Time and signals of a run in memory; a subclass keeps its columns in a file.
 
     Attributes:
-        units: Name of a signal → unit, "" without unit, in the order of the file.
+        units: Signal → unit, "" without unit, in the order of the file.
         rows: Number of rows.
-        added: Units of signals that were computed here.
-        texts: Signals that doubles do not hold, each with all its texts; those of integers are numbers too.
-        rounded: Signals with integers that are drawn as doubles, whose digits are kept as texts.
-        inexact: Signals with integers that are read as doubles, without their last digits.
-        assumed: What was assumed to read the table, in words.
+        added: Units of computed signals.
+        texts: Signals that doubles cannot represent, with all values as text; integers also have a numeric column.
+        rounded: Signals with integers that are drawn as doubles and kept exactly as text.
+        inexact: Signals with integers that are read as doubles and lose their last digits.
+        assumed: Assumptions made when the table was read, as sentences.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Recording:
         self.inexact: list[str] = []
         self.assumed: Sequence[str] = ()
         self._columns = dict(columns)
-        self._levels: dict[str, tuple[int, Extremes]] = {}  # number of rows that they cover, and extremes
+        self._levels: dict[str, tuple[int, Extremes]] = {}  # column → (number of covered rows, extremes)
         self._lock = threading.RLock()
 
     def unit(self, name: str) -> str:
@@ -136,7 +136,7 @@ class Recording:
             return _picked(self.column(name), places)
 
     def read(self, name: str, begin: int = 0, end: int | None = None) -> Array:
-        """Return the rows of a column from `begin` up to `end`."""
+        """Return the rows `begin` to `end` (exclusive) of a column."""
         return self.take(name, slice(begin, self.rows if end is None else end))
 
     def text(self, name: str, row: int) -> str:
@@ -144,13 +144,13 @@ class Recording:
         return str(self.texts[name][row])
 
     def exact(self, name: str, begin: int, end: int) -> Array | list[str]:
-        """Return the rows of a column from `begin` up to `end`, as texts if doubles do not hold them."""
+        """Return the rows `begin` to `end` (exclusive) of a column, as text if doubles cannot represent them."""
         if name not in self.texts:
             return self.read(name, begin, end)
         return [self.text(name, row) for row in range(begin, end)]
 
     def locate(self, time: float, side: Literal["left", "right"] = "left") -> int:
-        """Return the number of rows before a time [s], or with `right` up to it."""
+        """Return the number of rows before a time [s]; with `right`, rows at the time are included."""
         return int(np.searchsorted(self.column(TIME), time, side))
 
     def span(self) -> tuple[float, float]:
@@ -159,14 +159,17 @@ class Recording:
         return float(time[0]), float(time[-1])
 
     def blocks(self, name: str, level: int, places: Places) -> tuple[Array, Array]:
-        """Return least and largest values of blocks of a level, at level 0 of rows; infinite values are missing."""
+        """Return the smallest and largest values of blocks of a level (of rows at level 0).
+
+        Infinite values are missing.
+        """
         if not level:
             values = finite(self.take(name, places))
             return values, values
         with self._lock:
             values = self.column(name)
             covered, levels = self._levels.get(name, (0, [(np.empty(0), np.empty(0))] * LEVELS))
-            if covered != values.size:  # the last block may have been incomplete
+            if covered != values.size:  # the last block may be incomplete
                 begin = covered // GROUP * GROUP
                 more = zip(levels, extremes_of(values[begin:]), strict=True)
                 levels = [
@@ -178,7 +181,7 @@ class Recording:
             return _picked(low, places), _picked(high, places)
 
     def picture(self, begin: float, end: float, width: int) -> Picture:
-        """Return the choice of rows and blocks for a picture of a time range [s] with `width` pixel columns."""
+        """Return the rows and blocks to draw for a time range [s] with `width` pixel columns."""
         first, stop = max(0, self.locate(begin) - 1), min(self.rows, self.locate(end, "right") + 1)
         if stop - first <= MAX_ROWS * width:
             return Picture(self, [(0, slice(first, stop))], self.read(TIME, first, stop), slice(None))
@@ -196,7 +199,7 @@ class Recording:
         return Picture(self, [part[:2] for part in found], middle, order, starts)
 
     def _divide(self, level: int, places: Places, pixel: float) -> list[tuple[int, Places, Array, Array]]:
-        """Return level, places, first and last time of blocks; a block wider than a pixel is divided."""
+        """Return (level, indices, first time, last time) of blocks; blocks wider than a pixel are divided."""
         since, until = self.blocks(TIME, level, places)
         wide = until - since > pixel
         if level == 0 or not wide.any():
@@ -209,9 +212,9 @@ class Recording:
 
 
 class Store(Recording):
-    """Rows in a file, which may grow; for several threads.
+    """Rows in a file that may grow; safe for several threads.
 
-    The file `rows` has the columns one after another, each with room for more rows than there are.
+    The file `rows` has the columns one after another, each with room for further rows.
     """
 
     def __init__(self, folder: Path, units: Mapping[str, str], rows: int = 0) -> None:
@@ -236,7 +239,7 @@ class Store(Recording):
                         stream.seek(8 * room * k)
                         stream.write(self._map[k, : self.rows].tobytes())
                     stream.truncate(8 * room * len(self._places))
-                self._map = None  # a file that is mapped cannot be replaced on every system
+                self._map = None  # some systems cannot replace a mapped file
                 draft.replace(self._file)
                 self._open()
             with self._file.open("r+b") as stream:

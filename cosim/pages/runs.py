@@ -1,4 +1,4 @@
-"""Runs of a signal browser: results by number, name or pattern, folders and tables."""
+"""Runs shown in the signal browser: results by number, name or pattern, folders and tables."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from cosim.pages.tables import ColumnTypes, Progress, open_rows
 from cosim.sweeps.store import TABLE, read_runs
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
-LOST = "{label} was removed or replaced; what is drawn of it stays, zoom shows the others"
-MAX_RUNS = 20  # shown without names
+LOST = "{label} was removed or replaced; its drawn curves stay, but are not refined when zooming"
+MAX_RUNS = 20  # results listed by name in a message
 MAX_NAMES = 5  # signals in a note
-LOOK = 1.0  # [s] between looks at a file
-SHARE = 5.0  # times the time of reading a growing file, until it is read again
+LOOK = 1.0  # [s] between checks of a file
+SHARE = 5.0  # time between readings of a growing file, as a multiple of the reading time
 NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 WANTED = "the folder of a run or a table of its rows"
 Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
@@ -47,9 +47,9 @@ class RunPlace:
     """A table of rows and its names.
 
     Attributes:
-        name: Name in layouts, the same for the next run of a name.
-        label: Name on the page, different for each run.
-        is_named: Whether the user named this one; a fault of it is then an error.
+        name: Name in layouts, the same for later runs of the same series.
+        label: Unique name on the page.
+        is_named: True if the user named this table, so that its faults are errors.
         entry: Results in a folder of results; None for other paths.
         columns: Column of the table → name of its signal, or `time`, of columns with another name.
         rows: Rows in memory, of a run of a sweep, whose table has no time.
@@ -70,12 +70,12 @@ class ViewedRun:
     """A run on the page, whose file may grow.
 
     Args:
-        rows: Rows that another one adds to; by default those of the file.
+        rows: Rows that another object appends to; by default those of the file.
 
     Attributes:
         record: Manifest of the run, or the record of a replay, with the display units.
         notes: Warnings on its rows.
-        lost: Reason why no more rows are read; "" in general.
+        lost: Reason why no more rows are read; "" otherwise.
 
     Raises:
         InputError: The table has faults, or no rows.
@@ -116,14 +116,14 @@ class ViewedRun:
 
     @property
     def judged(self) -> list[tuple[str, str]]:
-        """Return the signals of the criteria, each with its target, "" for a number."""
+        """Return the signals of the criteria, each with its target signal, or "" for a numeric target."""
         criteria = self.record.get("criteria")
         entries = [c for c in criteria if isinstance(c, dict)] if isinstance(criteria, list) else []
         pairs = ((str(c.get("of")), c.get("to")) for c in entries)
         return [*dict.fromkeys((of, to if isinstance(to, str) else "") for of, to in pairs)]
 
     def _with_new_rows(self, rows: Store) -> Store:
-        """Add the rows that a run under way has made since; raise OSError if it has ended."""
+        """Add new rows of a running simulation; raise OSError if it has ended."""
         about = json.loads(self.place.file.read_text(encoding="utf-8"))
         made = int(running.Progress.from_buffer_copy(Path(about["progress"]).read_bytes()).made[0])
         if made > rows.rows:
@@ -133,21 +133,21 @@ class ViewedRun:
         return rows
 
     def check(self) -> bool:
-        """Return whether the file is still there."""
+        """Return True if the file still exists."""
         folder = self.place.file.parent.parent
         if self.place.file.name == FOLLOWED and not self.place.file.is_file() and folder.is_dir():
             rows = rows_in(folder)
             if rows is None:
-                return True  # the run has ended, and they are being written
+                return True  # the run has ended, and its results are being written
             self.place = replace(self.place, file=rows, entry=None)
         if not self.lost and not self._is_fed and not self.place.file.is_file():
             self.lost = LOST.format(label=self.place.label)
         return not self.lost
 
     def follow(self) -> bool:
-        """Read a changed file again; return whether its rows changed.
+        """Read a changed file again; return True if its rows changed.
 
-        A file with other signals or fewer rows belongs to another run, which `lost` says.
+        A file with other signals or fewer rows belongs to another run; `lost` then has the reason.
         """
         if isinstance(self.rows, Store) and self.place.file.name == FOLLOWED:
             before = self.rows.rows
@@ -171,7 +171,7 @@ class ViewedRun:
 
 
 def file_state(file: Path) -> tuple[int, int]:
-    """Return size and time of a file, zeros for a missing one."""
+    """Return size and modification time of a file; zeros if it is missing."""
     try:
         status = file.stat()
     except OSError:
@@ -185,20 +185,22 @@ def find_runs(
     """Return the tables of numbers, names, patterns, folders and files, by default of the newest results.
 
     Args:
-        columns: Column → name of its signal, or `time`, for columns of files with another name.
+        columns: Column → name of its signal, or `time`, for columns of files to rename.
 
     Raises:
-        InputError: A text means no results, no results have rows, or columns are named and no file is.
+        InputError: A text matches no results, no results have rows, or columns are given without a file.
     """
     notes: list[str] = []
     if columns and not any(Path(text).is_file() for text in texts):
-        raise InputError.at(Path("--column"), "names columns of a table, and none is given; give its file")
+        raise InputError.at(Path("--column"), "renames columns of a table, but no table is given; add its file")
     if not texts:
         found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
         if not found:
-            raise InputError.at(results, "has no results with rows; run a scenario first, or name folders and tables")
+            raise InputError.at(results, "has no results with rows; run a scenario first, or give folders and tables")
         if len(found) > MAX_RUNS:
-            notes.append(Note(f"the newest {MAX_RUNS} of {len(found)} results are shown; name the others"))
+            notes.append(
+                Note(f"the newest {MAX_RUNS} of {len(found)} results are shown; to see others, give their names")
+            )
         return _differing(found[-MAX_RUNS:]), notes
     found, faults = list[RunPlace](), list[Fault]()
     for text, group in zip(texts, select_groups(texts, results), strict=True):
@@ -235,7 +237,7 @@ def find_runs(
 
 
 def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], list[str]]:
-    """Open tables, converting large ones; return the runs, and warnings on runs that are left out.
+    """Open tables, and convert large ones; return the runs, and warnings about runs that are left out.
 
     Raises:
         InputError: A named table has faults, or no table can be opened.
@@ -252,7 +254,7 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             if isinstance(error, InputError):
                 refused = error
             elif isinstance(error, FileNotFoundError):
-                gone = "was removed while it was read; repeat the command with the results that are left"
+                gone = "was removed while it was read; repeat the command with the remaining results"
                 refused = InputError.at(place.file, gone)
             else:
                 refused = InputError.at(place.file, f"cannot be read: {error.strerror}")
@@ -263,11 +265,11 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
 
 
 def _rows_of(folder: Path) -> Path | None:
-    """Return the file of a run's rows; for a run under way, the file that tells where its process writes them."""
+    """Return the file with a run's rows; for a running simulation, the file with the location of its rows."""
     if (rows := rows_in(folder)) is not None:
         return rows
     for followed in folder.glob(f"*/{FOLLOWED}"):
-        with suppress(OSError, ValueError):  # it ends meanwhile
+        with suppress(OSError, ValueError):  # the run ends meanwhile
             if Path(json.loads(followed.read_text(encoding="utf-8"))["progress"]).is_file():
                 return followed
     return None
@@ -302,7 +304,7 @@ def _earlier_of(text: str, entry: Entry | None, results: Path) -> RunPlace | Non
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:
-    """Return places whose names and labels differ from each other: equal ones get their path."""
+    """Return places with unique names and labels: duplicates get their path."""
     names, labels = [p.name for p in places], [p.label for p in places]
     return [
         replace(

@@ -1,9 +1,9 @@
-"""Server on 127.0.0.1 for the browser of one user, which other users and other sites can neither read nor steer.
+"""Server on 127.0.0.1 for the browser of one user; other users and other sites can neither read nor control it.
 
-Every address begins with a random token, http://127.0.0.1:PORT/TOKEN/…; anything else is not found. There is no cookie,
-because browsers send a cookie to every port of a host, also to the server of another user. `Host` must name this
-server, so that no other name can be bound to its address, and `Origin`, if any, must be this server. No other origin is
-allowed to read answers (CORS).
+Every address begins with a random token, http://127.0.0.1:PORT/TOKEN/…; other addresses are not found. There is no
+cookie, because browsers send a cookie to every port of a host, also to the server of another user. `Host` must name
+this server, so that no other name can be bound to its address, and `Origin`, if any, must be this server. No other
+origin may read responses (CORS).
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from cosim.files.files import parse_json
 ADDRESS = "127.0.0.1"
 MAX_BODY = 1 << 16  # [bytes]
 MAX_CONNECTIONS = 64
-TICK = 0.1  # [s] between two states sent to a page
-ALIVE = 1.0  # [s] between signs of life in a stream of states
-FIRST_PAGE = 20.0  # [s] until a page must have been opened
+TICK = 0.1  # [s] between two updates of a page
+ALIVE = 1.0  # [s] between keep-alive messages in the stream of states
+FIRST_PAGE = 20.0  # [s] within which a page must be opened
 RELOAD = 2.0  # [s] without a page, as during a reload, after which the server ends
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 NOTHING = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -65,7 +65,7 @@ Handler = Callable[[Request, Any], Response]  # request and its decoded JSON
 
 
 class Json(JSONResponse):
-    """JSON whose texts a page can show: control characters are escapes."""
+    """JSON response in which control characters are escaped, so that a page can show all texts."""
 
     def render(self, content: Any) -> bytes:
         """Return the body."""
@@ -73,10 +73,10 @@ class Json(JSONResponse):
 
 
 def html_response(page: str, *, alone: bool = False) -> Response:
-    """Return a page that may run and show its own inline scripts and styles only.
+    """Return a page that can run and show only its own inline scripts and styles.
 
     Args:
-        alone: Whether the page gets an origin of its own, so that its scripts cannot reach the server, e.g. a report.
+        alone: Give the page an origin of its own, so that its scripts (e.g. of a report) cannot reach the server.
     """
     allowed = []
     for kind in ("script", "style"):
@@ -84,7 +84,7 @@ def html_response(page: str, *, alone: bool = False) -> Response:
         digests = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts)
         allowed.append(" ".join(f"'sha256-{digest}'" for digest in digests) or "'none'")
     parts = [NOTHING, f"script-src {allowed[0]}", f"style-src-elem {allowed[1]}"]
-    parts += ["style-src-attr 'unsafe-inline'", "img-src data: blob:"]  # Charts place their ticks by attributes.
+    parts += ["style-src-attr 'unsafe-inline'", "img-src data: blob:"]  # Charts position their ticks by attributes.
     policy = "; ".join([*parts, SANDBOX if alone else "connect-src 'self'"])
     return Response(page, media_type="text/html", headers={"Content-Security-Policy": policy})
 
@@ -93,14 +93,14 @@ class Part(Protocol):
     """A part of a page with routes and a state of its own."""
 
     def routes(self) -> Mapping[str, Handler]:
-        """Return method and path, e.g. `GET /rows`, to handler."""
+        """Return method and path, e.g. `GET /rows` → handler."""
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state, as JSON allows it."""
+        """Return the complete state as JSON data."""
 
 
 class ServedPage:
-    """A page whose state is sent to the browser at each change; a context manager, which listens from its creation.
+    """A page whose state is sent to the browser at each change; a context manager that listens from its creation.
 
     Subclasses add routes and parts of the state. State is read and written in any thread.
 
@@ -108,11 +108,11 @@ class ServedPage:
         page: HTML of the page.
         port: 0 for any free port.
         part: Part of the page.
-        state: State at the beginning.
+        state: Initial state.
 
     Attributes:
         streams: Number of open pages.
-        opened: Whether a page has ever been open.
+        opened: True if a page has ever been open.
 
     Raises:
         InputError: The port cannot be used.
@@ -155,7 +155,7 @@ class ServedPage:
         return f"{self.origin}/{self.token}/"
 
     def routes(self) -> Mapping[str, Handler]:
-        """Return further routes: method and path, e.g. `GET /rows`, to handler."""
+        """Return further routes: method and path, e.g. `GET /rows` → handler."""
         return {} if self._part is None else self._part.routes()
 
     def __enter__(self) -> Self:
@@ -165,7 +165,7 @@ class ServedPage:
         self.close()
 
     def close(self) -> None:
-        """End all streams and connections; repeated calls are harmless."""
+        """Close all streams and connections; repeated calls have no effect."""
         self._server.should_exit = self._server.force_exit = True
         self._thread.join()
         self._socket.close()
@@ -173,13 +173,13 @@ class ServedPage:
     # -- state ---------------------------------------------------------------------------------------
 
     def update(self, **state: Any) -> None:
-        """Change parts of the state; a page shows them within `TICK`."""
+        """Change parts of the state; the page shows them within `TICK` seconds."""
         with self._lock:
             self._state |= state
             self._version += 1
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state, as JSON allows it."""
+        """Return the complete state as JSON data."""
         with self._lock:
             state = {**self._state}
         return state if self._part is None else {**state, **self._part.state()}
@@ -195,7 +195,7 @@ class ServedPage:
                     yield f"data: {printable_json(json.dumps(await run_in_threadpool(self.state)))}\n\n"
                 elif time.monotonic() - sent > ALIVE:
                     sent = time.monotonic()
-                    yield ":\n\n"  # fails if the page is gone
+                    yield ":\n\n"  # fails if the page is closed
                 await asyncio.sleep(TICK)
         finally:
             self.streams -= 1
@@ -209,9 +209,9 @@ class ServedPage:
         since = time.monotonic()
         try:
             if self.streams or (first and not self.opened):
-                say(Note("the page stays until it is closed in the browser; Ctrl-C ends it"))
+                say(Note("the page is available until it is closed in the browser; Ctrl-C ends the command"))
             while self.streams or time.monotonic() - since < (reload if self.opened else first):
-                if self.streams:  # Without a page, a reload has its full time.
+                if self.streams:  # After a page was closed, a reload has its full time.
                     since = time.monotonic()
                 time.sleep(TICK)
         finally:
@@ -219,7 +219,7 @@ class ServedPage:
 
 
 class _Guard:
-    """The check of each request: host, origin and token, which the path then lacks; and headers of each answer."""
+    """Check of each request: host, origin and token (which is removed from the path); adds headers to each response."""
 
     def __init__(self, app: ASGIApp, page: ServedPage) -> None:
         self._app, self._page = app, page
@@ -254,7 +254,7 @@ def _endpoint(handler: Handler) -> Callable[[Request], Any]:
         content = None
         if request.method == "POST":
             if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
-                raise HTTPException(415, "the content is application/json")
+                raise HTTPException(415, "the content type must be application/json")
             if not request.headers.get("content-length", "").isdecimal():
                 raise HTTPException(411, "Content-Length is missing")
             if int(request.headers["content-length"]) > MAX_BODY:
@@ -262,14 +262,14 @@ def _endpoint(handler: Handler) -> Callable[[Request], Any]:
             try:
                 content = parse_json(await request.body())
             except (ValueError, RecursionError):
-                raise HTTPException(400, "the content is no JSON") from None
+                raise HTTPException(400, "the content is not JSON") from None
         return await run_in_threadpool(handler, request, content)
 
     return answer
 
 
 def _refused(request: Request, error: Exception) -> Response:
-    """Return the answer to a request that fails; a fault of a handler must not end the program of the user."""
+    """Return the response to a failed request; a fault of a handler must not end the user's program."""
     if isinstance(error, HTTPException):
         return Json({"error": str(error.detail).lower()}, error.status_code)
     if isinstance(error, CosimError):
@@ -287,7 +287,7 @@ def _listen(port: int) -> socket.socket:
         made.listen(MAX_CONNECTIONS)
     except (OSError, OverflowError) as error:
         made.close()
-        reason = error.strerror if isinstance(error, OSError) else "ports are numbers from 1 to 65535"
+        reason = error.strerror if isinstance(error, OSError) else "allowed are ports from 1 to 65535"
         message = f"port {port} cannot be used: {reason}; give another one, or 0 for any free port"
         raise InputError.at(Path("--port"), message) from None
     return made
@@ -297,10 +297,10 @@ def _listen(port: int) -> socket.socket:
 
 
 def open_page(url: str, title: str) -> bool:
-    """Open an address in the browser; return whether a browser was started.
+    """Open an address in the browser; return True if a browser was started.
 
-    The browser gets a file of this user that leads to the address: the command line of a browser, which all users of
-    the machine can read, then has no token.
+    The browser gets a file that only this user can read and that redirects to the address. The command line of a
+    browser, which all users can read, then has no token.
     """
     if not (os.name == "nt" or sys.platform == "darwin" or any(os.environ.get(name) for name in DISPLAYS)):
         return False

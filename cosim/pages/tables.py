@@ -1,6 +1,7 @@
-"""Rows of tables: small ones in memory, others in files of the cache, written once.
+"""Rows of tables: small ones in memory, large ones converted once into files of the cache.
 
-`view/HASH` in the user's cache, by file, size and time of the table, contains rows, texts.arrow and about.json.
+The folder `view/HASH` in the user's cache contains rows, texts.arrow and about.json. HASH depends on file, size and
+time of the table.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from cosim.files.table import is_time, source_of
 from cosim.pages.rows import TIME, Recording, Store
 
 FOLDER, ABOUT, TEXTS, VERSION = "view", "about.json", "texts.arrow", 6
-UNUSED = 30 * 86_400.0  # [s] from which a conversion is removed
-DRAFT = "draft-"  # prefix of a conversion that is being written
-SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
-ROWS = 1 << 16  # of a Parquet file, read at a time
+UNUSED = 30 * 86_400.0  # age [s] above which a conversion is removed
+DRAFT = "draft-"  # prefix of an unfinished conversion
+SMALL = 4_000_000  # largest table that is read as a whole [bytes]
+ROWS = 1 << 16  # values of a Parquet file read at a time
 BLOCK = 1 << 24  # of text read at a time [bytes]
 WHOLE = f"^({INTEGER.pattern})$"
 Progress = Callable[[int, int], None] | None
@@ -46,13 +47,13 @@ Progress = Callable[[int, int], None] | None
 
 @dataclass(frozen=True)
 class ColumnTypes:
-    """What is known of the columns of a table from elsewhere.
+    """Known properties of the columns of a table.
 
     Attributes:
         units: Units of columns without unit in the header.
-        names: Column → name of its signal, or `time`, of columns with another name.
+        names: Column → name of its signal, or `time`, for columns to rename.
         text: Columns of text or of large integers, even with numeric content.
-        words: Columns of `text` that are no integers, also if they look like it.
+        words: Columns of `text` that are not integers, even if their cells look like integers.
     """
 
     units: Mapping[str, str] = field(default_factory=dict)
@@ -64,7 +65,7 @@ class ColumnTypes:
         """Return the rows of a table in memory; raise InputError without rows."""
         results = read_results(path, self.units, self.text, words=self.words, names=self.names)
         if not results.time.size:
-            raise InputError.at(path, "has no row yet; wait for the end of the run, or run it again")
+            raise InputError.at(path, "has no rows yet; wait for the end of the run, or run it again")
         return results
 
 
@@ -72,8 +73,8 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
     """Return the rows of a table; convert a large one first, unless it is converted already.
 
     Args:
-        columns: What is known of the columns from elsewhere.
-        progress: Function of the converted and the whole size.
+        columns: Known properties of the columns.
+        progress: Function of (converted size, total size) [bytes].
 
     Raises:
         InputError: The table has faults, or no rows.
@@ -94,7 +95,7 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
         os.utime(place)
     else:
         place.parent.mkdir(mode=0o700, exist_ok=True)
-        for each in place.parent.iterdir():  # conversions that nobody has looked at for long
+        for each in place.parent.iterdir():  # conversions not used for a long time
             with suppress(OSError):
                 if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED:
                     shutil.rmtree(each)
@@ -106,10 +107,10 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
             except (pa.ArrowException, OSError, ValueError) as error:
                 if is_full(error):
                     raise
-                columns.read(path)  # which tells each fault by its place
+                columns.read(path)  # this reading reports each fault with its place
                 raise InputError.at(path, f"cannot be read: {str(error).partition(chr(10))[0]}") from None
             (draft / ABOUT).write_text(json.dumps(written), encoding="utf-8")
-            if _key(path, path.stat(), columns) != place.name:  # no longer the content of its key
+            if _key(path, path.stat(), columns) != place.name:  # the file has changed since the key was computed
                 place = process_folder() / FOLDER / place.name
                 place.parent.mkdir(exist_ok=True)
             shutil.rmtree(place, ignore_errors=True)
@@ -136,22 +137,23 @@ def _key(path: Path, status: os.stat_result, columns: ColumnTypes) -> str:
 # -- conversion -------------------------------------------------------------------------------------------
 
 Heads = list[tuple[str, str]]  # name and unit of each column
-Read = Callable[[list[int]], Iterator[tuple[Any, int]]]  # columns of text → batches, and how much of the file is read
+Read = Callable[[list[int]], Iterator[tuple[Any, int]]]  # columns of text → batches, and share of the file read so far
 
 
 def _convert(path: Path, draft: Path, columns: ColumnTypes, progress: Progress) -> dict[str, Any]:
-    """Write rows and texts of a table; return the description of a cache."""
+    """Write rows and texts of a table; return the description for the cache."""
     found, kinds, read = _opened(path, columns)
     heads = [(printable(name), printable(unit)) for name, unit in found]
     if not heads or not is_time(heads[0][0]) or not _is_number(kinds[0]):
-        raise ValueError("the first column is no time")
+        raise ValueError("the first column is not time")
     firsts: dict[str, int] = {}
     for place, (name, _) in enumerate(heads[1:], 1):
         firsts.setdefault(name, place)
     firsts.pop(TIME, None)
     texts = [k for name, k in firsts.items() if not _is_number(kinds[k]) or name in columns.text]
     numbers = [0, *(k for k in firsts.values() if k not in texts)]
-    # Texts that are integers are numbers too, unless they are known to be words, or one of them is none.
+    # Texts that are integers are also stored as numbers, unless they are declared as words or one of them is not an
+    # integer.
     tried = [k for k in texts if heads[k][0] not in columns.words]
     whole, inexact, rounded = {*tried}, set[int](), set[int]()
     store = Store(draft, dict(heads[k] for k in (*numbers[1:], *tried)))
@@ -163,7 +165,7 @@ def _convert(path: Path, draft: Path, columns: ColumnTypes, progress: Progress) 
             strings = {k: _strings(batch.column(k)) for k in texts}
             values[0] = time_ = values[0] * scale
             if not (np.isfinite(time_).all() and np.all(np.diff(time_, prepend=last) >= 0.0)):
-                raise ValueError("a time is missing or goes back")
+                raise ValueError("a time is missing or decreases")
             last = float(time_[-1]) if time_.size else last
             inexact |= {k for k, v in zip(numbers, values, strict=True) if _is_whole(kinds[k]) and is_rounded(v)}
             for k in tried:
@@ -179,7 +181,7 @@ def _convert(path: Path, draft: Path, columns: ColumnTypes, progress: Progress) 
             if progress is not None:
                 progress(min(done, size), size)
     if not store.rows:
-        raise ValueError("there is no row")
+        raise ValueError("the table has no rows")
     return {
         "units": store.units,
         "hidden": [heads[k][0] for k in tried if k not in whole],
@@ -207,9 +209,9 @@ def _strings(column: Any) -> Any:
 
 
 def _opened(path: Path, columns: ColumnTypes) -> tuple[Heads, list[Any], Read]:
-    """Return the columns of a table, their types of pyarrow, and a function that reads them."""
+    """Return the columns of a table, their pyarrow types, and a function that reads them."""
     source, size, heads, line = source_of(path), path.stat().st_size, list[tuple[str, str]](), 0
-    with suppress(ValueError):  # of another tool, such as one with semicolons
+    with suppress(ValueError):  # a file of another tool, e.g. with semicolons
         heads, line = read_heading(path, columns.units) if source is CSV and not columns.names else (heads, line)
     if heads and is_time(heads[0][0]):
         reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])

@@ -1,4 +1,4 @@
-"""The signal browser: points of pictures, values at the cursor, derived signals, exports, layouts."""
+"""The signal browser: points to draw, values at the cursor, derived signals, exports, layouts."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from cosim.pages.server import Handler, Json, ServedPage
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
-MAX_WIDTH = 8192  # pixel columns of a picture, points of a plane
+MAX_WIDTH = 8192  # pixel columns of a time plot, points of an x-y plot
 MAX_CELLS = 50_000_000  # values of an exported table
 MIN_SPECTRUM, MAX_SPECTRUM, MAX_SEGMENT = 16, 20_000_000, 16_384  # rows of a spectrum, and of its longest segment
-LOST = (np.array([-1.0, 0.0]),)  # in the place of points of a run that is lost
+LOST = (np.array([-1.0, 0.0]),)  # returned instead of points of a lost run
 Signal = tuple[int, str]  # number of the run, name
 Curve = tuple[ViewedRun, str]
 
@@ -63,7 +63,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class Viewer:
-    """Runs of a page; rows are read for what the page shows only.
+    """State and requests of a page with runs; only rows needed by the page are read.
 
     Args:
         notes: Texts shown at the beginning.
@@ -91,7 +91,7 @@ class Viewer:
         }
 
     def state(self) -> dict[str, Any]:
-        """Return the numbers of rows, the spans of time, and the reasons why runs are lost."""
+        """Return the numbers of rows, the time ranges, and the reasons why runs are lost."""
         with self._lock:
             if time.monotonic() - self._looked > LOOK:
                 grown = [k for k, run in enumerate(self.runs) if run.check() and run.follow()]
@@ -103,7 +103,10 @@ class Viewer:
     # -- requests -------------------------------------------------------------------------------------
 
     def _about(self, request: Request, _: Any) -> Response:
-        """Return the runs, with names and units of numbers and names of texts; runs with equal signals share them."""
+        """Return the runs, with names and units of numeric signals and names of text signals.
+
+        Equal signal lists are shared.
+        """
         sets: list[Any] = []
         runs = []
         for number, run in enumerate(self.runs):
@@ -121,9 +124,9 @@ class Viewer:
         return Json({"runs": runs, "sets": sets, "layouts": layouts, "notes": self._notes})
 
     def _points(self, request: Request, content: Any) -> Response:
-        """Return for each curve the number of points, whether these are rows, then time, least and largest values.
+        """Return for each curve: number of points, 1 for rows, 1 if times follow; then time, smallest, largest values.
 
-        A third number says whether the time follows: curves of a run share that of the first one.
+        Curves of the same run share the times of the first one.
         """
         wanted = _read(Wanted, content)
         if not wanted.begin < wanted.end:
@@ -142,7 +145,7 @@ class Viewer:
         return self._arrays(points, self._curves(wanted.curves))
 
     def _plane(self, request: Request, content: Any) -> Response:
-        """Return for each pair of signals the number of points, the distance of their rows, then time, x and y."""
+        """Return, for each pair of signals of an x-y plot: number of points, row spacing, then time, x and y."""
         wanted = _read(Wanted, content)
 
         def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
@@ -154,14 +157,14 @@ class Viewer:
 
         curves, across = self._curves(wanted.curves), self._curves(wanted.across)
         if [run for run, _ in curves] != [run for run, _ in across]:
-            raise _refused("signals of one run for both axes")
+            raise _refused("signals of the same run for both axes")
         return self._arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
 
     def _spectrum(self, request: Request, content: Any) -> Response:
-        """Return for each curve the number of points, 1, log10 of the frequencies [Hz], and the power density [dB].
+        """Return, for each curve, the number of points, 1, log10 of the frequencies [Hz], and the power density [dB].
 
-        The power spectral density is that of Welch's method, over the rows between two times, read at equal steps of
-        the median distance of the rows. A curve with few rows has no points.
+        The power spectral density is computed by Welch's method from the rows between two times, interpolated at the
+        median row spacing. A curve with few rows has no points.
         """
         from scipy.signal import welch
 
@@ -183,7 +186,7 @@ class Viewer:
         return self._arrays(spectrum, self._curves(wanted.curves))
 
     def _statistics(self, request: Request, content: Any) -> Response:
-        """Return the least, largest and mean value, the RMS and the standard deviation of each curve over its rows."""
+        """Return minimum, maximum, mean, RMS and standard deviation of each curve over its rows."""
         wanted = _read(Wanted, content)
 
         def statistics(run: ViewedRun, name: str) -> list[Array]:
@@ -196,14 +199,14 @@ class Viewer:
         return self._arrays(statistics, self._curves(wanted.curves), [np.full(5, np.nan)])
 
     def _between(self, run: ViewedRun, name: str, wanted: Wanted) -> tuple[Array, Array]:
-        """Return times and displayed values of a signal between two times, without gaps."""
+        """Return times and displayed values of a signal between two times, without missing values."""
         first, stop = run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")
         time, values = run.rows.read(TIME, first, stop), self._shown(run, name, run.rows.read(name, first, stop))
         has_value = np.isfinite(values)
         return time[has_value], values[has_value]
 
     def _values(self, request: Request, content: Any) -> Response:
-        """Return time and value of each curve at its last row up to a time; NaN before the first."""
+        """Return time and value of each curve at its last row before or at a time; NaN before the first row."""
         wanted = _read(Wanted, content)
 
         def value(run: ViewedRun, name: str) -> list[Array]:
@@ -215,7 +218,10 @@ class Viewer:
         return self._arrays(value, self._curves(wanted.curves), [np.full(2, np.nan)])
 
     def _texts(self, request: Request, content: Any) -> Response:
-        """Return the text of each signal at its last row up to a time; null before the first, and of a lost run."""
+        """Return the text of each signal at its last row before or at a time.
+
+        Null before the first row, and for a lost run.
+        """
         wanted = _read(Wanted, content)
 
         def text(run: ViewedRun, name: str) -> list[str | None]:
@@ -245,11 +251,11 @@ class Viewer:
         if "file" in content:
             return Json(check_layouts(Path(str(content["file"])), content.get("content")))
         if self._layouts is None:
-            raise _refused("a layout to `cosim view`")
+            raise _refused("a layout of `cosim view`")
         return Json(self._layouts.put(content.get("name"), content.get("layout")))
 
     def _export(self, request: Request, _: Any) -> Response:
-        """Return all rows of curves between two times as CSV, time first, a row for each time of any run."""
+        """Return all rows of curves between two times as CSV, time first, with a row for each time of any run."""
         try:
             content = parse_json(request.query_params.get("of", ""))
         except (ValueError, RecursionError):
@@ -264,14 +270,14 @@ class Viewer:
             cells += stop - first
             if cells > MAX_CELLS:
                 limit = f"more than {MAX_CELLS / 1e6:.0f} million; zoom in first"
-                raise InputError.at(Path("export"), f"these are {cells / 1e6:.0f} million values, {limit}")
+                raise InputError.at(Path("export"), f"the selection has {cells / 1e6:.0f} million values, {limit}")
             at, unit = run.rows.read(TIME, first, stop), run.rows.unit(name)
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
             columns.append(run.rows.exact(name, first, stop))
-            places.append((at, np.arange(at.size) - np.searchsorted(at, at)))  # the number among rows of one time
+            places.append((at, np.arange(at.size) - np.searchsorted(at, at)))  # index among rows of the same time
 
         def joined_rows() -> Iterator[list[Any]]:
-            """Yield a row for each time of any column; rows of one time stay several."""
+            """Yield a row for each time of any column; several rows of the same time are kept."""
             if not places:
                 return
             pairs = np.concatenate([np.column_stack(place) for place in places])
@@ -295,13 +301,18 @@ class Viewer:
     def _arrays(
         self, read: Callable[..., list[Array]], curves: Sequence[Any], lost: Sequence[Array] = LOST
     ) -> Response:
-        """Return what is read of the curves, each of which begins with its run, as doubles."""
+        """Return the data of the curves as doubles.
+
+        Args:
+            read: Function of (run, further entries of its curves) that returns arrays.
+            lost: Arrays for a lost run.
+        """
         parts = [part for curve in curves for part in _unless_lost(curve[0], read, *curve, lost=lost)]
         body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts)
         return Response(body, media_type="application/octet-stream")
 
     def _shown(self, run: ViewedRun, name: str, values: Array) -> Array:
-        """Return values of a signal in its display unit."""
+        """Convert values of a signal to its display unit."""
         with showing(*(each.record for each in self.runs)):
             shown: Array = displayed(values, run.rows.unit(name))
         return shown
@@ -309,17 +320,17 @@ class Viewer:
     # -- content of requests ----------------------------------------------------------------------------
 
     def _curves(self, signals: Sequence[Signal], *, texts: bool = False) -> list[Curve]:
-        """Return run and name of signals.
+        """Return the run and name of signals.
 
         Args:
-            texts: Whether signals of texts are meant too.
+            texts: Accept signals of text too.
         """
         for number, name in signals:
             rows = self.runs[number].rows if 0 <= number < len(self.runs) else None
             if rows is None or not (
                 name == TIME or name in rows.units or name in rows.added or (texts and name in rows.texts)
             ):
-                raise _refused("a run and a signal that it has")
+                raise _refused("a run and one of its signals")
         return [(self.runs[number], name) for number, name in signals]
 
 
@@ -342,12 +353,12 @@ def view_html(title: str, *, is_live: bool) -> str:
 
 
 def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost: Sequence[Any]) -> Any:
-    """Return what is read of a run; without its file or a file of its cache, the sign of a lost run."""
+    """Return the data of a run; if its file or a file of its cache is missing, return `lost`."""
     if run.check():
         try:
             return read(*of)
         except OSError:
-            run.lost = f"{run.place.label} cannot be read any more; what is drawn of it stays"
+            run.lost = f"{run.place.label} can no longer be read; its drawn curves stay"
     return lost
 
 
@@ -360,4 +371,4 @@ def _read(kind: type[M], content: Any) -> M:
 
 
 def _refused(wanted: str) -> InputError:
-    return InputError.at(Path("view"), f"the request is not understood: give {wanted}")
+    return InputError.at(Path("view"), f"the request is invalid: give {wanted}")

@@ -1,4 +1,4 @@
-"""Pages of commands that work: a run with changes and pause, a sweep, a refinement; each with stop and report."""
+"""Live pages of running commands: a run with changes and pause, a sweep, a refinement; each with stop and report."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from cosim.sweeps.workflow import CriterionLimit, RunsObserver
 TEMPLATE = Path(__file__).with_name("templates") / "work.html.j2"
 FINAL = ("finished", "stopped", "failed")
 NO_NUMBERS = {"Boolean", "String", "Binary", "Enumeration"}
-LARGEST_BOUND = 2**31 - 1  # larger bounds are those of a type
+LARGEST_BOUND = 2**31 - 1  # larger bounds are limits of the type, not of the variable
 BINS = 24  # of a histogram
 MAX_FAILURES = 5  # reasons on the page
 MAX_RANKED = 12  # hypotheses on the page
 
 
 class WorkPage(ServedPage):
-    """The page of one command; a context manager around the command's work.
+    """The page of a running command; a context manager around the command's work.
 
     Args:
         title: Heading until the name is known.
         port: 0 for any free port.
-        html: The page, by default the one of sweeps and refinements.
+        html: HTML of the page, by default that of sweeps and refinements.
 
     Attributes:
         activity: Noun for the work, e.g. `run`.
@@ -90,11 +90,11 @@ class WorkPage(ServedPage):
 
     @property
     def has_ended(self) -> bool:
-        """Return whether the work has ended."""
+        """Return True if the work has ended."""
         return self._state["phase"] in FINAL
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state, as JSON allows it."""
+        """Return the complete state as JSON data."""
         with self._lock:
             elapsed = self._state.get("elapsed") or monotonic() - self._begin
             if self.has_ended:
@@ -105,15 +105,15 @@ class WorkPage(ServedPage):
     def check_running(self) -> None:
         """Raise InputError after the end of the work."""
         if self.has_ended:
-            raise InputError.at(Path(self.activity), f"the {self.activity} has ended, so that nothing can be changed")
+            raise InputError.at(Path(self.activity), f"the {self.activity} has ended; changes are no longer possible")
 
     def _stop(self, request: Request, _: Any) -> Response:
-        """Stop the work as Ctrl-C does."""
+        """Stop the work like Ctrl-C does."""
         self.check_running()
         self.update(phase="stopping")
-        # If Ctrl-C is ignored, as in the background of a shell, SIGTERM.
+        # SIGTERM if Ctrl-C is ignored, as for background jobs of a shell
         number = signal.SIGTERM if signal.getsignal(signal.SIGINT) is signal.SIG_IGN else signal.SIGINT
-        if hasattr(signal, "pthread_kill"):  # Interrupts a wait of the main thread, too.
+        if hasattr(signal, "pthread_kill"):  # this also interrupts a wait of the main thread
             signal.pthread_kill(threading.main_thread().ident or 0, number)
         else:
             signal.raise_signal(number)
@@ -127,12 +127,12 @@ class WorkPage(ServedPage):
         return Json({"error": "not found"}, 404) if text is None else html_response(text, alone=True)
 
     def wait_for_close(self, say: Callable[[str], None], first: float = FIRST_PAGE, reload: float = RELOAD) -> None:
-        """Serve until the last page is closed; work that could not begin needs no page."""
+        """Serve until the last page is closed; if the work could not begin, return at once."""
         super().wait_for_close(say, first if self._has_begun else 0.0, reload)
 
 
 class LiveRun(WorkPage, Observer):
-    """An observer that draws the rows of a run in the signal browser and takes changes from the page."""
+    """An observer that draws the rows of a run in the signal browser and accepts changes from the page."""
 
     def __init__(self, title: str, port: int = 0) -> None:
         folder = Path(mkdtemp(dir=process_folder()))
@@ -140,8 +140,8 @@ class LiveRun(WorkPage, Observer):
         self._rows, self._control = Store(folder, {}), None  # type: tuple[Store, Control | None]
         viewer = Viewer([ViewedRun(RunPlace(title, title, folder), rows=self._rows)], None)
         self._runs = viewer.runs
-        self._inputs: list[str] = []  # that can be changed
-        self._rate = (0.0, 0.0)  # time of the first row on the clock [s], and its simulated time [s]
+        self._inputs: list[str] = []  # variables that can be changed
+        self._rate = (0.0, 0.0)  # clock time of the first row [s], and its simulated time [s]
         super().__init__(title, port, view_html(title, is_live=True), viewer)
 
     # -- observer --------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ class LiveRun(WorkPage, Observer):
         self.update(phase="starting", total=run.rows, start=run.start, step=run.step, made=id(run))
 
     def rows(self, time: Array, values: Array) -> None:
-        """Keep new rows."""
+        """Store new rows."""
         if not self._rows.rows:
             self._rate = monotonic(), float(time[0])
             self.update(phase="running")
@@ -227,10 +227,10 @@ class LiveRun(WorkPage, Observer):
         return Json(variables)
 
     def _controlled(self) -> Control:
-        """Return the control of the run; raise InputError before its begin and after its end."""
+        """Return the control of the run; raise InputError before its start and after its end."""
         self.check_running()
         if self._control is None or self._state["phase"] == "writing":
-            raise InputError.at(Path(self.activity), "the run has no control now, so that nothing can be changed")
+            raise InputError.at(Path(self.activity), "the run has not started or has ended; changes are not possible")
         return self._control
 
     def _set(self, request: Request, values: Any) -> Response:
@@ -253,7 +253,7 @@ class LiveRun(WorkPage, Observer):
 
 
 def _as_number(value: Any) -> Any:
-    """Return text of a plain number as a number, and other values as they are."""
+    """Convert text of a plain number to a number; return other values unchanged."""
     text = str(value).strip().replace("\u2212", "-")
     for kind in (int, float):
         try:
@@ -277,14 +277,14 @@ class LiveSweep(WorkPage, RunsObserver):
         super().__init__(title, port)
 
     def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
-        """Prepare for the runs of a sweep, some of which an earlier call has made."""
+        """Prepare for the runs of a sweep, including those of an earlier call."""
         self._limits, self._total, self._since = limits, count, monotonic()
         self.add([*earlier])
         self._earlier = len(self._runs)
         self.update(phase="running", title=title)
 
     def add(self, results: Sequence[RunResult]) -> None:
-        """Keep the outcomes of finished runs."""
+        """Store the outcomes of finished runs."""
         with self._lock:
             self._runs += [(str(result.status), result.values, result.met) for result in results]
         self.update()
@@ -298,7 +298,7 @@ class LiveSweep(WorkPage, RunsObserver):
         criteria = []
         for k, limit in enumerate(self._limits):
             of, met = len(complete), sum(outcomes[k] for *_, outcomes in complete)
-            low, high = share_interval(met, of)  # of the share of runs that meet the criterion
+            low, high = share_interval(met, of)  # confidence interval of the share of runs that meet the criterion
             values = np.array([run[1][k] for run in complete])
             values = values[np.isfinite(values)]
             counts, ends = list[int](), (0.0, limit.max)
@@ -325,14 +325,14 @@ class LiveSweep(WorkPage, RunsObserver):
 
 
 class LiveRefine(WorkPage, Watcher):
-    """A watcher of a refinement that shows it on a page, and hands progress on to the terminal."""
+    """A watcher of a refinement that shows its progress on a page, and passes it on to the terminal."""
 
     activity = "refinement"
 
     def __init__(self, title: str, port: int = 0, progress: Any = None) -> None:
         self._progress = progress
         self._number, self._words, self._share = 0, "", 0.0
-        self._times: list[float] = []  # begin of each stage [s]
+        self._times: list[float] = []  # start time of each stage [s]
         self._ranking: list[dict[str, Any]] = []
         self._fitted = 0
         super().__init__(title, port)

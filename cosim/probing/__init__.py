@@ -1,1 +1,1 @@
-"""What a binary is, by trying: its structure, the places where effects act, and its behaviour."""
+"""Properties of an FMU measured by simulation: structure, places where terms can act, and misbehaviour."""

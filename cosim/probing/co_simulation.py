@@ -1,4 +1,4 @@
-"""Structure of an FMU for co-simulation: pairs among its outputs, and its response to steps of single inputs."""
+"""Structure of an FMU for co-simulation: position-velocity pairs among its outputs, and responses to input steps."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, moved, noise_of, outputs_along
 from cosim.probing.prober import Prober, quantities, separate_pairs, settable_parameters, start_values, tried_parameters
 
-ROWS = 300  # rows of a simulation for responses
+ROWS = 300  # rows of a simulation for step responses
 FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter
 SECONDS, TRIALS = 20.0, 2.0  # time for all parameters [s], and usual simulations for each
-SPAN, MOST_JITTER = 32, 0.1  # rows of an increment if single ones jitter, and most error of single ones
+SPAN, MOST_JITTER = 32, 0.1  # rows per increment if single increments jitter, and largest error of single increments
 PAIR_ERROR = 1e-2  # error of an integrated velocity relative to the position's increments
-UNITY = 1e-3  # difference of a gain from 1 that counts as integration error, at least
-STEPS = (0.2, 0.5, 0.8)  # places of input steps, as shares of a course
-PARTS = 32  # of a step, in the search for lags
+UNITY = 1e-3  # minimum difference of a gain from 1 that is not integration error
+STEPS = (0.2, 0.5, 0.8)  # times of input steps, as shares of a course
+PARTS = 32  # size of a part of a step, in the search for lags
 MOST_GAIN = 4.0  # gain over a part relative to that over a step, beyond which the FMU makes steps of its own
-DIRECT = 2.8  # response after two steps over that after one: about 2 through one integrator, 4 through two
-LASTS = 1.4  # least such ratio of a stored quantity; 1 without an integrator, 2 for one that loses nothing
+# response after two steps divided by the response after one: about 2 through one integrator, 4 through two
+DIRECT = 2.8
+LASTS = 1.4  # minimum of this ratio for a storage; 1 without an integrator, 2 for a storage without losses
 
 
 def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
@@ -38,7 +39,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     fmu = prober.fmu
     _, inputs, outputs = fmu.names
     runs: list[tuple[Array, SimulationError | None]] = [prober.call(outputs_along, fmu, course) for course in courses]
-    # The rows before a failure tell the structure if they are many.
+    # The rows before a failure suffice for the structure if there are many.
     counts = [len(table) > (SPAN if stop else 2) for table, stop in runs]
     good = [(course, table) for course, (table, _), counted in zip(courses, runs, counts, strict=True) if counted]
     if not good:
@@ -49,7 +50,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     responses = Responses(prober, short, base, size)
     chosen = separate_pairs(_fits(good))
     ports = responses.ports(inputs, [v for _, v, _ in chosen])
-    # the outputs of pairs are no storages; the first input that changes a storage alone feeds it
+    # outputs of pairs are not storages; the first input that changes one storage only is its feed
     paired = {k for position, velocity, _ in chosen for k in (position, velocity)}
     found = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], LASTS)
     feeds = {outputs[k]: port for k, acting in found.items() for port in acting[::-1] if port.is_alone}
@@ -74,7 +75,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
 
 
 def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with what it changes; rows are as few as the time allowed for all demands."""
+    """Return each settable parameter with its effects; the number of rows is limited by the available time."""
     few = course.first(FEW_ROWS)
     begin = time.monotonic()
     prober.call(outputs_along, prober.fmu, few)
@@ -93,10 +94,11 @@ def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedPara
 
 
 def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
-    """Return position, velocity and gain for outputs of which one is the integral of the other times the gain.
+    """Return (position, velocity, gain) for pairs of outputs with position = gain · integral of velocity.
 
-    The integral is of the trapezoidal rule. Its error may reach that of Euler's method with the step of the log. Single
-    increments of an FMU that rounds communication points to steps of its own jitter; then longer ones decide.
+    The integral uses the trapezoidal rule. Its error may be as large as that of Euler's method with the step of the
+    log. If an FMU rounds communication points to its own steps, single increments jitter, and longer increments are
+    used.
     """
     width = good[0][1].shape[1]
     # increments of all outputs, their trapezoidal integrals, and the sums of both over spans of rows
@@ -136,7 +138,7 @@ class Responses:
         size: Magnitude of each output.
 
     Attributes:
-        noise: Differences of equal outputs, by rounding or by chance.
+        noise: Differences between repeated simulations, due to rounding or randomness.
     """
 
     def __init__(self, prober: Prober, course: Course, base: Array, size: Array) -> None:
@@ -146,7 +148,7 @@ class Responses:
         self._bases: dict[tuple[float, int], Array] = {}
 
     def flags(self, inputs: Sequence[str]) -> Flags:
-        """Return whether an input (column) changes an output (row) at any time."""
+        """Return an array of Booleans: True if an input (column) changes an output (row) at any time."""
         responses = (self._response(name, STEPS[0], 1)[0] for name in inputs)
         columns = [(np.abs(response) > self.noise).any(axis=0) for response in responses]
         return np.column_stack([np.zeros((self._size.size, 0), bool), *columns])
@@ -154,15 +156,15 @@ class Responses:
     def ports(
         self, inputs: Sequence[str], velocities: Sequence[int], least: float = 0.0
     ) -> dict[int, tuple[Port, ...]]:
-        """Return the inputs that change a velocity or storage by as much in the second step as in the first.
+        """Return the inputs that change a velocity or storage equally in the first and second step.
 
         Args:
-            least: Least response after two steps, relative to that after one.
+            least: Minimum of the response after two steps, relative to the response after one.
         """
         gains, takes_parts = dict[tuple[int, str], float](), takes_any_step(self._prober.description)
         for v, name in product(velocities, inputs):
-            # Parts of a step show a lag that a whole step hides. An FMU that makes whole steps instead of parts has
-            # another gain there, which is not used.
+            # Parts of a step reveal a lag that a whole step hides. An FMU that rounds parts to whole steps has another
+            # gain there, which is not used.
             whole = self._gain(name, v, 1, least)
             fine = self._gain(name, v, PARTS, least) if whole and takes_parts else whole
             gains[v, name] = whole if abs(fine) > MOST_GAIN * abs(whole) else fine
@@ -174,9 +176,9 @@ class Responses:
         return ports
 
     def _gain(self, name: str, velocity: int, parts: int, least: float) -> float:
-        """Return the rate of a velocity per unit of an input that acts through one integrator, else 0.
+        """Return the derivative of a velocity per unit of an input that acts through one integrator, else 0.
 
-        It is that over a part of a step, the median over the places.
+        The derivative is measured over a part of a step; the median over the places is used.
         """
         gains = []
         for share in STEPS:
@@ -188,9 +190,9 @@ class Responses:
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 
     def _response(self, name: str, share: float, parts: int) -> tuple[Array, float]:
-        """Return the differences of all outputs from the row of an input step on, and its size times the row's length.
+        """Return the output differences from the row of an input step on, and the step size times the row's length.
 
-        The two steps after it are divided into parts.
+        The two communication steps after it are divided into parts.
         """
         row = int(share * (self._course.time.size - 3))
         course = self._course.parted(row, parts)

@@ -1,4 +1,4 @@
-"""Structure of an FMU as measured on its binary: dependencies, pairs, ports, time constants and acting parameters."""
+"""Measured structure of an FMU: dependencies, pairs, ports, time constants and effective parameters."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from cosim.fmi.description import Way
 from cosim.model.quantities import Quantity
 from cosim.terms.language import RatioFactor
 
-START_STEP = 1e-2  # displacement of a start value, or of an input, as a share of its size, range or nominal value
+START_STEP = 1e-2  # displacement of a start value or an input, as a share of its size, range or nominal value
 
 
 @dataclass(frozen=True)
 class Port:
-    """An input that changes the rate of a velocity, and not the rate of its position, or of a storage.
+    """An input that acts directly on the derivative of a velocity or storage, but not on that of the position.
 
     Attributes:
         gain: ∂v'/∂u, the median over the points.
-        is_alone: True if the input changes no rate but this one.
+        is_alone: True if the input changes only this derivative.
     """
 
     input: str
@@ -35,7 +35,7 @@ class Pair:
     In co-simulation both are outputs.
 
     Attributes:
-        ports: Inputs that act on the velocity as forces do.
+        ports: Inputs that act on the velocity like forces.
     """
 
     position: str
@@ -50,9 +50,9 @@ class Connection:
 
     Attributes:
         first, second: Both pairs.
-        gear: Position i of the first per position of the second at rest; 1 unless the connection alone holds both.
-        ratio: Acceleration r of the second per opposite acceleration of the first.
-        stiffness, damping: k and d, each the median over the points.
+        gear: Ratio i of the positions at rest, first to second; 1 unless only this connection supports both.
+        ratio: Acceleration r of the second pair divided by the opposite acceleration of the first.
+        stiffness, damping: k and d, medians over the points.
         deflection, speed: Standard deviation of q1 − i·q2 and v1 − i·v2 along the logs.
         factors: Factors of r, one for each parameter of an inertia.
     """
@@ -70,18 +70,19 @@ class Connection:
 
 @dataclass(frozen=True)
 class Damping:
-    """A settable parameter b that brakes a velocity v: f(x; b + δ) − f(x; b) = −δ·v·d(x).
+    """A settable parameter b that damps a velocity v: f(x; b + δ) − f(x; b) = −δ·v·d(x).
 
-    d(x), the rates per force along v, tells how every force there acts; its unit is that of b times that of v.
+    The vector d(x) has the derivatives per force along v. It shows how every force along v acts. Its unit is the unit
+    of b times the unit of v.
 
     Attributes:
         parameter: Name of b.
-        gain: Median of d in the rate of v.
-        rates: States with rates that change.
-        is_constant: True if only the rate of v changes, with the same d at all points.
-        port: Input that acts in the direction of d, so that forces come in through it; "" without one.
-        change, speed: Usual values of δ and v.
-        in_step: True if a second instance can be kept in step with the first: no events, and both in one process.
+        gain: Median of the component of d for v.
+        rates: States whose derivatives change.
+        is_constant: True if only the derivative of v changes, with the same d at all points.
+        port: Input that acts in the direction of d, so that forces can be added to it; "" if there is none.
+        change, speed: Typical values of δ and v.
+        in_step: True if a second instance can be synchronized with the first: no events, and both in one process.
     """
 
     pair: Pair
@@ -97,7 +98,7 @@ class Damping:
 
 @dataclass(frozen=True)
 class EventCount:
-    """Events of an FMU along a log; an input that changes counts as none.
+    """Number of events of an FMU along a log, without changes of inputs.
 
     Attributes:
         state, time, step: Events at zero crossings, at announced times, and requested after a solver step.
@@ -119,10 +120,10 @@ class ProbedParameter:
     """A real parameter that may be set before initialization.
 
     Attributes:
-        acts: True if another value changes a rate or an output.
+        acts: True if another value changes a derivative or an output.
         starts: True if another value changes a state after initialization.
         tried: Value that was tried last.
-        failure: Failure of the FMU with a value near its own, a crash for example; "" without any.
+        failure: Failure of the FMU, e.g. a crash, with a value near the default; "" without failure.
     """
 
     quantity: Quantity
@@ -139,12 +140,12 @@ class ProbedParameter:
 
 @dataclass(frozen=True)
 class StartValue:
-    """A start value of an FMU for co-simulation, for an unknown start state.
+    """A start value of an FMU for co-simulation, used to set an unknown initial state.
 
     Attributes:
-        size: Change that moves some output by its spread.
-        shown: Number of the output that shows it after initialization; −1 without one.
-        gain: Change of that output relative to that of the start value.
+        size: Change that moves some output by its standard deviation.
+        shown: Number of the output that equals it after initialization; −1 without one.
+        gain: Change of this output divided by the change of the start value.
     """
 
     quantity: Quantity
@@ -162,24 +163,24 @@ class StartValue:
 class Structure:
     """Structure of an FMU along logs.
 
-    Names are of the FMU, in its order; arrays have an entry for each element.
+    All names are names of the FMU, in its order; arrays have an entry for each element.
 
     Attributes:
         way: Probed interface.
         states: Continuous states; empty for co-simulation.
-        depends: Whether a rate or output (row) changes with a state or input (column). In co-simulation an output
+        depends: True if a derivative or output (row) changes with a state or input (column). In co-simulation an output
             depends on an input that changes it at any later time.
         pairs: Positions with their velocities.
-        storages: States in no pair with a rate that an input or another state changes; in co-simulation, outputs in
-            no pair that have an input of their own, which acts through one integrator.
-        feeds: In co-simulation, storage → this input.
+        storages: States outside pairs whose derivative depends on an input or another state; in co-simulation, outputs
+            outside pairs with an input of their own that acts through one integrator.
+        feeds: In co-simulation, storage → its input.
         shown: State → output that equals it.
         largest_rate: Largest |eigenvalue| over the points [1/s]; 0 for co-simulation.
-        scales: Standard deviation along the logs by name; the rate of x is `der(x)`.
-        step: Shortest usual step of the logs [s].
+        scales: Standard deviation along the logs by name; the derivative of x is `der(x)`.
+        step: Shortest typical step of the logs [s].
         events: Events along each log, in model exchange.
         connections: In model exchange, springs and dampers between pairs.
-        dampings: In model exchange, the parameter that brakes each pair without an input of its own.
+        dampings: In model exchange, the parameter that damps each pair without an input of its own.
         starts: In co-simulation, start values of states that change an output.
         stops: Reason for each simulation that ended early.
     """
@@ -206,14 +207,14 @@ class Structure:
 
     @property
     def acting(self) -> tuple[ProbedParameter, ...]:
-        """Return parameters that change a rate or output."""
+        """Return the parameters that change a derivative or an output."""
         return tuple(p for p in self.parameters if p.acts)
 
     @property
     def directions(self) -> tuple[Damping, ...]:
-        """Return the dampings that alone tell how forces act: these change other rates, or not always the same."""
+        """Return the dampings needed to add forces: their forces change other derivatives, or d(x) varies."""
         return tuple(d for d in self.dampings if not (d.is_constant or d.port))
 
     def shown_as(self, state: str) -> str:
-        """Return the output that equals a state, else the state itself."""
+        """Return the output that equals a state; without one, the state itself."""
         return self.shown.get(state, state)

@@ -22,19 +22,19 @@ from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import EventCount
 
-ROWS, SECONDS = 400, 10.0  # simulation without a log: rows, and duration without a default experiment [s]
+ROWS, SECONDS = 400, 10.0  # simulation without a log: number of rows, and duration without a default experiment [s]
 SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
-CHANCE = 10.0  # difference relative to that of equal simulations, up to which it is chance
+CHANCE = 10.0  # difference relative to that of repeated simulations, up to which it is random
 SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Inputs of a simulation, held from row to row, and measurements for its initial states.
+    """Inputs of a simulation, constant between rows, and measurements for its initial states.
 
     Attributes:
-        step: Usual step [s].
+        step: Typical step [s].
         states: Initial values of states by number, instead of those of the FMU.
     """
 
@@ -56,17 +56,17 @@ class Course:
         return replace(self, time=self.time[:rows], inputs=inputs, outputs=outputs)
 
     def begun(self, shown: Mapping[int, int], outputs: Sequence[str]) -> Course:
-        """Return the course with the initial states that its first row measures.
+        """Return the course with initial states taken from the measurements in its first row.
 
         Args:
-            shown: Number of a state → number of the output that shows it.
+            shown: Number of a state → number of the output that equals it.
         """
         columns = {k: self.outputs.get(outputs[j]) for k, j in shown.items()}
         first = {k: float(y[0]) for k, y in columns.items() if y is not None and np.isfinite(y[0])}
         return replace(self, states=first)
 
     def parted(self, row: int, parts: int) -> Course:
-        """Return the course with two further rows in the step after a row, each a part of the step apart."""
+        """Return the course with two additional rows in the step after a row, spaced by a part of the step."""
         if parts == 1:
             return self
         part = (self.time[row + 1] - self.time[row]) / parts
@@ -76,7 +76,7 @@ class Course:
 
 
 def sine_course(description: Any) -> Course:
-    """Return small sines of many periods about the start values of the inputs."""
+    """Return a course of small sines with many periods around the start values of the inputs."""
     experiment = description.defaultExperiment
     begin = float(getattr(experiment, "startTime", None) or 0.0)
     end = float(getattr(experiment, "stopTime", None) or 0.0)
@@ -105,12 +105,12 @@ def amplitude_of(variable: Any, start: float) -> float:
 
 
 def nominal_of(variable: Any) -> float:
-    """Return the nominal value of a variable or of its type, 0 without one."""
+    """Return the nominal value of a variable or of its type; 0 if it has none."""
     return float(getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None) or 0.0)
 
 
 def limits_of(variable: Any) -> tuple[float, float]:
-    """Return min and max of a variable or of its type, infinite without any."""
+    """Return min and max of a variable or of its type; infinite if it has none."""
 
     def end(name: str, default: float) -> float:
         values = getattr(variable, name, None), getattr(variable.declaredType, name, None)
@@ -120,7 +120,7 @@ def limits_of(variable: Any) -> tuple[float, float]:
 
 
 def moved(variable: Any, held: Array) -> Array:
-    """Return values of a variable plus a usual size, or minus it where its limits forbid more, within the limits."""
+    """Return values of a variable displaced by a typical size, downward where an upper limit requires it."""
     size, (low, high) = float(np.std(held)) or amplitude_of(variable, float(held[0])), limits_of(variable)
     if held.max() + size > high and held.min() - size >= low:
         size = -size
@@ -128,7 +128,7 @@ def moved(variable: Any, held: Array) -> Array:
 
 
 def noise_of(table: Array, repeated: Array, size: Array) -> Array:
-    """Return the differences of equal numbers, by rounding or by chance, of each column of a table.
+    """Return the differences between equal simulations, due to rounding or randomness, for each column of a table.
 
     Args:
         size: Magnitude of each column.
@@ -144,7 +144,8 @@ class Run:
 
     Attributes:
         time: Times of the rows [s].
-        states, inputs, values: One row for each time; values are rates and outputs in model exchange, else outputs.
+        states, inputs, values: One row for each time; values are derivatives and outputs in model exchange, else
+            outputs.
         stop: Error that ended the simulation early.
     """
 
@@ -158,7 +159,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Fmu:
-    """An FMU for the worker.
+    """An FMU as passed to the worker process.
 
     Attributes:
         place: Folder of the unpacked FMU.
@@ -182,7 +183,7 @@ class Fmu:
         return scalars(states_of(about)), scalars(reals(about, "input")), scalars(reals(about, "output"))
 
     def too_short(self, course: Course) -> SimulationError:
-        """Return the error of a course with too few rows."""
+        """Return the error for a course with too few rows."""
         text = "the log has too few rows to probe the FMU; give a longer one"
         return SimulationError(self.name, float(course.time[0]), text)
 
@@ -190,11 +191,11 @@ class Fmu:
     def opened(
         self, course: Course, way: Way | None = None, recorded: frozenset[str] = frozenset()
     ) -> Iterator[tuple[Any, Any]]:
-        """Yield a loaded instance before its initialization with the first inputs of a course, and its row of signals.
+        """Yield an instance, loaded but not initialized, with the first inputs of a course, and its row of signals.
 
         Args:
-            way: Interface that is stepped; None for an instance with derivatives of model exchange.
-            recorded: Names of variables that are read beside the outputs.
+            way: Interface that is stepped; None for a model-exchange instance with access to derivatives.
+            recorded: Names of further variables to read besides the outputs.
         """
         about = self.name, self.path, self.description, self.values, frozenset(course.inputs)
         block = FmuBlock(*about, way=way, recorded=recorded) if way else DifferentiableFmu(*about)
@@ -204,7 +205,7 @@ class Fmu:
         here.share_log(block)
         row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
         block.bind(row, 0, [None] * (len(block.exact_inputs) + len(block.exact_outputs)), 0)
-        # loading has its own limit; outputs are read after the initialization
+        # loading has its own time limit; outputs are read after initialization
         end = float(course.time[-1]) + course.step
         block.load()
         announce(GET)
@@ -215,12 +216,12 @@ class Fmu:
 
 
 def announce(call: int) -> None:
-    """Tell the caller of the worker which call of an FMU comes next."""
+    """Announce the next FMU call to the parent of the worker, for its time limit."""
     here.progress.doing[0] = call
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
-    """Set the inputs of a row of the course."""
+    """Set the inputs of row k of the course."""
     for number, signal in enumerate(block.inputs):
         if signal.name in course.inputs:
             row[number] = float(course.inputs[signal.name][k])
@@ -237,7 +238,7 @@ def simulate(
     """Simulate an FMU for model exchange along a course with the solver.
 
     Args:
-        visit: Function of FMU, time, states and inputs at each row of `rows`, which leaves the FMU as it was.
+        visit: Function of (FMU, time, states, inputs), called at each row of `rows`; it must not change the FMU.
     """
     visited, last = frozenset(rows), course.time.size - 1
     states, inputs, values = list[Array](), list[Array](), list[Array]()
@@ -276,10 +277,10 @@ def simulate(
 def run_along(
     block: FmuBlock, row: Any, course: Course, first: int | None = None
 ) -> tuple[Array, SimulationError | None]:
-    """Return the outputs of an opened FMU along a course, one row each, and the error that ended it early.
+    """Return the outputs of a loaded FMU along a course, one row each, and the error that ended it early.
 
     Args:
-        first: Row from which a started FMU goes on; None to start it.
+        first: Row at which an initialized FMU continues; None to initialize it.
     """
     table, stop = list[list[float]](), None
 

@@ -1,4 +1,4 @@
-"""Misbehaviour of an FMU that one step does not show: repetition, other folders, reset, saved states and memory."""
+"""Checks of an FMU beyond a single step: repetition, working folder, reset, saved states, memory."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, outputs_along, put
 from cosim.probing.own_step import excited_course
 from cosim.probing.prober import Prober
 
-WARM, INSTANCES = 2, 6  # instances before and during the measurement of memory
-LEAK = 1e6  # growth per instance that is no waste of the allocator [bytes]
+WARM, INSTANCES = 2, 6  # instances created before and during the measurement of memory
+LEAK = 1e6  # growth per instance that exceeds allocator overhead [bytes]
 
 
 def misbehaviour(fmu: Path) -> Iterator[str]:
-    """Yield a sentence on each misbehaviour of an FMU along small sines; nothing of one that fails at its start."""
+    """Yield a sentence on each misbehaviour of an FMU along small sines.
+
+    An FMU that fails at its start yields nothing.
+    """
     with Prober(fmu) as prober:
         way, *_ = ways(prober.description)
         if prober.description.fmiVersion.startswith("1"):
@@ -58,21 +61,21 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
                 if table.shape == other.shape:
                     gaps = np.nan_to_num(np.abs(other - table)).max(axis=0, initial=0.0)
                 if share := float((gaps / size)[gaps > SAME * size + CHANCE * noise].max(initial=0.0)):
-                    yield f"{what} has other outputs, by {share:.2g} of their largest value"
+                    yield f"{what} gives different outputs, by {share:.2g} of their largest value"
                 noise = gaps if job is outputs_again else noise
             with suppress(SimulationError, FmuError):
                 if (grown := prober.call(growth, way, prober.fmu, course)) > LEAK:
-                    yield f"keeps {grown / 1e6:.2g} MB of memory for each instance after its end"
+                    yield f"leaks {grown / 1e6:.2g} MB of memory per instance"
 
 
 # -- in the worker --------------------------------------------------------------------------------
 
 
-# Each returns the outputs to compare with, None for those of an ordinary simulation, and the outputs.
+# Each returns reference outputs (None: those of an ordinary simulation) and the outputs to compare.
 
 
 def outputs_again(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array]:
-    """Return the outputs of a second simulation, between which and the first the library stays loaded."""
+    """Return the outputs of a second simulation in the same process; the library stays loaded in between."""
     import fmpy
 
     with fmu.opened(course, way) as (block, row):
@@ -85,13 +88,13 @@ def outputs_again(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array]:
 
 
 def outputs_in(way: Way, fmu: Fmu, course: Course, folder: str) -> tuple[None, Array]:
-    """Return the outputs of an FMU that runs in another working directory."""
+    """Return the outputs of an FMU in another working directory."""
     with chdir(folder):
         return None, outputs_along(fmu, course, way)[0]
 
 
 def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array]:
-    """Return the outputs of an FMU that has been simulated and reset."""
+    """Return the outputs of an FMU after a simulation and a reset."""
     with fmu.opened(course, way) as (block, row):
         run_along(block, row, course)
         with block.instance.check_calls():
@@ -102,7 +105,7 @@ def outputs_after_reset(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array
 
 
 def outputs_after_restoring(way: Way, fmu: Fmu, course: Course, at: int) -> tuple[Array, Array]:
-    """Return the outputs from a row on, and the same again after the state of that row is restored."""
+    """Return the outputs from a row on, and again after restoring the state saved at that row."""
     with fmu.opened(course, way) as (block, row):
         _, early = run_along(block, row, course.first(at + 1))
         state = block.save_state()
@@ -116,7 +119,7 @@ def outputs_after_restoring(way: Way, fmu: Fmu, course: Course, at: int) -> tupl
 
 
 def growth(way: Way, fmu: Fmu, course: Course) -> float:
-    """Return the growth of this process per instance [bytes]."""
+    """Return the memory growth of this process per instance [bytes]."""
     size = 0
     for k in range(WARM + INSTANCES):
         if k == WARM:

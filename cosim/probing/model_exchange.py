@@ -1,4 +1,4 @@
-"""Structure of an FMU for model exchange: simulations along logs, and evaluations about their points."""
+"""Structure of an FMU for model exchange, from simulations along logs and evaluations near their points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cosim.probing.log_runs import SAME, Course, Fmu, Run, nominal_of, simulate
 from cosim.probing.prober import Prober, quantities, separate_pairs, tried_parameters
 from cosim.terms.language import RatioFactor
 
-STEADY = 1e-2  # share of a value that displaces an unmoved state or input
+STEADY = 1e-2  # share of a value by which a constant state or input is displaced
 
 
 def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
@@ -33,7 +33,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     if len(states_of(prober.description)) != len(prober.description.derivatives):
         raise InputError.at(
             prober.path,
-            "does not declare the state of every derivative; probe its co-simulation, or export it again",
+            "does not declare the state of every derivative; use its co-simulation interface, or export it again",
             FmuError.exit_code,
         )
     names = states, inputs, outputs = prober.fmu.names
@@ -53,7 +53,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     has_events = any(run.events.total for run in runs)
     parameters = _parameters(prober, courses[0], points, has_events)
     is_single = prober.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
-    # states in no pair with a rate that an input or another state changes
+    # states outside pairs whose derivative depends on an input or another state
     paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
     storages = [name for k, name in enumerate(states) if name not in paired and np.delete(depends[k], k).any()]
     matrices = [s[:n, :n] for s in points.slopes if n and np.isfinite(s[:n, :n]).all()]
@@ -79,7 +79,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
 
 
 def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> tuple[Points, dict[str, float]]:
-    """Return evaluations about points of all simulations, and the spread of each signal."""
+    """Return evaluations near points of all simulations, and the standard deviation of each signal."""
     states, inputs, outputs = prober.fmu.names
     good = [run for run in runs if run.time.size]
     known = np.concatenate([np.hstack([run.states, run.inputs]) for run in good])
@@ -108,7 +108,7 @@ def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> t
 
 
 def _pairs(names: Sequence[Sequence[str]], known: Array, table: Array, points: Points) -> tuple[Pair, ...]:
-    """Return the states with a rate that equals another state times a constant."""
+    """Return pairs: states whose derivative equals another state times a constant."""
     states, inputs, _ = names
     n = len(states)
     rates, x = table[:, :n], known[:, :n]
@@ -135,8 +135,8 @@ def _connections(
 ) -> Iterator[Connection]:
     """Yield the springs and dampers between pairs.
 
-    By reciprocity, a connection changes both accelerations in a constant ratio, that of the inertias. Slopes of
-    coordinates that share an inertia, such as those of a double pendulum, change with the motion.
+    By reciprocity, a connection changes both accelerations in the constant ratio of the inertias. For coordinates that
+    share an inertia, such as those of a double pendulum, the ratio changes with the motion.
     """
     slopes, along = np.array(points.slopes), np.concatenate([run.states for run in runs if run.time.size])
     usual = np.nanmedian(slopes, axis=0)
@@ -155,7 +155,7 @@ def _connections(
 
 
 def _parameters(prober: Prober, course: Course, points: Points, has_events: bool) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with what it changes, at points or only through events."""
+    """Return each settable parameter with its effects at points, or with events along a simulation."""
     places = points.places[:: points.spacing(PLACES)]
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
@@ -163,7 +163,7 @@ def _parameters(prober: Prober, course: Course, points: Points, has_events: bool
     base: Run = prober.call(simulate, prober.fmu, course)
     found = []
     for p in tried:
-        if not (p.acts or p.starts):  # along a simulation with events, it may change more
+        if not (p.acts or p.starts):  # with events, a parameter may have further effects along a simulation
             try:
                 run: Run = prober.call(simulate, prober.with_values({p.name: p.tried}), course)
                 same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, SAME, 0.0)
@@ -174,17 +174,15 @@ def _parameters(prober: Prober, course: Course, points: Points, has_events: bool
     return tuple(found)
 
 
-# Dependencies, slopes and equalities of an FMU for model exchange, from displaced points of its simulations.
-#
-# Runs in the worker process.
-#
+# Dependencies, derivatives and equalities of an FMU for model exchange, from displaced points of its simulations. The
+# code runs in the worker process.
 
 
 POINTS = 40  # points over all logs
-PLACES = 12  # points at which parameters are tried
-CONSTANT = 1e-3  # relative change over the points, up to which a ratio is one of inertias, and a direction constant
+PLACES = 12  # number of points at which parameters are tried
+CONSTANT = 1e-3  # largest relative variation over the points of a ratio of inertias, or of a constant direction
 SMALL, LARGE = 1e-4, 0.5  # displacements relative to the spread
-STARTS = 6  # displaced starts to find the states that outputs show
+STARTS = 6  # number of displaced starts to find the outputs that equal states
 
 
 @dataclass(eq=False)
@@ -193,12 +191,12 @@ class Points:
 
     Attributes:
         scale: Displacement unit of each state and input.
-        size: Magnitude of each rate and output, for comparisons.
-        depends: Whether a rate or output (row) changes with a state or input (column).
+        size: Magnitude of each derivative and output, for comparisons.
+        depends: True if a derivative or output (row) changes with a state or input (column).
         low, high: Limits of states and inputs, which no displacement exceeds.
-        slopes: Slopes at each point.
+        slopes: Partial derivatives at each point.
         places: Time, states and inputs of each point.
-        known, values: States with inputs, and rates with outputs, of all points and of points displaced at random.
+        known, values: (states, inputs) and (derivatives, outputs) at all points and at randomly displaced points.
     """
 
     scale: Array
@@ -212,7 +210,7 @@ class Points:
     values: list[Array] = field(default_factory=list)
 
     def add(self, block: DifferentiableFmu, t: float, x: Array, u: Array) -> None:
-        """Evaluate the FMU about a point; the caller restores the point."""
+        """Evaluate the FMU near a point; the caller restores the point."""
         n, z = x.size, np.concatenate([x, u])
 
         def at(z: Array) -> Array:
@@ -244,16 +242,16 @@ class Points:
         return self._inside(moved, z)
 
     def spacing(self, count: int) -> int:
-        """Return the spacing of at most so many evenly spread places."""
+        """Return the spacing of evenly distributed places so that there are at most `count`."""
         return max(1, -(-len(self.places) // count))
 
     def _inside(self, moved: Array, z: Array) -> Array:
-        """Return a displaced point within the limits, or no further outside than the point itself."""
+        """Return a displaced point clipped to the limits; a point outside the limits is not moved further out."""
         return np.clip(moved, np.minimum(self.low, z), np.maximum(self.high, z))
 
 
 def _safe_rates(block: DifferentiableFmu, x: Array, u: Array, t: float | None = None) -> Array:
-    """Return rates and outputs, at another time if given; NaN where the FMU refuses the point."""
+    """Return derivatives and outputs, at another time if given; NaN if the FMU rejects the point."""
     try:
         return block.rates(x if t is None else block.move(t, x, u), u)
     except SimulationError:
@@ -264,9 +262,9 @@ def _safe_rates(block: DifferentiableFmu, x: Array, u: Array, t: float | None = 
 
 
 def start_point(fmu: Fmu, course: Course) -> tuple[Array, Array, dict[int, int]]:
-    """Return states and outputs of the FMU after its initialization, and state → output that equals it.
+    """Return states and outputs after initialization, and state → output that equals it.
 
-    The equalities are those at points displaced about the start.
+    The equalities are tested at points displaced from the start.
     """
     with fmu.opened(course) as (block, _):
         block.start()
@@ -283,7 +281,7 @@ def start_point(fmu: Fmu, course: Course) -> tuple[Array, Array, dict[int, int]]
 
 
 def equal_columns(known: Array, values: Array) -> dict[int, int]:
-    """Return for each column of `known` the first column of `values` with the same numbers."""
+    """Return, for each column of `known`, the index of the first equal column of `values`."""
     equal = {}
     for k, column in enumerate(known.T if len(known) > 1 else ()):
         for j, other in enumerate(values.T):
@@ -297,7 +295,7 @@ def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run
     """Return points with evaluations at rows.
 
     Args:
-        run: The simulation, so that the FMU is moved to its points; None to simulate again, as events demand.
+        run: The simulation, to whose points the FMU is moved; None to simulate again, as necessary with events.
     """
     if run is None:
         simulate(fmu, course, points.add, rows)
@@ -311,25 +309,26 @@ def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run
 
 
 def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Array]]) -> tuple[Array, Array]:
-    """Return the states after initialization, and rates with outputs at points, NaN where the FMU refuses."""
+    """Return the states after initialization, and derivatives with outputs at points.
+
+    NaN if the FMU rejects a point.
+    """
     with fmu.opened(course) as (block, _):
         block.start()
         states, _ = block.current_point()
         return states, np.array([_safe_rates(block, x, u, t) for t, x, u in places])
 
 
-# Parameters of an FMU for model exchange that tell how forces act.
-#
-# A settable parameter that brakes a coordinate tells how any force there acts. A force between two bodies accelerates
-# each by the body's inertia, so a fit that changes a mass changes the ratio of both accelerations. Most inertias are
-# products or sums of parameters: two trials of each parameter tell a power from a sum.
-#
+# Parameters of an FMU for model exchange that show how forces act. A settable damping parameter of a coordinate shows
+# how any force on this coordinate acts. A force between two bodies accelerates each by the body's inertia, so a fit
+# that changes a mass changes the ratio of both accelerations. Most inertias are products or sums of parameters: two
+# trials of each parameter distinguish a power law from a sum.
 
 
-NEARLY = 1e-6  # relative difference up to which a change is proportional to velocity and parameter
-# Changes of a parameter as multiples of its size; the first is taken that the bounds allow twice.
+NEARLY = 1e-6  # largest relative deviation from proportionality to velocity and parameter
+# Changes of a parameter as multiples of its size; the first whose double the bounds allow is used.
 CHANGES = (1.0, 0.1, -0.25)
-RATIO_PLACES = 4  # points at which ratios are measured
+RATIO_PLACES = 4  # number of points for the measurement of ratios
 
 
 def dampings(
@@ -340,10 +339,10 @@ def dampings(
     parameters: Sequence[ProbedParameter],
     in_step: bool,
 ) -> tuple[Damping, ...]:
-    """Return the settable damping of each pair on which no input acts alone.
+    """Return the settable damping of each pair that has no input acting on it alone.
 
-    With another value of it, the rates change in proportion to this velocity and to the change of the parameter,
-    whatever the other velocities and the inputs are, and no output changes directly.
+    With another value of the parameter, the derivatives change in proportion to the pair's velocity and to the change,
+    independent of the other velocities and inputs, and no output changes directly.
     """
     states, inputs, _ = prober.fmu.names
     n, every = len(states), points.spacing(PLACES)
@@ -355,7 +354,7 @@ def dampings(
         if not fits or any(port.is_alone for port in pair.ports):
             continue
         elsewhere = [*(k for k in velocities if k != index), *range(n, n + len(inputs))]
-        # each point with the velocity 0, V, 2·V, and V while other velocities and the inputs are elsewhere
+        # each point with the velocities 0, V and 2·V, and V with other velocities and inputs displaced
         for number, (t, x, u) in enumerate(points.places[::every]):
             places += [(t, np.where(np.arange(n) == index, k * speed, x), u) for k in (0.0, 1.0, 2.0)]
             z, rng = np.concatenate([x, u]), np.random.default_rng(4 * number + 3)
@@ -369,7 +368,7 @@ def dampings(
         return ()
 
     def react(values: NamedValues) -> Array:
-        """Return the reactions with parameter values, shape (trials, points, 4, columns)."""
+        """Return the derivatives and outputs for parameter values, shape (trials, points, 4, columns)."""
         table: Array = prober.call(reactions, prober.with_values(values), course, places)[1]
         return table.reshape(len(trials), -1, 4, table.shape[1])
 
@@ -380,9 +379,9 @@ def dampings(
         name, value, (low, high) = parameter.name, parameter.quantity.start, parameter.quantity.bounds
         size = abs(value) or abs(parameter.tried)
         change = next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
-        if not change:  # the bounds allow none
+        if not change:  # the bounds forbid every change
             continue
-        try:  # changes of rates and outputs by the change of the parameter and by twice this change
+        try:  # changes of derivatives and outputs for the change of the parameter and for twice this change
             both = [react({name: value + share * change}) - base for share in (1.0, 2.0)]
         except SimulationError:
             continue
@@ -397,12 +396,12 @@ def dampings(
             affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, index] / force
             is_damping = len(own) and affected.max(initial=-1) < n and (own * abs(force) > noise[index]).all()
             if not is_damping or any((np.abs(one - other) > near).any() for one, other in equal):
-                continue  # the changes are those of something else
+                continue  # the parameter is not a damping
             gain, rates, direction = float(np.median(own)), [states[k] for k in affected], usual[:, :n] / force
             is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
             port = ""
             for entry in pair.ports:
-                # slopes that are a constant multiple of the direction
+                # derivatives that are a constant multiple of the direction
                 of_input = along[:, :, inputs.index(entry.input)]
                 factor = float((of_input * direction).sum() / (direction**2).sum())
                 if np.abs(of_input - factor * direction).max() <= CONSTANT * np.abs(of_input).max():
@@ -423,7 +422,7 @@ def with_factors(
     connections: Sequence[Connection],
     parameters: Sequence[ProbedParameter],
 ) -> tuple[Connection, ...]:
-    """Return connections with the factors of parameters in their ratios."""
+    """Return connections whose ratios have factors for the parameters of the inertias."""
     if not connections:
         return ()
     states = prober.fmu.names[0]
@@ -438,13 +437,13 @@ def with_factors(
     ]
 
     def ratios(changed: dict[str, float]) -> Array:
-        """Return the ratios from positions and from velocities with other parameters, times a constant.
+        """Return the ratios, up to a constant, from positions and from velocities, for changed parameters.
 
         Returns:
-            Array of shape (connections, points, 2), NaN without an answer of an end.
+            Array of shape (connections, points, 2), NaN if an end does not respond.
         """
         table: Array = prober.call(reactions, prober.with_values(changed), course, places)[1]
-        # point, connection, end that is displaced, position or velocity, ahead or behind, rate
+        # point, connection, displaced end, position or velocity, forward or backward, derivative
         sides = table.reshape(-1, len(pairs), 2, 2, 2, table.shape[1])
         found = np.full((len(pairs), len(sides), 2), np.nan)
         for c, (first, second) in enumerate(velocities):
@@ -466,7 +465,7 @@ def with_factors(
             changes = np.full((2, len(pairs)), np.nan)
             for row, v in zip(changes, tried, strict=True):
                 if low <= v <= high:
-                    with suppress(SimulationError):  # the FMU refuses the value
+                    with suppress(SimulationError):  # the FMU rejects the value
                         for c, change in enumerate(ratios({p.name: v}) / given):
                             row[c] = np.nanmedian(change) if np.isfinite(change).any() else np.nan
             for factors, of_ratio in zip(found, changes.T.tolist(), strict=True):
@@ -475,11 +474,11 @@ def with_factors(
 
 
 def _factor(name: str, value: float, tried: Sequence[float], changes: Sequence[float]) -> Iterator[RatioFactor]:
-    """Yield the factor of a parameter, if it changes a ratio.
+    """Yield the factor of a parameter if it changes a ratio.
 
     Args:
         tried: Two values of the parameter.
-        changes: Ratio with each tried value over the given one; NaN if refused.
+        changes: Ratio at each tried value divided by the ratio at the default; NaN if rejected.
     """
     once, twice = changes
     if not (once > 0.0 and abs(math.log(once)) > CONSTANT):
@@ -489,7 +488,7 @@ def _factor(name: str, value: float, tried: Sequence[float], changes: Sequence[f
         power = math.log(once) / math.log(tried[0] / value)
         half = round(2.0 * power) / 2.0
         factors.append(RatioFactor(name, value, 0.0, half if abs(half - power) < CONSTANT else power))
-    for power in (1.0, -1.0):  # of a sum, in which others stand beside it
+    for power in (1.0, -1.0):  # a term of a sum
         times = once**power
         factors.append(RatioFactor(name, value, (tried[0] - times * value) / (times - 1.0), power))
     able = [f for f in factors if f.shift + value != 0.0 and (f.shift + tried[1]) / (f.shift + value) > 0.0]

@@ -1,4 +1,7 @@
-"""Steps that an FMU makes on its own in co-simulation, by trying: they decide the interface of a refinement."""
+"""Internal step of an FMU for co-simulation, found by simulation.
+
+It affects the choice of interface for a refinement.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +24,19 @@ from cosim.probing.log_runs import SAME, Course, moved, outputs_along, sine_cour
 from cosim.probing.prober import LIMITS, Prober
 
 ROWS = 60  # rows of a simulation
-DOUBLINGS = 6  # of the step, in the search for an own step
-OWN, CONVERGED = 0.2, 0.05  # difference of results relative to their course: of too short steps, of sound ones
-ROUNDED = 0.05  # accuracy of an own step
-STILL = 0.3  # share of rows without any change that is no rest
+DOUBLINGS = 6  # step of the search, relative to the step of the log
+OWN, CONVERGED = 0.2, 0.05  # relative differences of results: of too short steps, and of correct ones
+ROUNDED = 0.05  # accuracy of an internal step
+STILL = 0.3  # share of rows without any change below which the FMU is not at rest
 
 
 @dataclass(frozen=True)
 class OwnStep:
-    """A step that an FMU makes on its own in co-simulation.
+    """The internal step of an FMU in co-simulation.
 
     Attributes:
-        length, asked: Its length and that of the asked step [s].
-        distorts: True if results at the asked step are wrong; False if the outputs only change rarely.
+        length, asked: Internal step and requested communication step [s].
+        distorts: True if results at the requested step are wrong; False if the outputs only change rarely.
     """
 
     length: float
@@ -42,12 +45,12 @@ class OwnStep:
 
     @property
     def finding(self) -> str:
-        """Return a sentence on it."""
-        cure = f"use {'model exchange, or ' if self.distorts else ''}steps of whole {self.length:.3g} s"
+        """Return the finding as a sentence with its cure."""
+        cure = f"use {'model exchange, or ' if self.distorts else ''}steps that are multiples of {self.length:.3g} s"
         if self.distorts:
-            what = f"makes steps of its own of about {self.length:.3g} s, above the step of {self.asked:.3g} s"
-            return f"{what} that is asked for: its results are wrong there; {cure}"
-        return f"its outputs change only every {self.length:.3g} s or so, with steps of {self.asked:.3g} s; {cure}"
+            what = f"has an internal step of about {self.length:.3g} s, above the requested step of {self.asked:.3g} s"
+            return f"{what}, so its results are wrong; {cure}"
+        return f"its outputs change only about every {self.length:.3g} s, with steps of {self.asked:.3g} s; {cure}"
 
 
 def probe_own_step(
@@ -57,10 +60,10 @@ def probe_own_step(
     *,
     limits: Limits = LIMITS,
 ) -> OwnStep | None:
-    """Return the step that an FMU makes on its own in co-simulation, None without one.
+    """Return the internal step of an FMU in co-simulation, None if it has none.
 
     Args:
-        logs: Logs whose first gives inputs and step; small sines without one.
+        logs: Logs; the first one gives inputs and step. Without logs, small sines are used.
         values: Start values by name.
         limits: Limits of each simulation.
 
@@ -80,7 +83,7 @@ def probe_own_step(
         took = time.monotonic() - begin
 
         def steps(step: float, count: int) -> Array:
-            """Return the outputs after each of `count` steps with the first inputs held."""
+            """Return the outputs after each of `count` steps with constant inputs."""
             times = np.asarray(course.time[0] + step * np.arange(count + 1), np.float64)
             inputs = {n: np.repeat(v[:1], count + 1) for n, v in course.inputs.items()}
             held = Course(course.name, times, inputs, {}, step)
@@ -89,13 +92,13 @@ def probe_own_step(
 
         with prober.hurry(took), suppress(SimulationError, FmuError):
             step, count = course.step, 2**DOUBLINGS
-            tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]  # to the same time by several steps
+            tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]  # same end time with several steps
             if any(len(each) != count // 2**k + 1 for k, each in enumerate(tables)):
                 return None
             size = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
             gaps = [float((np.abs(a[-1] - b[-1]) / size).max(initial=0.0)) for a, b in pairwise(tables)]
             if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
-                # So many short steps reach the result of a single long one.
+                # this many short steps give the result of a single long one
                 distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / size).sum(axis=1)
                 own = roundest(step * count / max(1, int(np.argmin(distance))))
                 return OwnStep(own, step, own > step)
@@ -106,7 +109,7 @@ def probe_own_step(
 
 
 def excited_course(prober: Prober, course: Course) -> Course:
-    """Return the first rows of a course with inputs off their rest, so that every simulation moves."""
+    """Return the first rows of a course with inputs displaced from rest, so that the FMU moves."""
     course = course.first(ROWS)
     for variable in reals(prober.description, "input"):
         if variable.name in course.inputs:

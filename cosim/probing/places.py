@@ -1,4 +1,4 @@
-"""Places where terms can be added to an FMU, and the interface by which it is refined."""
+"""Places where terms can be added to an FMU, and the interface used for its refinement."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from cosim.probing.model_exchange import exchange_structure
 from cosim.probing.own_step import OwnStep, probe_own_step
 from cosim.probing.prober import LIMITS, Prober
 
-FASTEST = 20.0  # largest product of step and eigenvalue of a filter over the states
+FASTEST = 20.0  # largest product of step and eigenvalue for a filter over the states
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Structure and behaviour of an FMU, and the interface by which it is refined.
+    """Structure and behaviour of an FMU, and the interface used for its refinement.
 
     Attributes:
         reason: Reason for the interface.
-        structure: Structure of the interface.
-        own_step: Step that the FMU makes on its own in co-simulation, None without one.
+        structure: Structure seen through the interface.
+        own_step: Internal step in co-simulation, None if it has none.
     """
 
     reason: str
@@ -38,12 +38,13 @@ class Places:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Return sentences on a step of its own, on failures, and on dampings that could not be tried."""
-        stops = [f"{stop}; the structure is that before it" for stop in self.structure.stops]
+        """Return sentences on an internal step, on failures, and on damping parameters that could not be used."""
+        stops = [f"{stop}; the structure was measured before this" for stop in self.structure.stops]
         lost = [
-            f"{d.parameter} brakes {d.pair.velocity} and would tell how forces there change other rates, but a second "
-            "instance cannot be kept in step: events occur, or a process holds one instance only; forces at "
-            f"{d.pair.velocity} act through an input, or on its rate alone"
+            f"{d.parameter} damps {d.pair.velocity} and would show how forces there change other derivatives, but "
+            "a second "
+            "instance cannot be synchronized (events occur, or only one instance per process is allowed); forces at "
+            f"{d.pair.velocity} act through an input, or on its derivative alone"
             for d in self.structure.directions
             if not d.in_step
         ]
@@ -76,7 +77,7 @@ class Places:
 def probe_structure(
     fmu: Path, logs: Sequence[Log] = (), *, way: Way | None = None, limits: Limits = LIMITS
 ) -> Structure:
-    """Return the structure of a binary, from simulations along logs, or along small sines without logs.
+    """Return the structure of an FMU, from simulations along logs, or along small sines without logs.
 
     Args:
         way: Interface to probe; None prefers model exchange.
@@ -99,10 +100,10 @@ def probe_structure(
 
 
 def probe_places(fmu: Path, logs: Sequence[Log] = (), *, limits: Limits = LIMITS) -> Places:
-    """Return the places of an FMU.
+    """Return the places of an FMU where terms can be added.
 
     Args:
-        logs: Logs of the FMU; without any, small sines drive the inputs.
+        logs: Logs of the FMU; without logs, small sines drive the inputs.
         limits: Limits of each simulation.
 
     Raises:
@@ -127,10 +128,10 @@ def probe_places(fmu: Path, logs: Sequence[Log] = (), *, limits: Limits = LIMITS
 
 
 def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[Way]) -> tuple[Way, str]:
-    """Return the interface by which an FMU is refined, and the reason.
+    """Return the interface used for a refinement, and the reason.
 
     Args:
-        exchange: Structure of model exchange.
+        exchange: Structure seen through model exchange.
     """
     stiffness = exchange.step * exchange.largest_rate
     events = sum(count.total for count in exchange.events)
@@ -138,19 +139,22 @@ def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[
     if events:
         objection = f"model exchange has {events} events along the logs"
     elif stiffness > FASTEST:
-        objection = f"step times largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}"
+        objection = (
+            f"the product of step and largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}"
+        )
     elif not exchange.states:
         objection = "model exchange has no continuous states"
     if objection is None:
         return "model-exchange", (
-            "its states and derivatives are accessible, no events occur along the logs, and step times largest "
+            "its states and derivatives are accessible, no events occur along the logs, and the product of step "
+            "and largest "
             f"eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
         )
     if "co-simulation" not in offered:
         return "model-exchange", f"it has no co-simulation, although {objection}"
     if own_step:
         return "model-exchange", (
-            f"its co-simulation has steps of its own of {own_step.length:.3g} s, above those of the logs, "
+            f"its co-simulation has an internal step of {own_step.length:.3g} s, above the step of the logs, "
             f"although {objection}"
         )
     return "co-simulation", objection

@@ -1,4 +1,4 @@
-"""An FMU that is probed, from the caller's side: its worker process, its signals and its pairs."""
+"""Client of a probed FMU: its worker process, signals and pairs."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from cosim.scenario.start_values import settable
 Job = Callable[..., Any]
 MODULES = ("cosim.probing.model_exchange", "cosim.probing.misbehaviour", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
 LIMITS = Limits(step=20.0, load=60.0)
-USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]
-SLOW = 30.0  # time limit of a trial as a multiple of the time of an ordinary simulation
+USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # minimum time limits of a trial [s]
+SLOW = 30.0  # time limit of a trial, as a multiple of the duration of an ordinary simulation
 
 
 class Prober(ExitStack):
-    """An FMU with a worker process that makes its simulations, as a context that unpacks it.
+    """An unpacked FMU and the worker process that simulates it, as a context manager.
 
     Args:
         values: Start values of every instance.
@@ -55,7 +55,7 @@ class Prober(ExitStack):
         return self
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:
-        """Return the FMU with further start values."""
+        """Return the FMU with additional start values."""
         return Fmu(self.path, self.place, self.description, {**self._values, **values})
 
     @property
@@ -65,10 +65,10 @@ class Prober(ExitStack):
 
     @contextmanager
     def hurry(self, took: float) -> Iterator[None]:
-        """Limit all jobs within a `with` block as trials that may hang.
+        """Limit the time of jobs within the `with` block, because trial values may hang the FMU.
 
         Args:
-            took: Time that an ordinary simulation took [s].
+            took: Duration of an ordinary simulation [s].
         """
         usual = self._limits
         step, load = max(USUAL_STEP, SLOW * took), max(USUAL_LOAD, SLOW * took)
@@ -86,9 +86,9 @@ class Prober(ExitStack):
 
 
 def separate_pairs(fits: Sequence[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
-    """Return position, velocity and gain of pairs without a common signal.
+    """Return (position, velocity, gain) of pairs without common signals.
 
-    Of a chain of integrators these are the first two; else the gain nearest to 1 decides.
+    In a chain of integrators, the first two signals are the pair; otherwise the gain nearest to 1 decides.
     """
     velocities = {v for _, v, _ in fits}
     chosen: list[tuple[int, int, float]] = []
@@ -103,7 +103,7 @@ def separate_pairs(fits: Sequence[tuple[int, int, float]]) -> list[tuple[int, in
 def quantities(
     description: Any, names: Sequence[str], starts: Sequence[float] | Array | None = None
 ) -> tuple[Quantity, ...]:
-    """Return names of variables or of elements of arrays as quantities.
+    """Return variables or array elements as quantities.
 
     Args:
         starts: Start values; None for those of the description.
@@ -120,7 +120,7 @@ def quantities(
     return tuple(made)
 
 
-# Trials of the parameters and start values that may be set before initialization: which of them act.
+# Trials of parameters and start values that may be set before initialization, to find those with an effect.
 
 
 MOST_STARTS = 40  # start values tried
@@ -142,10 +142,10 @@ def _is_settable_real(v: Any) -> bool:
 def tried_parameters(
     prober: Prober, react: Callable[[Fmu], tuple[Array, Array]], size: Array
 ) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with what other values of it change.
+    """Return each settable parameter with the effects of other values.
 
     Args:
-        react: Function of the FMU that returns its states after initialization, and a table of reactions.
+        react: Function of the FMU that returns its states after initialization, and a table of responses.
         size: Magnitude of each column of the table.
     """
     parameters = settable_parameters(prober.description)
@@ -187,13 +187,13 @@ def tried_parameters(
 
 
 def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> tuple[StartValue, ...]:
-    """Return the start values of states of an FMU for co-simulation that change an output: its unknown start states.
+    """Return the start values of an FMU for co-simulation that change an output, as unknown initial states.
 
-    Parameters are not tried: those of a start are a matter of names.
+    Parameters whose names mark them as start values are not tried here.
 
     Args:
         base: Outputs along the course with the FMU's own start values.
-        noise: Differences of equal outputs.
+        noise: Differences between repeated simulations.
     """
     found = []
     spread = np.maximum(base.std(axis=0), CHANCE * noise)
@@ -217,7 +217,7 @@ def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> t
         if not rows or not (np.abs(change) > noise).any():
             continue
         reach = float((np.abs(change) / spread).max()) / abs(by)
-        # the output that alone shows it after initialization
+        # the only output that equals it after initialization
         slopes = change[0] / by
         shown = np.flatnonzero(np.abs(slopes) > noise / abs(by))
         output = (int(shown[0]), float(slopes[shown[0]])) if len(shown) == 1 else (-1, 0.0)

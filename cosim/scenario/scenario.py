@@ -41,11 +41,11 @@ def scalar(value: Any) -> Any:
         return [scalar(each) for each in value]
     if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST_NUMBER):
         return value
-    raise ValueError("a value is a finite number, true or false, or text such as 12 deg")
+    raise ValueError("use a finite number, true or false, or text such as 12 deg")
 
 
 def _kind_of(component: Any) -> str | None:
-    """Return the tag of a component's kind, by its typical key."""
+    """Return the kind of a component, by its characteristic key."""
     if isinstance(component, FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent):
         return f"«{getattr(component, 'block', 'fmu')}»"
     if not isinstance(component, dict):
@@ -72,7 +72,7 @@ class Connection(Part):
     """Connection of an output to an input.
 
     from:   the output, `component.variable`
-    to:     the input, `component.variable`; it has one source
+    to:     the input, `component.variable`; an input has one source
     noise:  noise and bias added to the value
     factor: multiplies the value in place of the unit conversion
     offset: added after the factor, in the unit of the input
@@ -91,7 +91,7 @@ class Connection(Part):
 
     @property
     def conversion(self) -> tuple[float, float] | None:
-        """Return factor and offset; None for automatic unit conversion."""
+        """Return factor and offset of the connection; None for automatic unit conversion."""
         if self.factor is None and self.offset is None:
             return None
         return 1.0 if self.factor is None else self.factor, self.offset or 0.0
@@ -106,9 +106,9 @@ class Disturbance(Part):
     value: in the unit of the input
     probability: per sample, 0 … 1
     delay: [s]
-    kind: bias adds `value`; scale multiplies by it; stuck replaces the signal by it; freeze holds the last value;
-        dropout loses samples with `probability` and holds the last received one; spike adds `value`, once or with
-        `probability` per sample; delay delays the signal by `delay` [s]
+    kind: bias adds `value`; scale multiplies by `value`; stuck replaces the signal by `value`; freeze keeps the last
+        value; dropout loses samples with `probability` and keeps the last received one; spike adds `value`, once or
+        with `probability` per sample; delay delays the signal by `delay` [s]
     """
 
     on: Variable
@@ -132,7 +132,7 @@ class Event(Part):
 
 
 class ClockTiming(Part):
-    """Times of an input clock of an FMU, for clocks whose times the FMU does not give.
+    """Times of an input clock of an FMU, for clocks whose times the FMU does not specify.
 
     interval: time [s] between two ticks, of a fixed, tunable or triggered clock
     shift:    time [s] from the start of the run to the first tick of a triggered clock
@@ -149,14 +149,15 @@ class FmuComponent(Part):
 
     fmu:     file, relative to the scenario
     start:   variable → value, for parameters and unconnected inputs
-    parameters: parameter sets (SSV), files relative to the scenario, such as fitted.ssv; a later one, and `start`, wins
+    parameters: parameter sets (SSV), files relative to the scenario, such as fitted.ssv; later files override
+        earlier ones, and `start` overrides all
     process: `own` for a process shared with no other FMU
     interface: FMI interface, if the FMU offers several
-    event_mode: whether FMI 3.0 co-simulation uses event mode; by default if the FMU has clocks
-    clocks:    input clock → its times, for clocks whose times the FMU does not give
-    step:      its communication step [s], a whole multiple of the scenario's
-    tolerance: relative tolerance of its solver
-    logging:   whether debug logging is on
+    event_mode: true to use event mode in FMI 3.0 co-simulation; by default true if the FMU has clocks
+    clocks:    input clock → its times, for clocks whose times the FMU does not specify
+    step:      communication step of this FMU [s], a whole multiple of the scenario's step
+    tolerance: relative tolerance of the FMU's solver
+    logging:   true for debug logging
     solver:    solver for model exchange
     solver_step: longest step of this solver [s]; by default 1/50 of the run
     max_steps: largest number of steps of this solver between communication points and events; by default 500 for
@@ -199,7 +200,7 @@ class PlaybackComponent(Part):
 
     block:         playback
     file:          CSV file, relative to the scenario; its first column is time [s]
-    interpolation: held: each value acts until the next row; linear: a line between two rows. Equal times are a jump
+    interpolation: held: each value applies until the next row; linear: linear between rows. Equal times mark a jump
     sha256:        SHA-256 of the file, as written to a manifest
     """
 
@@ -243,7 +244,7 @@ class Bond(Part):
     """Power bond of two FMUs: two outputs, each connected to an input of the other, whose product is a power.
 
     effort: a force, torque, voltage or pressure, `component.output`
-    flow:   the velocity, speed, current or flow that belongs to it, `component.output`
+    flow:   the matching velocity, speed, current or flow, `component.output`
     """
 
     effort: Variable
@@ -288,7 +289,7 @@ def _check_record(record: Any) -> Any:
     """Return the value of `record`; raise ValueError unless it is a list or a mapping."""
     if not isinstance(record, dict | Recording | list | tuple):
         raise ValueError(
-            "it should be a list of patterns of locals and parameters to record beside inputs and outputs, "
+            "it should be a list of patterns of locals and parameters to record in addition to inputs and outputs, "
             "[plant.*], or a mapping that limits the record, {signals: [plant.x], every: 0.1 s}"
         )
     return record
@@ -298,9 +299,9 @@ class LoopSettings(Part):
     """Solution of algebraic loops at each communication point.
 
     tolerance:  largest residual, relative to a signal's magnitude or its nominal value, whichever is larger
-    iterations: most iterations at a communication point
+    iterations: maximum number of iterations at a communication point
     method:     newton, or anderson for fixed-point iterations with Anderson acceleration; by default newton, and
-        anderson for a loop of too many signals for differences
+        anderson for loops with too many signals for finite differences
     """
 
     tolerance: Positive = 1e-8
@@ -363,7 +364,7 @@ Component = Annotated[
     Discriminator(
         _kind_of,
         custom_error_type="component",
-        custom_error_message="a component has fmu: FILE, or block: reference, playback or fix",
+        custom_error_message="a component needs fmu: FILE, or block: reference, playback or fix",
     ),
 ]
 
@@ -378,23 +379,23 @@ class Scenario(Part):
     start_time:  [s]
     seed:        seed of all random streams; the same seed gives the same bytes
     order:       stepping order of components with inputs, if their FMUs do not determine it
-    extrapolate: course of inputs during a step whose new value is not available; linear with controlled steps
-    interpolate: course of inputs that have the value of the step's end; linear with controlled steps
+    extrapolate: course of inputs during a step, if only past values are available; linear with controlled steps
+    interpolate: course of inputs during a step, if the value at its end is available; linear with controlled steps
     loops:       solution of algebraic loops; inputs without declared dependencies may then be part of one
     noise:       on or off, for all connections
     tolerance:   relative tolerance of the solvers; by default each FMU's own
-    record:      patterns such as `plant.*` of locals and parameters to record beside inputs and outputs; or a part of
+    record:      patterns such as `plant.*` of locals and parameters to record besides inputs and outputs; or a part of
         all signals, at a rate of its own
     components:  name → FMU, reference, recording or fixes
     connections: from outputs to inputs
     events:      values set for parameters and inputs at a time
     faults:      faults on connections
-    criteria:    required figures of merit; a missed one leads to exit code 5
+    criteria:    required figures of merit; a missed criterion leads to exit code 5
     limits:      limits on time and memory of a run
-    checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` goes on
+    checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` continues
     pace:        simulated seconds per second: 1 for real time; by default as fast as possible
     display:     unit → unit in which reports, tables and charts show it; by default the display unit of the FMUs.
-        Files keep declared units
+        Files always have the declared units
     """
 
     name: str
@@ -430,7 +431,7 @@ class Scenario(Part):
 
     @property
     def control(self) -> StepControl | None:
-        """Return the step control, None for equal steps."""
+        """Return the step control; None for steps of equal length."""
         return self.stepping if isinstance(self.stepping, StepControl) else None
 
     @property
@@ -458,14 +459,14 @@ class Scenario(Part):
 
     @property
     def courses(self) -> tuple[int, int]:
-        """Return the degrees of extrapolation and interpolation."""
+        """Return the polynomial degrees of extrapolation and interpolation."""
         default = COURSES[0] if self.control is None else COURSES[1]
         return COURSES.index(self.extrapolate or default), COURSES.index(self.interpolate or default)
 
     @property
     def steps(self) -> int:
         """Return the number of rows after the first."""
-        return round(min(self.duration / self.step, 1e18))  # more than any run accepts; infinity would have no integer
+        return round(min(self.duration / self.step, 1e18))  # above the limit of any run; infinity cannot be an integer
 
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:
@@ -487,6 +488,6 @@ class Scenario(Part):
 
 
 def resolve_defaults(scenario: Scenario) -> dict[str, Any]:
-    """Return a scenario as JSON with all defaults."""
+    """Return a scenario as JSON data, including all defaults."""
     data: dict[str, Any] = json.loads(scenario.model_dump_json(by_alias=True, exclude_none=True))
     return data

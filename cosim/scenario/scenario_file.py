@@ -1,4 +1,4 @@
-"""Reading scenario files: overrides, faults with their place, and the valid remainder of a faulty file."""
+"""Reading of scenario files: overrides, faults with their place, and the valid remainder of a faulty file."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class ScenarioFile:
     Faults of form do not stop the checks of meaning. Callers that run the scenario must raise `faults` first.
 
     Args:
-        overrides: `path=value` texts; a fault of such a value names the override.
-        origin: Maps faults to the source file of a generated scenario.
+        overrides: `path=value` texts; a fault of an overridden value names the override.
+        origin: Function that maps a fault of a generated scenario to its source file.
         option: Option name for messages on overrides; "" if the caller supplies places.
 
     Attributes:
@@ -51,7 +51,7 @@ class ScenarioFile:
         scenario: Scenario without its faulty parts.
         broken: Names of removed components.
         places: Indices in the file of the remaining connections, faults and events.
-        sets: Component → files of its parameter sets, whose values are among its start values.
+        sets: Component → files of its parameter sets; their values are already in its start values.
     """
 
     scenario: Scenario
@@ -73,11 +73,10 @@ class ScenarioFile:
             subject = f'{option} "{short(override)}"' if option else ""
             self.yaml.overrides[_override(path, data, override, subject)] = subject
         self.faults: list[Fault] = []
-        self.warnings: list[str] = []  # about valid parts of the scenario
+        self.warnings: list[str] = []  # faults in valid parts of the scenario
         if self.manifest is not None and "schema_version" not in self.manifest:
             self.warnings.append(
-                f"{path} is a manifest without schema_version, as after an edit; it is read as one of version "
-                f"{SCHEMA_VERSION}"
+                f"{path} is a manifest without schema_version, perhaps edited; it is read as version {SCHEMA_VERSION}"
             )
         self.warnings += other_version(path, self.manifest or {})
         form_faults = self._read(data)
@@ -100,7 +99,7 @@ class ScenarioFile:
 
     def _read(self, data: dict[str, Any]) -> list[Fault]:
         """Set the scenario, without faulty parts if necessary; return the faults of form."""
-        self.broken, self.stands_in = set[str](), False  # whether name, duration or step are replaced
+        self.broken, self.stands_in = set[str](), False  # True if name, duration or step were replaced
         lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
         self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
         try:
@@ -215,7 +214,7 @@ class ScenarioFile:
         if of_control or self.stands_in:  # Otherwise duration or step is faulty itself.
             pass
         elif not count <= MOST_STEPS:
-            number = f"which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}"
+            number = f"which makes {count:.3g} steps; a run may have at most {MOST_STEPS:g}"
             cure = "give a longer step or a shorter duration"
             yield ("step",), f"step is {s.step:g} s, {number}; {cure}"
         elif not _is_whole(count):
@@ -244,12 +243,12 @@ class ScenarioFile:
             if kind == "settling_time" and criterion.band is None:
                 yield where, f"{kind} needs a band; add the allowed distance from its target"
             elif kind != "settling_time" and criterion.band is not None:
-                yield where, f"{kind} takes no band; leave it out"
+                yield where, f"{kind} has no band; remove it"
             start, end = criterion.after, s.duration if criterion.until is None else criterion.until
             is_inside = self.stands_in or (start < end <= s.duration and end - start >= s.step)
             if start < 0 or not is_inside:
-                interval = f"{kind} looks from {start:g} s to {end:g} s of {s.duration:g} s"
-                yield where, f"{interval}; choose times within the run, a step or more apart"
+                interval = f"{kind} is evaluated from {start:g} s to {end:g} s of {s.duration:g} s"
+                yield where, f"{interval}; choose times within the run, at least one step apart"
 
     def _control_faults(self) -> Iterator[tuple[Location, str]]:
         """Yield places and faults of the control of the steps."""
@@ -260,12 +259,12 @@ class ScenarioFile:
         if not control.min <= control.max <= s.step * (1.0 + ROUNDING):
             times = f"min is {control.min:g} s, max {control.max:g} s and rows {s.step:g} s"
             key = "min" if control.min > control.max else "max"
-            yield ("step", key), f"{times}; min is at most max, and max at most rows"
+            yield ("step", key), f"{times}; min must not exceed max, and max must not exceed rows"
         if control.min < least:
             text = f"min is {control.min:g} s, too short for floating-point times of this run"
             yield ("step", "min"), f"{text}; give at least {least:.2g} s"
         if control.bonds and control.estimator not in (None, "energy"):
-            cure = f"bonds belong to estimator: energy, not to {control.estimator}; leave one out"
+            cure = f"bonds need estimator: energy, not {control.estimator}; remove one of them"
             yield ("step", "bonds"), cure
         if control.estimator == "energy" and not control.bonds:
             cure = "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
@@ -273,20 +272,20 @@ class ScenarioFile:
 
 
 def _is_whole(count: float) -> bool:
-    """Return whether a number of steps is whole within rounding, and at least 1."""
+    """Return True if a number of steps is a whole number of at least 1, within rounding."""
     return abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1
 
 
 def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Location:
-    """Apply a `path=value` override; return its place.
+    """Apply a `path=value` override; return the location of the value.
 
-    The value is read as YAML, which includes JSON, else as text.
+    The value is read as YAML, which includes JSON, otherwise as text.
 
     Args:
-        subject: The override in messages; "" for its path.
+        subject: Name of the override in messages; "" for its path.
     """
     target, sign, value = text.partition("=")
-    reason = "is not path=value; for example --set noise=off"
+    reason = "does not have the form path=value; for example --set noise=off"
     if sign and target.strip():
         node: Any = data
         keys = keys_of(target.strip())
@@ -308,10 +307,10 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
                     node[index] = from_here(keys, value)
                 return tuple(at)
             node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
-        reason = f"leads nowhere: there is no {short(target)} in the scenario"
+        reason = f"cannot be set: the scenario has no {short(target)}"
         if keys[0] == "components" and isinstance(components := data.get("components"), dict):
             some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
-            reason = f'is for component "{short(keys[1])}", which is not in the scenario{hint} (its components: {some})'
+            reason = f'needs component "{short(keys[1])}", which the scenario lacks{hint} (its components: {some})'
     raise InputError.at(path, f"{subject or short(target)} {reason}")
 
 
@@ -329,7 +328,7 @@ def keys_of(target: str) -> list[str]:
 def from_here(keys: Sequence[str], value: Any) -> Any:
     """Return a part of a scenario with absolute file names.
 
-    Relative names start at the current folder, where the user typed them.
+    Relative names are relative to the current folder, where the user typed them.
 
     Args:
         keys: Place of the part; none for the whole scenario.
@@ -351,15 +350,15 @@ def sha256(path: Path) -> str:
 
 
 def key_of(component: Component) -> str:
-    """Return the key for a component's file."""
+    """Return the key under which a component names its file."""
     return "fmu" if isinstance(component, FmuComponent) else "file"
 
 
 def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
-    """Return a manifest's scenario with missing or changed files replaced by those beside the manifest.
+    """Return a manifest's scenario with missing or changed files replaced by copies in `folder`.
 
-    A file missing at its path is taken by name from `folder` or from the system of an SSP there. A file with different
-    content is replaced too, if the file in `folder` has the content of the run.
+    A file missing at its path is searched by name in `folder` or in the system of an SSP there. A file with changed
+    content is replaced too, if the file in `folder` has the recorded hash.
     """
     components: dict[str, Any] = {}
     for name, component in scenario.components.items():
@@ -391,11 +390,11 @@ def take_nearest(file: ScenarioFile) -> None:
         has_refined = True
         try:
             if component.sha256 is not None:
-                raise NoNearest("a manifest repeats its run as it was; leave --nearest out, or run the scenario")
+                raise NoNearest("a manifest repeats its run unchanged; omit --nearest, or run the scenario")
             components[name] = component.model_copy(update={"fmu": str(refined_file(path, nearest=True))})
         except NoNearest as error:
             file.faults.append(file.fault(("components", name, "fmu"), str(error)))
     if not has_refined:
         reason = "no component uses a result of `cosim refine`, so --nearest has no effect"
-        file.faults.append(Fault(file.path, 0, 0, f"{reason}; name the FMU of such a result, or leave --nearest out"))
+        file.faults.append(Fault(file.path, 0, 0, f"{reason}; use the FMU of a refine result, or omit --nearest"))
     file.scenario = file.scenario.model_copy(update={"components": components})

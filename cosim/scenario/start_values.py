@@ -1,7 +1,7 @@
-"""Values of a scenario in the type and unit of their FMU variable or signal.
+"""Start values of a scenario, converted to the type and unit of the FMU variable or signal.
 
-Texts in the unit of a signal, such as `2 deg`, wait until the scenario is known. Quantities with a fixed unit, such as
-`duration`, are converted by `cosim.files.yaml_file.InUnit`.
+Texts in the unit of a signal, such as `2 deg`, are converted after the scenario is built. Quantities with a fixed
+unit, such as `duration`, are converted by `cosim.files.yaml_file.InUnit`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from cosim.scenario.scenario import (
     Variable,
 )
 
-STAND_IN = 1.0  # replaces a faulty quantity, so that checks can go on
+STAND_IN = 1.0  # replaces a faulty quantity, so that the other checks can continue
 Resolve = Callable[[str], Path]
 # unit of a signal, and a function from (text, difference=) to a number in this unit, which may raise ValueError
 Measure = tuple[str, Callable[..., float]]
@@ -56,20 +56,20 @@ def settable(variable: Any) -> bool:
 
 
 def kind_of(variable: Any) -> str:
-    """Return a phrase on why a variable cannot have a start value, for messages."""
+    """Return the reason why a variable has no settable start value, as a phrase."""
     phrases = {
         "output": "an output",
         "calculatedParameter": "calculated",
         "independent": "the time",
-        "structuralParameter": "a structural parameter, which keeps its value here",
+        "structuralParameter": "a structural parameter, which cosim does not change",
     }
     return phrases.get(variable.causality, variable.variability or "not settable")
 
 
 def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return start values with elements merged into arrays.
+    """Return start values in which single array elements are merged into arrays.
 
-    An element is written `A[1,2]: 3`. Remaining elements come from the array's given value, else from its start value.
+    An element is written `A[1,2]: 3`. The other elements come from the given array, otherwise from its start value.
     """
     merged = dict(start)
     for name, value in start.items():
@@ -79,7 +79,7 @@ def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
         values = merged.get(array.name, array.start)
         values = [values or 0.0] if values is None or isinstance(values, (int, float)) else values
         values = values.split() if isinstance(values, str) else values
-        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:  # other numbers are reported elsewhere
+        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:  # other numbers are checked elsewhere
             values = [*map(_number, values)] * (len(names) // len(values))
             del merged[name]
             merged[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
@@ -103,7 +103,7 @@ def start_value(description: Any, variables: Mapping[str, Any], name: str, value
         hint = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
         raise ValueError(f'{component or "the FMU"} has no variable "{name}"{hint}')
     if not settable(variable):
-        raise ValueError(f"{full_name} is {kind_of(variable)}; it takes no start value")
+        raise ValueError(f"{full_name} is {kind_of(variable)}; its start value cannot be set")
     try:
         return convert_value(description, variable, value)
     except ValueError as error:
@@ -119,15 +119,15 @@ def convert_value(description: Any, variable: Any, value: Any) -> Any:
         return _scalar(description, variable, value)
     count = math.prod(variable.shape)
     if not isinstance(value, list) or len(value) != count:
-        raise ValueError(f"it is a list of {count} values")
+        raise ValueError(f"use a list of {count} values")
     return [_scalar(description, variable, each) for each in value]
 
 
 def _scalar(description: Any, variable: Any, value: Any) -> Any:
-    """Return a value of a scalar in FMI's type; raise ValueError with the reason against it."""
+    """Return a scalar value in the FMI type; raise ValueError with the reason if it does not fit."""
     kind, unit = kinds_of(description.fmiVersion).get(variable.type), unit_of(variable)
     if kind is None:
-        raise ValueError(f"it is a {variable.type}, which is not supported")
+        raise ValueError(f"the type {variable.type} is not supported")
     if variable.type in NOT_NUMBERS:
         fits, reason = NOT_NUMBERS[variable.type]
         if not fits(value):
@@ -136,26 +136,26 @@ def _scalar(description: Any, variable: Any, value: Any) -> Any:
     items = enumeration_items(variable) if variable.type == "Enumeration" else {}
     if isinstance(value, str) and variable.type == "Enumeration":
         if value not in items:
-            raise ValueError(f"it is one of {', '.join(items)}{did_you_mean(value, items)}")
+            raise ValueError(f"allowed: {', '.join(items)}{did_you_mean(value, items)}")
         value = items[value]
     elif isinstance(value, str):
         value = convert_quantity(description, variable, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"it is a number [{unit or '1'}]")
+        raise ValueError(f"use a number [{unit or '1'}]")
     if kind.is_whole and not float(value).is_integer():
-        raise ValueError("it is a whole number")
+        raise ValueError("use a whole number")
     if items and int(value) not in items.values():
-        raise ValueError(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
+        raise ValueError(f"allowed: {', '.join(f'{n} ({k})' for n, k in items.items())}")
     low, high = bounds_of(description, variable)
     if not low <= value <= high:
-        raise ValueError(f"it lies in [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip())
+        raise ValueError(f"allowed range: [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip())
     return int(value) if kind.is_whole else float(value)
 
 
 NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "Boolean": (lambda v: isinstance(v, bool), "it is true or false"),
-    "String": (lambda v: isinstance(v, str), "it is text"),
-    "Binary": (lambda v: isinstance(v, str) and HEX.fullmatch(v) is not None, "it is text of hexadecimal digits"),
+    "Boolean": (lambda v: isinstance(v, bool), "use true or false"),
+    "String": (lambda v: isinstance(v, str), "use text"),
+    "Binary": (lambda v: isinstance(v, str) and HEX.fullmatch(v) is not None, "use text of hexadecimal digits"),
 }
 
 
@@ -179,7 +179,7 @@ def convert_quantity(description: Any, variable: Any, text: str, difference: boo
     """Return text such as `12 deg` in the unit of the variable; raise ValueError with the reason if that is impossible.
 
     Args:
-        difference: Whether to ignore the unit's offset.
+        difference: True for a difference, so that the unit's offset is not added.
     """
     unit, relative = unit_of(variable), difference or is_difference(variable)
     units: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
@@ -192,7 +192,7 @@ def convert_quantity(description: Any, variable: Any, text: str, difference: boo
         if not getattr(display, "inverse", False):
             return (number - offset) / factor
         if relative or number == offset:
-            raise ValueError(f"{display.name} is the inverse of {unit}; give it in {unit}")
+            raise ValueError(f"{display.name} is the inverse of {unit}; give the value in {unit}")
         return factor / (number - offset)
     source, target = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
     if not written or not (by := source.conversion(target)):
@@ -206,7 +206,7 @@ def convert_quantity(description: Any, variable: Any, text: str, difference: boo
 def waiting_texts(
     scenario: Scenario, places: Mapping[str, Sequence[int]], resolve: Resolve
 ) -> Iterator[tuple[Location, str, Callable[[str], float]]]:
-    """Yield place, text and reader of each text in the unit of a signal; a reader may raise ValueError.
+    """Yield location, text and converter of each text in the unit of a signal; a converter may raise ValueError.
 
     Args:
         places: Indices in the file of connections and faults.
@@ -226,7 +226,7 @@ def _quantities(scenario: Scenario, places: Mapping[str, Sequence[int]]) -> Iter
         yield ("faults", k, "value"), fault.value, "value" if fault.kind == "stuck" else "difference", of
     for goal, index, criterion in scenario.goals:
         at: Location = ("criteria", goal) if index is None else ("criteria", goal, index)
-        if isinstance(criterion.to, str) and has_unit(criterion.to):  # other text names a signal
+        if isinstance(criterion.to, str) and has_unit(criterion.to):  # other text is the name of a signal
             yield (*at, "to"), criterion.to, "value", criterion.of
         yield (*at, "band"), criterion.band, "difference", criterion.of
         if goal == "settling_time":
@@ -256,7 +256,7 @@ def _of_noise(at: Location, noise: Noise | None, of: Variable | Measure) -> Iter
 
 
 def _measure(scenario: Scenario, resolve: Resolve, signal: str) -> Measure | None:
-    """Return the unit of a signal and its reader of texts; None if its component has a fault, reported elsewhere."""
+    """Return the unit of a signal and its converter of texts; None if its component has a fault, reported elsewhere."""
     owner, _, name = signal.partition(".")
     component = scenario.components.get(owner)
     try:
@@ -274,7 +274,7 @@ def _measure(scenario: Scenario, resolve: Resolve, signal: str) -> Measure | Non
     except (FmuError, InputError, OSError):
         return None
     except (ValueError, KeyError):
-        raise ValueError(f"the unit of {signal} is not known; write a number alone") from None
+        raise ValueError(f"the unit of {signal} is unknown; write a number without unit") from None
     return _measure_in(computed_in(unit)[0] if isinstance(component, ReferenceComponent) else unit)
 
 

@@ -37,7 +37,7 @@ MAX_SLIPS = 5  # reported violations of the schema per file
 class Element:
     """An XML element.
 
-    Its `tag` has the standard's prefix of the namespace, whichever prefix the file uses.
+    In its `tag`, the namespace has the prefix used by the SSP standard, whatever prefix the file uses.
     """
 
     file: Path
@@ -48,7 +48,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, *tags: str) -> Iterator[Element]:
-        """Yield all elements at a path of tags; for each outer tag, only the first element is searched."""
+        """Yield all elements at a path of tags; outer tags match their first element only."""
         parent = self.first(*tags[:-1])
         return (child for child in (parent.children if parent else ()) if child.tag == tags[-1])
 
@@ -57,7 +57,7 @@ class Element:
         return next(self.all(*tags), None) if tags else self
 
     def descendants(self) -> Iterator[Element]:
-        """Yield all elements within."""
+        """Yield all nested elements at any depth."""
         for child in self.children:
             yield child
             yield from child.descendants()
@@ -67,7 +67,7 @@ class Element:
         return self.attributes.get(name)
 
     def fault(self, message: str) -> Fault:
-        """Return a fault of this element."""
+        """Return a fault at the place of this element."""
         name = self.get("name")
         label = f'{self.tag} "{name[:60]}"' if name else self.tag
         return Fault(self.file, self.line, self.column, with_prefix(f"{label}: ", message))
@@ -91,7 +91,7 @@ class Package:
 
     def resolve(self, source: str) -> Path | str:
         """Return the file of a relative URI in the SSP, or a message on a URI that is not allowed."""
-        name, cure = source[:80], "put the file into resources/ and name it so"
+        name, cure = source[:80], "put the file into resources/ and use that path"
         try:
             uri = urlsplit(source)
             within = self.folder.resolve()
@@ -99,10 +99,10 @@ class Package:
             if uri.scheme not in {"", "file"} or uri.netloc:
                 return f'"{name}" is not in the package; {cure}'
             if self.packed and not path.is_relative_to(within):
-                return f'"{name}" leads out of the package; {cure}'
+                return f'"{name}" is outside the package; {cure}'
             return path if path.is_file() else f'no file "{name}" in it'
         except (OSError, ValueError):  # an impossible file name
-            return f'"{name}" is no name of a file'
+            return f'"{name}" is not a file name'
 
     def element(self, path: Path) -> Element:
         """Return the root element of a file; raise InputError."""
@@ -122,7 +122,7 @@ class Package:
 
 @contextmanager
 def open_package(path: Path) -> Iterator[Package]:
-    """Yield a package, unpacked during the block; raise InputError if invalid or unsafe."""
+    """Yield an unpacked package; raise InputError if it is invalid or unsafe."""
     check_form(path, SSP_FILE)
     if path.suffix.lower() == ".ssd":
         yield Package(path, path.parent, path, packed=False)
@@ -132,7 +132,7 @@ def open_package(path: Path) -> Iterator[Package]:
         try:
             unpack(path, folder, SSP)
         except BadArchive as error:
-            raise InputError.at(path, f"is no SSP: {error}") from None
+            raise InputError.at(path, f"is not an SSP: {error}") from None
         except OSError as error:
             raise InputError.at(path, f"cannot be unpacked: {error.strerror}") from None
         yield Package(path, folder, folder / STRUCTURE, packed=True)
@@ -141,7 +141,7 @@ def open_package(path: Path) -> Iterator[Package]:
 def _parse(file: Path, text: bytes) -> Element:
     """Return the root of a document; raise BadArchive if invalid or unsafe."""
     if len(text) > MOST_XML:
-        raise BadArchive(f"it has more than the {MOST_XML / 1e6:.0f} MB that are read; split it")
+        raise BadArchive(f"it exceeds the limit of {MOST_XML / 1e6:.0f} MB; split it")
     check_xml(file.name, text, "SSP")
     prefixes: list[dict[str, str]] = [{}]
     document = Element(file, "", {}, 0, 0)
@@ -152,7 +152,7 @@ def _parse(file: Path, text: bytes) -> Element:
         prefixes.append({**prefixes[-1], **own})
         prefix, _, local = name.rpartition(":")
         uri = prefixes[-1].get(prefix)
-        # an undeclared prefix is taken as the standard's
+        # an undeclared prefix is assumed to be the standard's
         prefix = prefix if uri is None else NAMESPACES.get(uri, prefix or "?")
         place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
         element = Element(file, f"{prefix}:{local}", attributes, *place)
@@ -184,7 +184,7 @@ def _slips(label: Path, text: bytes) -> list[Fault]:
     try:
         root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
     except etree.XMLSyntaxError as error:
-        return [Fault(label, error.lineno or 0, 1, f"breaks the rules of XML: {error.msg}")]
+        return [Fault(label, error.lineno or 0, 1, f"is not valid XML: {error.msg}")]
     name = SCHEMAS.get(etree.QName(root).localname)
     if name is None or root.get("version") != "1.0":
         return []
@@ -195,5 +195,5 @@ def _slips(label: Path, text: bytes) -> list[Fault]:
         reason = slip.message
         for uri, prefix in NAMESPACES.items():
             reason = reason.replace(f"{{{uri}}}", f"{prefix}:")
-        faults.append(Fault(label, slip.line, 1, f"breaks the schema of SSP: {reason}"))
+        faults.append(Fault(label, slip.line, 1, f"violates the schema of SSP: {reason}"))
     return faults

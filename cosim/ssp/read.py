@@ -1,7 +1,8 @@
 """Reading of an SSD (system structure description): nested systems become FMUs, start values and connections.
 
-A component, or a system within systems, has a place: its name behind the names of the systems around it. An end of a
-connection is a place and the name of a connector there.
+A component or nested system has a place: the names of the enclosing systems and its own name. An end of a
+connection
+is a place and the name of a connector there.
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ VERSIONS = ("1.0", "2.0")
 FMU = "application/x-fmu-sharedlibrary"
 PARAMETER_SET = "application/x-ssp-parameter-set"
 INTERFACES = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
-STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}  # annotations of OSP and of OMSimulator
+# vendor annotations of OSP and of OMSimulator
+STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}
 SENDERS = {"output", "calculatedParameter"}  # kinds of connectors
 OTHER_TRANSFORMATIONS = (
     "ssc:BooleanMappingTransformation",
     "ssc:IntegerMappingTransformation",
     "ssc:EnumerationMappingTransformation",
 )
-SIGNAL_DICTIONARY = "signal dictionaries are not read here; connect outputs to inputs"
+SIGNAL_DICTIONARY = "signal dictionaries are not supported; connect outputs to inputs"
 REALS = ("Real", "Float64", "Float32")
 WHOLE = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
@@ -58,7 +60,7 @@ class LinearTransformation:
 
 @dataclass(frozen=True)
 class Connector:
-    """A connector: a possible end of a connection. Its `unit` is None if the file states none."""
+    """A connector of a component or system. Its `unit` is None if the file states none."""
 
     kind: str
     unit: str | None
@@ -90,7 +92,7 @@ class Parameter:
 
 @dataclass
 class FmuPart:
-    """An FMU of the system: place, name for scenarios, file, FMI interface, and start values with their elements."""
+    """An FMU of the system: place, name in scenarios, file, FMI interface, and start values with their XML elements."""
 
     place: Place
     name: str
@@ -124,22 +126,22 @@ class Reader:
         self.warnings: list[str] = []
 
     def note(self, element: Element, message: str) -> None:
-        """Note a fault of an element; raise InputError at the limit of faults."""
+        """Record a fault of an element; raise InputError at the limit of faults."""
         self.faults.append(element.fault(message))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError(self.faults)
 
     def warn(self, element: Element, message: str) -> None:
-        """Note a warning on an element."""
+        """Record a warning on an element."""
         self.warnings.append(str(Fault(element.file, element.line, element.column, message)))
 
     def check_version(self, root: Element) -> None:
-        """Note an unknown version of SSP."""
+        """Record a fault for an unknown version of SSP."""
         if (version := root.get("version")) not in VERSIONS:
-            self.note(root, f"version {format_value(version)} is not known here; {' and '.join(VERSIONS)} are")
+            self.note(root, f"version {format_value(version)} is not supported; supported: {' and '.join(VERSIONS)}")
 
     def number(self, element: Element, name: str, default: Default) -> float | Default:
-        """Return the number in an attribute, the default for a missing or faulty number; note the fault."""
+        """Return the number in an attribute; the default if it is missing or faulty. A fault is recorded."""
         text = element.get(name)
         if text is None:
             return default
@@ -148,15 +150,15 @@ class Reader:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            self.note(element, f"{name} {format_value(text)}: it is a finite number")
+            self.note(element, f"{name} {format_value(text)}: use a finite number")
             return default
         return value
 
     def linear(self, element: Element) -> LinearTransformation:
-        """Return the transformation of a connection or a mapping."""
+        """Return the linear transformation of a connection or a mapping."""
         exact = element.get("suppressUnitConversion") in {"true", "1"}
         for other in filter(None, map(element.first, OTHER_TRANSFORMATIONS)):
-            self.note(other, "is not run here; ssc:LinearTransformation is, or let the FMU map the value")
+            self.note(other, "is not supported; use ssc:LinearTransformation, or map the value in the FMU")
         linear = element.first("ssc:LinearTransformation") or element.first("ssd:LinearTransformation")
         if linear is None:
             return LinearTransformation(exact=exact)
@@ -171,17 +173,17 @@ class Reader:
                 numbers = [self.number(base, n, 1.0 if n == "factor" else 0.0) for n in (*SI, "factor", "offset")]
                 units[name] = tuple(numbers)
                 if numbers[-2] == 0.0:
-                    self.note(base, "factor 0 is that of no unit; give another")
+                    self.note(base, "the factor of a unit cannot be 0; give another")
                     del units[name]
         return units
 
     def value(self, typed: Element) -> Any:
-        """Return a typed value; None after noting a fault."""
+        """Return a typed value; None for a faulty value, after recording the fault."""
         kind, text = typed.tag.partition(":")[2], typed.get("value")
         if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
-            self.note(typed, f"{len(entries)} values; arrays are not read here, bind their elements by name")
+            self.note(typed, f"{len(entries)} values; arrays are not supported, bind their elements by name")
         elif kind not in TYPES:
-            self.note(typed, f"is no type of a value{did_you_mean(kind, TYPES[:-1])}")
+            self.note(typed, f"is not a type of a value{did_you_mean(kind, TYPES[:-1])}")
         elif text is None:
             self.note(typed, "it has no value; add it")
         elif kind in (*REALS, *WHOLE):
@@ -190,13 +192,13 @@ class Reader:
                 return number
             if number == int(number):
                 return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
-            self.note(typed, f"value {format_value(text)}: it is a whole number")
+            self.note(typed, f"value {format_value(text)}: use a whole number")
         elif kind != "Boolean":
             return text
         elif text in BOOLEANS:
             return BOOLEANS[text]
         else:
-            self.note(typed, f"value {format_value(text)}: it is true or false")
+            self.note(typed, f"value {format_value(text)}: use true or false")
         return None
 
     def values(self, holder: Element, prefix: str = "") -> list[Parameter]:
@@ -216,7 +218,7 @@ def read_parameter_set(path: Path) -> list[Parameter]:
     """Return the parameters of an SSV file; raise InputError with every fault."""
     root, reader = Package(path, path.parent, path, packed=False).element(path), Reader()
     if root.tag != "ssv:ParameterSet":
-        raise InputError([root.fault("it should be ssv:ParameterSet")])
+        raise InputError([root.fault("the root element should be ssv:ParameterSet")])
     reader.check_version(root)
     values = reader.values(root)
     refuse(reader.faults)
@@ -224,13 +226,13 @@ def read_parameter_set(path: Path) -> list[Parameter]:
 
 
 class SspSystem(Reader):
-    """The system of a package, without nested systems and without faulty parts; InputError without a system.
+    """The system of a package, flattened, without faulty parts. InputError is raised if the package has no system.
 
     Attributes:
         parts: FMUs by place.
         chains: End → connections that lead to it, one after the other.
         start, stop, step: Times [s], None if absent.
-        element, experiment: Elements of the system and of its times, for messages.
+        element, experiment: XML elements of the system and of its times, for messages.
     """
 
     def __init__(self, package: Package) -> None:
@@ -241,11 +243,12 @@ class SspSystem(Reader):
         self.parts: dict[Place, FmuPart] = {}
         self.connectors: dict[End, Connector] = {}
         self.connections: list[Connection] = []
-        self.into: dict[End, Connection] = {}  # by end; of two sources, a noted fault, the first counts
+        # connection by its end; of two sources, a recorded fault, the first one is used
+        self.into: dict[End, Connection] = {}
         self.bindings: list[tuple[Place, Element]] = []  # holders of parameters, the inner ones first
         root = package.element(package.structure)
         if root.tag != "ssd:SystemStructureDescription":
-            raise InputError([root.fault("it should be ssd:SystemStructureDescription")])
+            raise InputError([root.fault("the root element should be ssd:SystemStructureDescription")])
         self.check_version(root)
         system, experiment = root.first("ssd:System"), root.first("ssd:DefaultExperiment")
         if system is None:
@@ -274,7 +277,7 @@ class SspSystem(Reader):
             if attribute and element.get(attribute) is not None:
                 step = self.number(element, attribute, None)
                 if step is not None and step <= 0.0:
-                    self.note(element, f"{attribute} {step:g} s: a communication step is more than 0 s")
+                    self.note(element, f"{attribute} {step:g} s: a communication step must be above 0 s")
                     return None
                 return step
         return None
@@ -291,7 +294,7 @@ class SspSystem(Reader):
             if child.tag == "ssd:SignalDictionaryReference":
                 self.note(child, SIGNAL_DICTIONARY)
             elif child.tag not in {"ssd:Component", "ssd:System", "ssd:Annotations"}:
-                self.note(child, "is no element of a system; ssd:Component and ssd:System are")
+                self.note(child, "is not allowed in a system; allowed: ssd:Component and ssd:System")
             elif child.tag != "ssd:Annotations" and not name:
                 self.note(child, "it has no name; add one")
             elif name in names:
@@ -311,14 +314,15 @@ class SspSystem(Reader):
         kind, source, interface = (element.get(name) for name in ("type", "source", "implementation"))
         if (interface or "any") not in INTERFACES:
             names = ", ".join(INTERFACES)
-            self.note(element, f"implementation {format_value(interface)} is not run here; {names} are")
+            self.note(element, f"implementation {format_value(interface)} is not supported; supported: {names}")
         if (kind or FMU) != FMU:
             self.note(
                 element,
-                f"type {format_value(kind)} is not read here; components are {FMU}, nested systems lie in this file",
+                f"type {format_value(kind)} is not supported; use {FMU} for components, and nested systems in "
+                "this file",
             )
             return
-        fmu = self.package.resolve(source) if source else "it has no source, so there is nothing to run; name its FMU"
+        fmu = self.package.resolve(source) if source else "it has no source; name its FMU"
         if isinstance(fmu, str):
             self.note(element, fmu)
             return
@@ -352,7 +356,7 @@ class SspSystem(Reader):
     # -- connections ----------------------------------------------------------------------------
 
     def read_connections(self, system: Element, place: Place) -> None:
-        """Read the connections of a system, with their ends in the order of the signal."""
+        """Read the connections of a system; ends are sorted by signal direction."""
         for element in system.all("ssd:Connections", "ssd:Connection"):
             ends: list[End] = []
             for side in ("start", "end"):
@@ -380,14 +384,14 @@ class SspSystem(Reader):
                 self.note(element, f"two sources for {texts[0]}: {texts[1]} and {texts[2]}; keep one")
 
     def sends(self, end: End, within: Place) -> bool | None:
-        """Return whether an end is a source within a system; None if its kind does not tell."""
+        """Return True if an end is a source within a system, False for a sink; None if its kind is undecided."""
         connector = self.connectors.get(end)
         if connector is None or connector.kind not in {*SENDERS, "input", "parameter"}:
             return None
         return (connector.kind in SENDERS) != (end[0] == within)
 
     def read_links(self) -> Iterator[SignalLink]:
-        """Yield the connections from the output of an FMU to the input of an FMU."""
+        """Yield the connections from an FMU output to an FMU input."""
         for end, hops in self.chains.items():
             first, element = hops[0].start, hops[-1].element
             if end not in self.connectors or not {first[0], end[0]} <= self.parts.keys():
@@ -401,7 +405,7 @@ class SspSystem(Reader):
             yield SignalLink(source, target, linear, element)
 
     def hops_to(self, last: Connection) -> list[Connection]:
-        """Return a connection after those before it, back to an FMU or to a connector of a system without a source."""
+        """Return the chain of connections that ends with `last`, from an FMU or an unconnected system connector."""
         hops = [last]
         while hops[0].start[0] not in self.parts:
             before = self.into.get(hops[0].start)
@@ -411,7 +415,7 @@ class SspSystem(Reader):
         return hops
 
     def signal(self, end: End, *, is_variable: bool = False) -> Signal:
-        """Return a signal in the unit of its connector or else of its variable; of the latter with `is_variable`."""
+        """Return the signal of an end, in the unit of its connector, else (or with `is_variable`) of its variable."""
         part, connector = self.parts.get(end[0]), None if is_variable else self.connectors.get(end)
         variable = None if part is None else part.variables.get(end[1])
         unit = None if connector is None else connector.unit
@@ -419,14 +423,14 @@ class SspSystem(Reader):
         if unit is None:
             unit = "" if variable is None else unit_of(variable)
         definitions = self.units.get(unit), None if part is None else unit_definition(part.description, unit)
-        # Whether a value at a connector of a system is a difference is known from the variables at the ends.
+        # The variables at the ends decide whether a value at a connector of a system is a difference.
         is_relative = part is None or (variable is not None and is_difference(variable))
         return Signal(end[1], unit, definitions[is_own] or definitions[not is_own], relative=is_relative)
 
     def chain(
         self, signal: Signal, stages: Iterable[tuple[Signal, LinearTransformation]], element: Element
     ) -> tuple[float, float] | None:
-        """Return factor and offset of successive unit conversions, each followed by its transformation."""
+        """Return factor and offset of a chain of unit conversions and transformations."""
         factor, offset = 1.0, 0.0
         for target, linear in stages:
             unit = (1.0, 0.0) if linear.exact else signal.conversion(target)
@@ -442,24 +446,24 @@ class SspSystem(Reader):
     # -- parameters -----------------------------------------------------------------------------
 
     def set_parameters(self) -> None:
-        """Set start values. Outer values override inner ones; in the same place the last wins."""
+        """Set start values. Outer values override inner ones; in the same place the last value is used."""
         for place, holder in self.bindings:
             for parameter in self.parameters(holder):
                 if place not in self.parts and place not in self.systems:
-                    continue  # of an FMU that cannot be read
+                    continue  # the FMU is unreadable
                 targets = list(self.targets(place, parameter.name))
                 for end, hops in targets:
                     self.set_start(end, parameter, hops)
                 name = format_value(parameter.name)
                 if not targets and place in self.systems and (place, parameter.name) in self.connectors:
-                    self.warn(parameter.element, f"parameter {name} leads to no FMU, and is left out")
+                    self.warn(parameter.element, f"parameter {name} reaches no FMU and is ignored")
                 elif not targets:
                     own = () if place in self.parts else (n for at, n in self.connectors if at == place)
                     hint = did_you_mean(parameter.name, chain(own, self.names(place)))
-                    self.warn(parameter.element, f"parameter {name} is of nothing here, and is left out{hint}")
+                    self.warn(parameter.element, f"parameter {name} matches no variable and is ignored{hint}")
 
     def targets(self, place: Place, name: str) -> Iterator[tuple[End, Sequence[Connection]]]:
-        """Yield the FMU variables of a hierarchical name, with the connections to them from a system's connector."""
+        """Yield the FMU variables of a hierarchical name, with the connections from a system's connector to them."""
         if place in self.parts:
             if name in self.parts[place].variables:
                 yield (place, name), ()
@@ -475,7 +479,7 @@ class SspSystem(Reader):
                 yield from self.targets((*place, element), name[len(element) + 1 :])
 
     def set_start(self, end: End, parameter: Parameter, hops: Sequence[Connection]) -> None:
-        """Set a start value of an FMU, converted to the unit of its variable."""
+        """Set a start value of an FMU, converted to the unit of the variable."""
         part, value, unit = self.parts[end[0]], parameter.value, parameter.unit or ""
         if not isinstance(value, (bool, str)):
             units = {**self.units, **parameter.units}
@@ -498,10 +502,10 @@ class SspSystem(Reader):
             yield from (f"{element}.{name}" for name in self.names((*place, element)))
 
     def parameters(self, element: Element) -> Iterator[Parameter]:
-        """Yield an element's bound parameters under mapped names."""
+        """Yield the bound parameters of an element under their mapped names."""
         for binding in element.all("ssd:ParameterBindings", "ssd:ParameterBinding"):
             if (kind := binding.get("type") or PARAMETER_SET) != PARAMETER_SET:
-                self.note(binding, f"type {format_value(kind)} is not read here; {PARAMETER_SET} is")
+                self.note(binding, f"type {format_value(kind)} is not supported; use {PARAMETER_SET}")
                 continue
             holder = self.content(binding, "ssd:ParameterValues", "ssv:ParameterSet")
             if holder is None:
@@ -511,14 +515,14 @@ class SspSystem(Reader):
             yield from values if mapping is None else self.mapped(mapping, values)
 
     def content(self, element: Element, *path: str) -> Element | None:
-        """Return inline content, or the root of the referenced file; None after noting a fault."""
+        """Return inline content or the root of the referenced file; None after recording a fault."""
         source, tag = element.get("source"), path[-1]
         if source is None:
             if (inline := element.first(*path)) is None:
-                self.note(element, f"it has neither a source nor {tag} in it; add one")
+                self.note(element, f"it has neither a source nor an inline {tag}; add one")
             return inline
         if (base := element.get("sourceBase") or "SSD") != "SSD":
-            self.note(element, f"sourceBase {format_value(base)} is not read here; take the file out of the FMU")
+            self.note(element, f"sourceBase {format_value(base)} is not supported; extract the file from the FMU")
             return None
         file = self.package.resolve(source)
         if isinstance(file, str):
@@ -530,17 +534,17 @@ class SspSystem(Reader):
             self.faults += error.faults
             return None
         if root.tag != tag:
-            self.note(root, f"it should be {tag}")
+            self.note(root, f"the root element should be {tag}")
             return None
         self.check_version(root)
         return root
 
     def mapped(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
-        """Yield parameters renamed by a mapping, without unmapped ones."""
+        """Yield parameters renamed by a mapping; unmapped parameters are left out."""
         holder = self.content(mapping, "ssm:ParameterMapping")
         for entry in () if holder is None else holder.all("ssm:MappingEntry"):
             source, target = entry.get("source"), entry.get("target")
-            if source == "" and target:  # a placeholder without source
+            if source == "" and target:  # a placeholder has no source
                 continue
             if not source or not target:
                 self.note(entry, f"it has no {'target' if source else 'source'}; add it")
@@ -551,6 +555,6 @@ class SspSystem(Reader):
                 self.warn(entry, f"the parameter set has no {format_value(source)}{hint}")
             for value in found:
                 if linear != LinearTransformation(exact=linear.exact) and isinstance(value.value, (bool, str)):
-                    self.note(entry, f"a linear transformation of {format_value(value.value)}; it takes numbers")
+                    self.note(entry, f"a linear transformation of {format_value(value.value)}, which is not a number")
                 else:
                     yield replace(value, name=target, linear=linear)

@@ -1,9 +1,9 @@
-"""Writing of SSPs for other importing tools.
+"""Writing of SSP files for other importing tools.
 
 libcosim and ecos identify elements by prefix, accept no nested systems, and read only inline parameter sets of
 components; FMPy requires a connection to each input connector. The written system therefore has no connectors of its
-own, components have their outputs and connected inputs, and each component has an inline set of start values. The value
-for FMPy's `simulate_ssp` parameter `parameter_set` is `resources/start.ssv`, with names prefixed by the component.
+own, components have their outputs and connected inputs, and each component has an inline set of start values. For
+FMPy's `simulate_ssp`, pass `resources/start.ssv` as `parameter_set`; its names are prefixed by the component.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Value = float | int | bool | str
 
 @dataclass(frozen=True)
 class SspConnector:
-    """A connector to be written, with its kind and its SSP type."""
+    """A connector to write, with its kind and SSP type."""
 
     name: str
     kind: str
@@ -122,7 +122,7 @@ def _xml(root: Element) -> bytes:
 
 
 def _namespaces(*prefixes: str) -> dict[str, str]:
-    """Return the XML attributes for the declaration of namespaces."""
+    """Return the XML attributes that declare namespaces."""
     return {f"xmlns:{prefix}": uri for uri, prefix in NAMESPACES.items() if prefix in prefixes}
 
 
@@ -148,7 +148,7 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
             if (factor, offset) == (1.0, 0.0):
                 SubElement(connections, "ssd:Connection", ends)
                 continue
-            # the transformation is the whole conversion, that of units included
+            # the transformation includes the conversion of units
             connection = SubElement(connections, "ssd:Connection", {**ends, "suppressUnitConversion": "true"})
             SubElement(connection, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
     _write_units(root, "ssd:Units", whole.units)
@@ -159,7 +159,7 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
 
 
 def _write_units(root: Element, tag: str, definitions: Units) -> None:
-    """Add the definitions of units, if any."""
+    """Add the definitions of units, if there are any."""
     if not definitions:
         return
     units = SubElement(root, tag)

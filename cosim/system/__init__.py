@@ -1,1 +1,1 @@
-"""Components, wiring and order: a scenario as a row of signals."""
+"""Components, connections and stepping order of a scenario, with all signals in one row."""

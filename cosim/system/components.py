@@ -48,7 +48,7 @@ def build_components(building: Building) -> None:
 
 
 def _exact(building: Building, name: str) -> dict[str, str]:
-    """Return the columns of a recording that feed inputs whose values no double holds, with the types of these."""
+    """Return the columns of a recording that feed inputs of exact types (text, large integers), with the FMI types."""
     types: dict[str, str] = {}
     for connection in building.scenario.connections:
         owner, column, target, variable = connection.ends
@@ -66,20 +66,22 @@ def _exact(building: Building, name: str) -> dict[str, str]:
 
 
 def _fixes(building: Building, name: str, component: FixComponent) -> Fixes | None:
-    """Return a sensor of position fixes; note faults."""
+    """Return a block of position fixes; record faults."""
     scenario, signals = building.scenario, {}
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None
         signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
     collisions = [n for n in signals if n in fix_outputs(signals)]
     for signal in collisions:
-        other = "the output that counts the fixes" if signal == COUNT else "an output with the fixes of another signal"
-        message = f'"{signal}" is already the name of {other}; give the signal another name'
+        other = (
+            "the output with the number of fixes" if signal == COUNT else "an output with the fixes of another signal"
+        )
+        message = f'"{signal}" is already the name of {other}; rename the signal'
         building.note(("components", name, "signals", signal), message)
     fastest = 1.0 / scenario.step
     if too_fast := component.rate > fastest * (1.0 + 1e-9):
         message = (
-            f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; use at most "
+            f"rate is {component.rate:g} Hz, but communication points have {fastest:g} Hz; use at most "
             f"{fastest:g} Hz, or a shorter step"
         )
         building.note(("components", name, "rate"), message)
@@ -94,7 +96,9 @@ def _fmu(building: Building, name: str, component: FmuComponent) -> FmuBlock | N
     if not path.is_file():
         is_built = is_model(BASE) and path.name in model_entry().built
         made = model_entry().name if is_built else ""
-        cure = f'; "cosim build --model {made} --out {shell_path(path.parent)}" makes that of {made}' if made else ""
+        cure = (
+            f'; "cosim build --model {made} --out {shell_path(path.parent)}" builds the FMU of {made}' if made else ""
+        )
         cure += "" if file.manifest is None else f"; put it there, or {path.name} beside {file.path.name}"
         building.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
@@ -116,7 +120,7 @@ def _fmu(building: Building, name: str, component: FmuComponent) -> FmuBlock | N
     for k, entry in enumerate(component.feedthrough or ()):
         if entry not in names:
             hint = did_you_mean(entry, [v.name for v in inputs])
-            message = f'{name} has no input "{entry}"{hint}; feedthrough: names inputs'
+            message = f'{name} has no input "{entry}"{hint}; feedthrough: must list inputs'
             building.note(("components", name, "feedthrough", k), message)
     # variables to record besides inputs and outputs; for an FMU without outputs, its states, as in FMPy
     recorded = {

@@ -1,4 +1,4 @@
-"""Step control of a scenario: which signals are watched, in which scale, and whether the FMUs allow it."""
+"""Step size control of a scenario: watched signals, their scales, and checks of the FMUs' capabilities."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cosim.system.wiring import Building, Components, Transfer
 
 @dataclass(frozen=True)
 class PowerBond:
-    """Two connections in opposite directions whose product is a power: places of both outputs and both inputs."""
+    """Two connections in opposite directions whose product is a power: indices of both outputs and both inputs."""
 
     effort: tuple[int, int]
     flow: tuple[int, int]
@@ -52,15 +52,15 @@ class Control:
 
 
 def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | None:
-    """Return the step control, None for equal steps."""
+    """Return the step control; None for steps of equal length."""
     scenario, components, layout = building.scenario, building.components, building.layout
     settings = scenario.control
     if not {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
         for name, component in components.items():
             if isinstance(component, EventFmu):
                 message = (
-                    f"{name} runs in event mode, with which inputs are held during a step; leave extrapolate and "
-                    "interpolate out, or set event_mode: false"
+                    f"{name} uses event mode, in which inputs are constant during a step; remove extrapolate and "
+                    "interpolate, or set event_mode: false"
                 )
                 building.note(("components", name), message)
     if settings is None:
@@ -76,13 +76,14 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
             continue
         if not takes_any_step(block.description) or sampled_by(block.path) is not None:
             message = (
-                f"{name} takes steps of one length only, so that they cannot be controlled; give it a step of its own "
+                f"{name} accepts only one step length, so its steps cannot be controlled; set a step for this "
+                "component "
                 f"(components.{name}.step)"
             )
             building.note(("components", name), message)
     obstacle = rollback_obstacle(controlled)
     if settings.estimator == "halving" and obstacle:
-        message = f"estimator: halving is not possible: {obstacle}; leave estimator out, or set residual"
+        message = f"estimator: halving is not possible: {obstacle}; remove estimator, or set it to residual"
         building.note(("step", "estimator"), message)
     owners = [(building.blocks.get(name), variable) for name, _, variable in (c.partition(".") for c in layout.columns)]
     nominal = [1.0 if owner is None else owner.nominal(variable) for owner, variable in owners]
@@ -93,7 +94,7 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
         by_source.setdefault(layout.columns[transfer.source] if not transfer.beside[0] else "", []).append(transfer)
     bonds = []
     for k, bond in enumerate(settings.bonds):
-        ends: list[tuple[int, int]] = []  # places of output and input
+        ends: list[tuple[int, int]] = []  # indices of output and input
         for side, output, other in (("effort", bond.effort, bond.flow), ("flow", bond.flow, bond.effort)):
             owner = other.partition(".")[0]
             found = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)
@@ -101,9 +102,11 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
             if output not in by_source:
                 message = f'no connected output "{output}"{did_you_mean(output, by_source)}'
             elif found is None:
-                message = f"{output} is connected to no input of {owner}, the other side of the bond"
+                message = f"{output} is not connected to {owner}, the other side of the bond"
             elif (found.factor, found.offset) != (1.0, 0.0):
-                message = f"{output} is converted on its way to {found.name}; a bond needs one unit on both sides"
+                message = (
+                    f"{output} is converted on the connection to {found.name}; a bond needs equal units on both sides"
+                )
             else:
                 ends.append((found.source, found.target))
             if message:
@@ -123,12 +126,12 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
 
 
 def rollback_obstacle(components: Components) -> str:
-    """Return the reason against taking steps of components back, or ""."""
+    """Return the reason why components cannot repeat a step; "" if they can."""
     for name, component in components.items():
         if isinstance(component, EventFmu):
-            return f"steps of {name} end at its events"
+            return f"{name} ends steps at its events"
         if isinstance(component, FmuBlock) and not component.rolls_back:
-            return f"{name} saves no state, or takes steps of one length only"
+            return f"{name} cannot save its state, or accepts only one step length"
         if not isinstance(component, FmuBlock | SourceBlock):
-            return f"{name} cannot be taken back"
+            return f"{name} cannot restore an earlier state"
     return ""

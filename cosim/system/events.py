@@ -1,4 +1,4 @@
-"""Events of a scenario, and FMUs with event mode: which of them use it, their clocks, and their fitness."""
+"""Events of a scenario, and FMUs with event mode: selection, clocks and checks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ REALS = ("Real", "Float64", "Float32")
 
 
 def event_block(building: Building, name: str, component: FmuComponent, path: Path) -> Callable[..., FmuBlock] | None:
-    """Return the class of an FMU's block, or None."""
+    """Return the class of block for an FMU, with or without event mode; None after a fault."""
     scenario, description = building.scenario, building.describe(path)
     way = component.interface or ways(description)[0]
     clocks = read_clocks(path, description)
@@ -40,13 +40,13 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
             reason = "its FMU declares none (hasEventMode)"
             if not description.fmiVersion.startswith("3") or way != "co-simulation":
                 version = f"FMI {description.fmiVersion} for {way}"
-                reason = f"it is run as {version}; event mode is part of FMI 3.0 for co-simulation"
+                reason = f"it runs as {version}; event mode needs FMI 3.0 for co-simulation"
             building.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
             return None
         if component.clocks:
-            message = f"{name} has no clocks; leave out clocks:"
+            message = f"{name} has no clocks; remove clocks:"
             if clocks:
-                message = f"{name} ticks no clocks without event mode; leave out event_mode: false"
+                message = f"the clocks of {name} need event mode; remove event_mode: false"
             building.note(("components", name, "clocks"), message)
         return FmuBlock
     timings = {}
@@ -56,22 +56,22 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
             hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
             message = f'{name} has no input clock "{clock_name}"{hint}'
         elif full_name in scenario.targets:
-            message = f"{full_name} has times in the scenario and a connection; keep one"
+            message = f"{full_name} has both times in the scenario and a connection; keep one"
         elif clock.kind == "constant" or (clock.kind != "triggered" and clock.interval is None):
-            what = f"{full_name} is a {clock.kind} clock, whose FMU gives its times"
-            message = f"{what}; leave out its times in the scenario"
+            what = f"{full_name} is a {clock.kind} clock, whose times the FMU specifies"
+            message = f"{what}; remove its times from the scenario"
         elif clock.kind in PERIODIC and (timing.at or timing.shift is not None):
             what = f"{full_name} is a {clock.kind} clock: give its interval only"
             message = f"{what}; only triggered clocks have shift: and at:"
         elif bool(timing.at) == (timing.interval is not None):
             message = f"{full_name} needs either interval: or at:"
         elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < scenario.start_time):
-            message = f"the times of {full_name} are not in order, from the start of the run on"
+            message = f"the times of {full_name} must increase and not precede the start of the run"
         else:
             timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
             continue
         building.note(("components", name, "clocks", clock_name), message)
-    jumping = set()  # inputs whose sources jump
+    jumping = set()  # inputs with discontinuous sources
     for connection in scenario.connections:
         source, output, owner, variable = connection.ends
         if owner != name:
@@ -97,17 +97,17 @@ def default_block(path: Path, description: Any) -> type[FmuBlock]:
 
 
 def has_event_mode(description: Any, way: Way) -> bool:
-    """Return whether an FMU has event mode."""
+    """Return True if an FMU supports event mode."""
     return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
 
 
 def is_exchange(component: Any) -> bool:
-    """Return whether model exchange steps a component."""
+    """Return True if a component uses model exchange."""
     return isinstance(component, FmuBlock) and isinstance(component.instance, ModelExchange)
 
 
 def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
-    """Return whether a component steps to any event; the components of an algebraic loop make whole steps."""
+    """Return True if a component may end a step at any event; components of an algebraic loop make whole steps."""
     component = stage.component
     if any(component.name in loop.members for loop in loops):
         return False
@@ -121,22 +121,25 @@ def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
 
 
 def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
-    """Return a clock's interval [s] in an event; None if the target is no clock. Raise ValueError if unsuitable."""
+    """Return the interval [s] that an event sets for a clock; None if the target is not a clock.
+
+    Raise ValueError if unsuitable.
+    """
     clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
     if clock is None:
         return None
     if clock.kind != "tunable" or clock.interval is None:
-        reason = "is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
+        reason = "is a clock with a fixed interval; only a tunable clock with intervalDecimal can be set"
         raise ValueError(f"{target} {reason}")
     with suppress(ValueError):
         value = read_quantity(value, "s") if isinstance(value, str) else value
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        raise ValueError(f"{target} is {value!r}; give the interval of the clock, a time above 0 s")
+        raise ValueError(f"{target} is {value!r}; give a clock interval above 0 s")
     return float(value)
 
 
 def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> None:
-    """Note warnings of event mode.
+    """Record warnings about event mode.
 
     Args:
         apart: Components with a process of their own.
@@ -150,23 +153,24 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
         if name in loops:
             reason = f"is part of the algebraic loop {loops[name]}"
         elif not takes_part_of_step(stage):
-            reason = "takes only steps of one length"
+            reason = "accepts only one step length"
         elif name in apart and is_exchange(stage.component):
             reason = "uses model exchange in a process of its own"
         if reason:
-            building.warnings.append(f"{name} {reason}: an event within a step reaches it at the end of the step")
+            building.warnings.append(f"{name} {reason}: an event within a step takes effect at the end of the step")
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in building.scenario.targets]:
         names = ", ".join(idle)
         building.warnings.append(
-            f"{names}: never ticks; connect it to an output clock, or give its times under clocks:"
+            f"{names}: the clock never ticks; connect it to an output clock, or give its times under clocks:"
         )
 
 
 def changes_of(building: Building) -> Events:
-    """Return communication point → component → variable → event value.
+    """Return communication point → component → variable → value set by events.
 
-    An event acts at the first point at or after its time. Among events at the same point, the later time wins.
+    An event takes effect at the first communication point at or after its time. If several events take effect at the
+    same point, the one with the later time is used.
     """
     scenario, blocks = building.scenario, building.blocks
     changes: dict[int, dict[str, dict[str, Any]]] = {}
@@ -183,7 +187,7 @@ def changes_of(building: Building) -> Events:
         for target, written in event.set.items():
             name, _, variable = target.partition(".")
             if name not in blocks and isinstance(scenario.components.get(name), FmuComponent):
-                continue  # Its FMU cannot be used, which is a fault already.
+                continue  # The FMU is unusable, which is already a fault.
             try:
                 value = clock_interval(blocks.get(name), target, written)
                 value = targets.value(target, written) if value is None else value
@@ -201,7 +205,7 @@ class Variable:
 
     Attributes:
         name: Name `component.variable`.
-        is_input: Whether it is an input, recorded in the rows, and not a parameter.
+        is_input: True for an input, which is recorded in the rows; False for a parameter.
         kind: FMI type.
         start: Value at the start of the run, None if the FMU does not declare it.
         bounds: Least and largest value.
@@ -257,13 +261,13 @@ class Targets:
             raise ValueError(f'{name} has no variable "{variable_name}"{hint}')
         if not _is_changeable(variable):
             kind = f"{variable.variability} {variable.causality}"
-            raise ValueError(f"{target} is a {kind}; inputs and tunable parameters change while it runs")
+            raise ValueError(f"{target} is a {kind}; only inputs and tunable parameters can change during a run")
         if self._is_connected(target):
-            raise ValueError(f"{target} is connected, which decides its value; use faults: for its disturbances")
+            raise ValueError(f"{target} is connected to an output; use faults: to disturb its value")
         return variable
 
     def variables(self, starts: Mapping[str, Mapping[str, Any]]) -> list[Variable]:
-        """Return all variables that may be set, with their start values in `starts` by component."""
+        """Return all variables that may be set, with their start values, by component, from `starts`."""
         return [
             Variable(
                 f"{name}.{v.name}",
@@ -286,6 +290,6 @@ class Targets:
 
 
 def _is_changeable(variable: Any) -> bool:
-    """Return whether FMI allows setting the variable mid-run."""
+    """Return True if FMI allows changes of the variable during a run."""
     is_tunable = (variable.causality, variable.variability) == ("parameter", "tunable")
     return variable.type != "Clock" and bool(variable.causality == "input" or is_tunable)

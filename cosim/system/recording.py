@@ -1,6 +1,7 @@
-"""The recorded part of a run: which signals, and which rows.
+"""The recorded part of a run: which signals and which rows.
 
-The loops make all rows; the part is taken before they are written. A recording thus changes no value and no verdict.
+All rows are computed, and the recorded part is selected before writing. Recording settings therefore change no value
+and no verdict.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ from cosim.system.wiring import Building
 
 @dataclass(frozen=True)
 class RecordedPart:
-    """Recorded signals, by their place in the row and beside it, and the steps between recorded rows."""
+    """Recorded signals, by index in the row and beside the row, and the number of steps between recorded rows."""
 
     columns: tuple[int, ...]
     beside: tuple[int, ...]
     every: int = 1
 
     def rows(self, count: int) -> Rows:
-        """Return the recorded ones of the first `count` rows; the last row is always recorded."""
+        """Return the indices of recorded rows among the first `count` rows; the last row is always recorded."""
         rows = np.arange(0, count, self.every)
         return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
 def take_signals(part: RecordedPart | None, results: Results) -> Results:
-    """Return the recorded signals of results that have all signals of the row and beside it."""
+    """Return the recorded signals of results that contain all signals."""
     if part is None:
         return results
     every = [*results.exact]
@@ -48,7 +49,7 @@ def take_signals(part: RecordedPart | None, results: Results) -> Results:
 
 
 def recorded_part(building: Building) -> RecordedPart | None:
-    """Return the recorded part of a run, None for all signals in every row; note faults of its keys."""
+    """Return the recorded part of a run; None for all signals in every row. Faults of its keys are recorded."""
     scenario, layout, record = building.scenario, building.layout, building.scenario.record
     place = ("record", "signals") if isinstance(record, Recording) else ("record",)
     for k, pattern in enumerate(scenario.recorded):
@@ -65,7 +66,7 @@ def recorded_part(building: Building) -> RecordedPart | None:
 
 
 def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[str]:
-    """Return notes on charts that a report cannot draw, because signals are not recorded."""
+    """Return notes on charts missing from the report because signals are not recorded."""
     if part is None or len(part.columns) == len(columns):
         return []
     recorded = {columns[k] for k in part.columns}
@@ -80,9 +81,7 @@ def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPa
             )
         )
     if page_for(_variables(columns)) is not None and page_for(_variables(recorded)) is None:
-        notes.append(
-            Note("signals of the report's own sections on a component are not recorded; it shows the others only")
-        )
+        notes.append(Note("some signals of the component sections are not recorded; the report shows the others only"))
     return notes
 
 
@@ -96,13 +95,13 @@ def _variables(columns: Sequence[str] | set[str]) -> list[set[str]]:
 
 
 def _is_meant(pattern: str, column: str) -> bool:
-    """Return whether a pattern matches a column, or is the name of the array of which the column is an element."""
+    """Return True if a pattern matches a column, or names the array that contains the column."""
     component, _, variable = column.partition(".")
     return matches(pattern, component, variable) or column.startswith(f"{pattern}[")
 
 
 def _objection(building: Building, pattern: str) -> str | None:
-    """Return the objection to a pattern that matches no signal, with near names."""
+    """Return the reason why a pattern matches no signal, with similar names; None if its component is faulty itself."""
     scenario, components, layout = building.scenario, building.components, building.layout
     name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
     columns = (*layout.columns, *layout.beside)
@@ -118,7 +117,7 @@ def _objection(building: Building, pattern: str) -> str | None:
     if isinstance(component := components.get(name), FmuBlock):
         variables = {f"{name}.{v.name}": v.causality for v in component.description.modelVariables}
         if variables.get(pattern) == "independent":
-            return f"{pattern} is the time, the first column of every result; leave it out"
+            return f"{pattern} is always recorded as the first column; remove it"
         others += [full for full, causality in variables.items() if causality != "independent"]
     near = did_you_mean(pattern.replace("*", ""), others)
     hint = near or f"; there are {join_names(others) or 'none'}"

@@ -1,4 +1,4 @@
-"""Stepping order of components, and the transfers around the step of each of them."""
+"""Stepping order of components, and the transfers of values around each step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Stage:
 
     @property
     def transfers(self) -> tuple[Transfer, ...]:
-        """Return the transfers before and after its step."""
+        """Return the transfers before and after the step."""
         return *self.pulls, *self.late
 
 
@@ -48,7 +48,7 @@ class Loop:
     """An algebraic loop: components, consecutive in stepping order, and the transfers between them.
 
     Attributes:
-        left_open: Why it is not solved, and what to do; "" for a solved loop.
+        left_open: Reason why the loop is not solved, and the cure; "" for a solved loop.
     """
 
     members: tuple[str, ...]
@@ -57,7 +57,7 @@ class Loop:
 
     @property
     def name(self) -> str:
-        """Return the components as a closed path, `a → b → a`."""
+        """Return the components as a closed path, such as `a → b → a`."""
         return " → ".join((*self.members, self.members[0]))
 
 
@@ -66,8 +66,8 @@ class Schedule:
     """Stages in stepping order, transfers at the end of a step, connected clocks (output, input), algebraic loops.
 
     Attributes:
-        opened: Possible loops that are left open: by the order, by the algorithm, or by an assumption.
-        assumed: Whether the order assumes that inputs without declared dependencies have no direct feedthrough.
+        opened: Possible loops that are not solved because of the order, the algorithm or an assumption.
+        assumed: True if the order assumes that inputs without declared dependencies have no direct feedthrough.
         known: Names of components whose outputs are known functions of time.
     """
 
@@ -81,7 +81,7 @@ class Schedule:
 
     @property
     def transfers(self) -> tuple[Transfer, ...]:
-        """Return all transfers, also those within solved loops."""
+        """Return all transfers, including those within solved loops."""
         parts = self.held, *(stage.transfers for stage in self.stages), *(loop.transfers for loop in self.loops)
         return tuple(transfer for part in parts for transfer in part)
 
@@ -91,9 +91,9 @@ class _Graph:
     """Components and the connections between them, without those of clocks.
 
     Attributes:
-        every: Component → its step in steps of the scenario.
-        wired: Edge and transfers of each connection.
-        interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
+        every: Component → its step, as a multiple of the scenario's step.
+        wired: For each connection, its graph edge and its transfers.
+        interpolates: True if inputs follow polynomials between values at the start and the end of a step.
     """
 
     components: Components
@@ -110,7 +110,7 @@ class _Graph:
     def functions_of_time(self) -> frozenset[str]:
         """Return the components whose outputs are known functions of time.
 
-        These are references, recordings and FMUs without inputs, and fixes fed only by them.
+        These are references, recordings, FMUs without inputs, and fixes whose inputs are such functions.
         """
         sources = FmuBlock | SourceBlock
         known = {n for n, c in self.components.items() if isinstance(c, sources) and not (c.inputs or c.exact_inputs)}
@@ -120,10 +120,10 @@ class _Graph:
         return frozenset(known)
 
     def sort_transfers(self, plan: Plan) -> tuple[tuple[Transfer, ...], tuple[Stage, ...], tuple[Loop, ...]]:
-        """Return held transfers, stages with their transfers, and loops with theirs.
+        """Return held transfers, stages with their transfers, and loops with their transfers.
 
-        A known signal is pulled before the step, set late, or held, except for a sampled FMU: this computes its outputs
-        for the end of its step, where it samples its inputs.
+        The transfer of a known signal occurs before the step (pull) or after it (late), or its value is held. A sampled
+        FMU computes its outputs for the end of its step from the inputs at its start.
         """
         loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
         held: list[Transfer] = []
@@ -156,7 +156,7 @@ class _Graph:
         """Yield the unsolved loops that exist if inputs without declared dependencies have feedthrough.
 
         Args:
-            key: What leaves them open.
+            key: Setting of the scenario because of which they are not solved.
         """
         plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
         for loop in self.sort_transfers(plan)[-1]:
@@ -164,55 +164,59 @@ class _Graph:
                 continue
             fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
             names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.rolls_back)]
-            cure = f"loops: {{}} without {key} solves it, if it has a solution"
+            cure = f"to solve it, add loops: {{}} and remove {key}"
             if assumptions:
                 cure = "; ".join(assumptions)
             elif (fault := next((fault for _, fault in self.faults(loop)), None)) is not None:
-                cure = f"loops: {{}} without {key} is refused: {fault}"
+                cure = f"loops: {{}} without {key} is not possible: {fault}"
             elif names:
-                cure += f" and outputs of {join_names(names)}, which cannot save a state, follow inputs without a step"
+                cure += f" and {join_names(names)} cannot save a state but may have direct feedthrough"
             sentence = (
-                f"{loop.name} may be an algebraic loop, which {key} leaves open, so that some inputs have the values "
-                f"of the step before; {cure}"
+                f"{loop.name} may be an algebraic loop. It is not solved because of {key}, so some inputs have "
+                "the values "
+                f"of the previous step; {cure}"
             )
             if key == FEEDTHROUGH and not assumptions:
                 sentence = Note(
-                    f"{loop.name} is no algebraic loop at the start, as measured or stated by feedthrough: [...]; "
-                    f"if outputs follow inputs at once later, {cure}"
+                    f"{loop.name} is not an algebraic loop at the start, as measured or declared by feedthrough: "
+                    "[...]; "
+                    f"if direct feedthrough occurs later, {cure}"
                 )
             yield replace(loop, left_open=sentence)
 
     def faults(self, loop: Loop) -> Iterator[tuple[Place, str]]:
-        """Yield faults of a loop that cannot be solved, with their places."""
+        """Yield faults, with their places, of a loop that cannot be solved."""
         has_events = any(isinstance(component, EventFmu) for component in self.components.values())
         for name in loop.members:
             component, part = self.components[name], f"{name} is part of the algebraic loop {loop.name}"
-            order = "state the order of the components (order: [...]), which leaves it open"
+            order = "state the order of the components (order: [...]), so that it is not solved"
             if isinstance(component, EventFmu):
                 cure = f"set event_mode: false, or {order}"
-                yield ("components", name), f"{part} and runs in event mode, in which it cannot be solved; {cure}"
+                yield ("components", name), f"{part} and uses event mode, in which it cannot be solved; {cure}"
             elif has_events and getattr(component, "changes_by_events", False):
                 cure = f"choose interface: co-simulation, or {order}"
-                yield ("components", name), f"{part} and uses model exchange, beside an FMU in event mode; {cure}"
+                yield ("components", name), f"{part} and uses model exchange together with an FMU in event mode; {cure}"
             if self.every[name] > 1:
-                fault = f"{name} has a step of its own, and is part of the algebraic loop {loop.name}"
-                yield ("components", name, "step"), f"{fault}; leave its step out"
+                fault = f"{name} has its own step and is part of the algebraic loop {loop.name}"
+                yield ("components", name, "step"), f"{fault}; remove its step"
         for transfer in loop.transfers:
             name, _, variable = transfer.name.partition(".")
             signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
             signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
             if any(transfer.beside) or signal.is_whole:
-                fault = f"{transfer.name} is part of an algebraic loop and {signal.kind}; only real signals are solved."
-                cure = "State the order of the components (order: [...]), so that it has the value of the last step"
+                fault = (
+                    f"{transfer.name} is part of an algebraic loop and {signal.kind}; only real signals can be solved."
+                )
+                cure = "State the order of the components (order: [...]), so that it has the value of the previous step"
                 yield ("connections",), f"{fault} {cure}"
 
 
 def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interpolates: bool) -> Schedule:
-    """Return the schedule of a scenario; note a fault and return an empty schedule if none exists.
+    """Return the schedule of a scenario; if none exists, record a fault and return an empty schedule.
 
     Args:
         transfers: Transfers of each connection.
-        interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
+        interpolates: True if inputs follow polynomials between values at the start and the end of a step.
     """
     scenario, components = building.scenario, building.components
     every = {name: _every(building, name) for name in components}
@@ -231,29 +235,29 @@ def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interp
             building.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
         if is_wrong := missing or len(set(order)) != len(order):
             left_out = ", ".join(missing) or "none"
-            building.note(("order",), f"order names every component with inputs once; missing: {left_out}")
+            building.note(("order",), f"order must name every component with inputs once; missing: {left_out}")
         if unknown or is_wrong:
             return Schedule()
     if scenario.loops is not None and not algorithm.solves_loops:
-        message = f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"
+        message = f"{algorithm.name} cannot solve algebraic loops; remove loops, or set algorithm: {DEFAULT.name}"
         building.note(("loops",), message)
         return Schedule()
     if scenario.loops is not None and order is not None:
-        message = "order states which values are of the last step, loops solves for all of the same time; leave one out"
+        message = "order uses values of the previous step, loops solves for simultaneous values; remove one of them"
         building.note(("order",), message)
         return Schedule()
     try:
         plan = algorithm.plan_with_loops(components, graph.edges, order, undeclared=scenario.loops is not None)
     except AlgebraicLoop as error:
         message = (
-            f"algebraic loop under {algorithm.name}: {' → '.join(error.cycle)}; each needs the other's value of the "
+            f"algebraic loop under {algorithm.name}: {' → '.join(error.cycle)}; each needs the other's value at the "
             f"same time. State their order (order: [{', '.join(sorted(set(error.cycle)))}]) or algorithm: "
             f"{WITHOUT_ORDER.name}"
         )
         building.note(("connections",), message)
         return Schedule()
     if sorted(plan.order) != sorted(components):
-        message = f"{algorithm.name} steps {', '.join(plan.order)}; it must step each component once"
+        message = f"{algorithm.name} steps {', '.join(plan.order)}; but each component must be stepped exactly once"
         building.note(("algorithm",), message)
         return Schedule()
     building.warnings += plan.notes
@@ -271,9 +275,9 @@ def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interp
             if names := [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}]:
                 building.warnings.append(
                     CheckNote(
-                        f"{loop.name} is an algebraic loop that no FMU declares: outputs follow "
-                        f"{join_names(names)} at once, as measured before the run or stated by feedthrough: "
-                        "[...]. It is solved at each communication point; order: [...] leaves it open"
+                        f"{loop.name} is an algebraic loop that the FMUs do not declare: outputs depend directly on "
+                        f"{join_names(names)}, as measured before the run or declared by feedthrough: "
+                        "[...]. It is solved at each communication point; to prevent this, state order: [...]"
                     )
                 )
     clock_wires = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
@@ -281,10 +285,7 @@ def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interp
 
 
 def _every(building: Building, name: str) -> int:
-    """Return the component's step in steps of the scenario.
-
-    A fault is noted if the ratio is not a whole number.
-    """
+    """Return a component's step as a multiple of the scenario's step; record a fault if it is not a whole multiple."""
     scenario = building.scenario
     step: float | None = getattr(scenario.components[name], "step", None)
     if step is None:
@@ -293,17 +294,17 @@ def _every(building: Building, name: str) -> int:
     every = max(1, round(count))
     if round(count) < 1 or abs(count - every) > 1e-9 * count:
         message = (
-            f"step is {step:g} s, that of the scenario {scenario.step:g} s; use a whole multiple, "
-            f"{every * scenario.step:g} s for one"
+            f"step is {step:g} s, the step of the scenario {scenario.step:g} s; use a whole multiple, "
+            f"{every * scenario.step:g} s for example"
         )
         building.note(("components", name, "step"), message)
     elif every > scenario.steps:
-        message = f"step is {step:g} s, the run {scenario.duration:g} s: it would never step"
+        message = f"step is {step:g} s, longer than the run of {scenario.duration:g} s"
         building.note(("components", name, "step"), message)
     elif rest := scenario.steps % every:
         message = (
-            f"{name}: step is {step:g} s; its last {rest * scenario.step:g} s of the run make no "
-            "whole step: it stands still there"
+            f"{name}: step is {step:g} s; the last {rest * scenario.step:g} s of the run are not a "
+            "whole step, so the component is not stepped there"
         )
         building.warnings.append(message)
     return every

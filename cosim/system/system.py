@@ -1,4 +1,4 @@
-"""From a scenario to components in a common row of signals, in stepping order.
+"""Construction of a system from a scenario: components in stepping order, with all signals in one row.
 
 All checks that need model descriptions are made here, and all faults are reported at once.
 """
@@ -35,7 +35,7 @@ from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Schedule, Stage, schedule
 from cosim.system.wiring import Building, Transfer, alias_transfers, connect, connection_warnings
 
-ROUNDING = 1e-6  # fraction of a step, the tolerance of sampled FMUs
+ROUNDING = 1e-6  # tolerance of the step of sampled FMUs, as a fraction of a step
 MOST_RESULTS = 8e9  # size of results [bytes]
 BYTES = 8  # size of a number [bytes]
 
@@ -48,11 +48,11 @@ class System(Schedule):
         beside: Columns stored outside the row of doubles, for values without exact double.
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
-        halved: Whether rows hold the differences made by halving each step, instead of signals.
-        control: Control of the communication steps, None for equal ones.
-        courses: Degrees of the courses of extrapolated and of interpolated inputs during a step.
-        solving: Settings of their solution, None for the default.
-        pace: Simulated seconds per second, set by runs that keep to the clock; None for as fast as possible.
+        halved: True if rows contain differences due to halving each step, instead of signals.
+        control: Control of the communication steps, None for equal steps.
+        courses: Polynomial degrees of extrapolated and of interpolated inputs during a step.
+        solving: Settings for algebraic loops, None for the default.
+        pace: Simulated seconds per second of a paced run; None for as fast as possible.
         recording: Recorded part of the rows, None for all of them.
         display: Unit → name of its display unit, factor and offset to its values.
     """
@@ -117,7 +117,7 @@ class System(Schedule):
 
     @property
     def reruns(self) -> bool:
-        """Return whether a resumed run repeats all steps."""
+        """Return True if a resumed run repeats all steps."""
         has_events = any(isinstance(stage.component, EventFmu) for stage in self.stages)
         return has_events or bool(self.loops) or self.control is not None or any(self.courses)
 
@@ -128,7 +128,7 @@ class System(Schedule):
 
     @property
     def discrete(self) -> frozenset[str]:
-        """Return the columns whose values hold until they change, in place of going on between two rows."""
+        """Return the columns whose values are constant until they change, so they are not interpolated."""
         names = set[str]()
         for stage in self.stages:
             component, signals = stage.component, [s for s in stage.component.outputs if s.discrete or s.is_whole]
@@ -164,8 +164,9 @@ def build_system(file: ScenarioFile) -> System:
     rows = scenario.duration / scenario.step + 1.0
     if (size := rows * signals * BYTES) > MOST_RESULTS:
         message = (
-            f"leaves {rows:.3g} rows of {signals} signals, {size / 1e9:.3g} GB, more than {MOST_RESULTS / 1e9:g} GB; "
-            "run shorter or in longer steps"
+            f"would write {rows:.3g} rows of {signals} signals, {size / 1e9:.3g} GB, more than "
+            f"{MOST_RESULTS / 1e9:g} GB; "
+            "use a shorter duration or longer steps"
         )
         building.note(("duration",), message)
     _check_sampling(building)
@@ -177,7 +178,7 @@ def build_system(file: ScenarioFile) -> System:
             for key, signal in (("of", criterion.of), ("to", criterion.to)):
                 if not isinstance(signal, str) or signal in recorded:
                     continue
-                message = f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
+                message = f"{signal} is not recorded, but a criterion needs it; add it to record: signals"
                 if signal not in layout.columns:
                     message = f'no signal "{signal}"{did_you_mean(signal, layout.columns)}'
                 building.note((*where, key), message)
@@ -192,7 +193,7 @@ def build_system(file: ScenarioFile) -> System:
                 building.note(place, f"{goal.of}: {reason}; name an FMU of `cosim refine` or `cosim fit`")
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())
-    courses = (0, 0) if has_events else scenario.courses  # With event mode, inputs are held.
+    courses = (0, 0) if has_events else scenario.courses  # In event mode, inputs are constant during a step.
     plan = schedule(building, transfers, courses[1] > 0) if is_connected else Schedule()
     separated, notes = separate([(name, block.path) for name, block in blocks.items()], scenario.isolated)
     check_events(building, plan, scenario.isolated | separated)
@@ -202,13 +203,13 @@ def build_system(file: ScenarioFile) -> System:
     definitions = {signal.unit: signal.definition for signal in layout.signals.values() if signal.definition}
     for unit, name in scenario.display.items():
         if not name or (shown := conversion(unit, name, definitions=definitions)) is None:
-            message = f"{name} does not show {unit}, which is not of the same dimension or unknown"
+            message = f"the display unit {name} of {unit} is unknown or has another dimension"
             building.note(("display", unit), f"{message}; give one of {', '.join(alternatives(unit))}")
         else:
             display[unit] = (name, *shown)
     for name, component in components.items():
         if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
-            cure = f"record: [{name}.*] does so"
+            cure = f"add record: [{name}.*]"
             building.warnings.append(f"{name} has no inputs and outputs, so nothing of it is recorded; {cure}")
     refuse(building.faults)
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
@@ -239,7 +240,7 @@ def _check_sampling(building: Building) -> None:
     file, scenario = building.file, building.scenario
     place = file.fault(("step",), "")
     if file.stands_in or any((f.line, f.column) == (place.line, place.column) for f in file.faults):
-        return  # The step is faulty itself.
+        return  # The step itself is faulty.
     parameter_of = cache(sampled_by)  # Several components may use the same FMU.
     for name, block in building.blocks.items():
         if (parameter := parameter_of(block.path)) is None:

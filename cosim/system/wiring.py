@@ -1,4 +1,4 @@
-"""A system under construction: layout of signals in a row, and connections as transfers between places."""
+"""A system under construction: layout of signals in a row, and connections as transfers between indices."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from cosim.scenario.scenario import (
 from cosim.scenario.scenario_file import Place, ScenarioFile
 
 Components = Mapping[str, Component]
-MOST_NAMED = 20  # signals in a message
+MOST_NAMED = 20  # signals shown in a message
 LONGEST = 2000  # of a message [characters]
 PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Places of signals: component after component, inputs before outputs, in the row of doubles or beside the row.
+    """Indices of signals: component after component, inputs before outputs, in the row of doubles or beside the row.
 
     Attributes:
-        columns: Names `component.variable` by place in the row.
+        columns: Names `component.variable` by index in the row.
         units: Column → unit, "" without unit.
-        beside: Names, like `columns`, of values beyond the exact range of doubles.
-        place: Column → whether beside the row, and place there.
+        beside: Names, like `columns`, of values that doubles cannot represent exactly.
+        place: Column → (True if beside the row, index there).
         signals: Column → signal.
     """
 
@@ -60,7 +60,7 @@ class Building:
     """A system under construction. Faults and warnings are collected and reported all at once, faults of form first.
 
     Attributes:
-        components: Sound components by name, in file order.
+        components: Components without faults by name, in file order.
         layout: Layout of their signals.
         describe: Function that returns the model description of an FMU, which several components may use.
     """
@@ -74,7 +74,7 @@ class Building:
         self.warnings: list[str] = list(file.warnings)
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
-        """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
+        """Record a fault at a place of the scenario; raise InputError at the limit of faults."""
         if len(message) > LONGEST:
             message = f"{message[: LONGEST - 1]}…"
         self.faults.append(self.file.fault(where, message, exit_code=exit_code))
@@ -82,7 +82,7 @@ class Building:
             raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
 
     def lay_out(self) -> None:
-        """Lay out the signals of the components."""
+        """Assign each signal of the components an index."""
         row: dict[str, Signal] = {}
         beside: dict[str, Signal] = {}
         for name, component in self.components.items():
@@ -109,15 +109,15 @@ class Building:
 
 @dataclass(frozen=True)
 class Transfer:
-    """A connection between two places, with unit conversion, noise and injected faults.
+    """A connection between two indices, with unit conversion, noise and injected faults.
 
     Attributes:
         name: Target as `component.variable`, also the name of its random stream.
-        items: Items of an enumeration as target; `origin` is the name of the source.
-        beside: Whether source and target are beside the row.
-        is_clock: Whether clocks are connected, whose ticks are no values to copy.
-        of: For an input that shares the value reference of a connected one, the name of that one.
-        sign: Factor and offset of this input's value from that one's.
+        items: Items of the target if it is an enumeration; `origin` is the name of the source.
+        beside: True if source and target are beside the row.
+        is_clock: True if clocks are connected; their ticks are not values to copy.
+        of: For an input with the value reference of a connected input, the name of the connected input.
+        sign: Factor and offset from the value of input `of` to the value of this input.
     """
 
     source: int
@@ -135,14 +135,14 @@ class Transfer:
     sign: tuple[float, float] = (1.0, 0.0)
 
     def check_item(self, value: Any, t: float) -> None:
-        """Raise SimulationError if a value is no item of the target enumeration."""
+        """Raise SimulationError if a value is not an item of the target enumeration."""
         if self.items is not None and value not in self.items.values():
             raise SimulationError(
-                self.name, t, f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
+                self.name, t, f"{value:g} from {self.origin} is not an item of the enumeration: {_numbers(self.items)}"
             )
 
     def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
-        """Return the value's conversions in order: unit, noise, faults, sign of an alias."""
+        """Return the conversions of the value in order: unit, noise, faults, sign of an alias."""
         chain: list[LinkFunction] = []
         if self.factor != 1.0 or self.offset != 0.0:
             chain.append(LinkFunction(LinkKind.AFFINE, a=self.factor, b=self.offset))
@@ -164,7 +164,7 @@ class Transfer:
 
 
 class _Checked(LinkFunction):
-    """A check that a value is an item of the target enumeration."""
+    """Check that a value is an item of the target enumeration."""
 
     def __init__(self, transfer: Transfer, start: float, step: float) -> None:
         super().__init__(LinkKind.ITEMS, values=array("d", (transfer.items or {}).values()))
@@ -177,7 +177,7 @@ class _Checked(LinkFunction):
 
 
 def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
-    """Return one function that applies all functions of a chain in turn."""
+    """Return a function that applies all functions of a chain in turn."""
 
     def value(k: int, v: Any) -> Any:
         for one in chain:
@@ -188,7 +188,7 @@ def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
 
 
 def connect(building: Building) -> list[tuple[Transfer, ...]]:
-    """Return the transfers of each connection, for arrays one per element; none for a faulty connection."""
+    """Return the transfers of each connection (for arrays one per element); none for a faulty connection."""
     sources: dict[str, str] = {}
     connections = [*zip(building.file.places["connections"], building.scenario.connections, strict=True)]
     for k, connection in connections:
@@ -209,9 +209,9 @@ def connect(building: Building) -> list[tuple[Transfer, ...]]:
 
 
 def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]]) -> tuple[Transfer, ...]:
-    """Return the transfers that show the values of connected inputs in unconnected inputs of their value references.
+    """Return transfers from connected inputs to unconnected inputs that share their value references.
 
-    Two sources of one value reference are a fault.
+    Two sources for one value reference are a fault.
     """
     fed = {t.name: (t, k) for k, transfers in enumerate(connections) for t in transfers}
     found: dict[str, Transfer] = {}
@@ -231,20 +231,20 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
                 elif full in fed and fed[full][1] < k and (is_negative or fed[full][0].origin != transfer.origin):
                     building.note(
                         ("connections", k, "to"),
-                        f"{transfer.name} and {full} are one variable of the FMU with two sources: {transfer.origin} "
+                        f"{transfer.name} and {full} share a value reference but have two sources: {transfer.origin} "
                         f"and {fed[full][0].origin}; keep one",
                     )
     return tuple(found.values())
 
 
 def _objection(connection: Connection, source: Signal, target: Signal) -> str:
-    """Return the objection to a connection, or ""."""
+    """Return the reason why two signals cannot be connected, or ""."""
     ends = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
     if not is_compatible(source.kind, target.kind):
         return f"types do not agree: {ends}"
     if source.declared and source.declared == target.declared and source.items != target.items:
         return (
-            f"enumerations of one name, {source.declared}, with other items: {connection.source} has "
+            f"enumerations {source.declared} with different items: {connection.source} has "
             f"{_numbers(source.items)}, {connection.target} has {_numbers(target.items)}"
         )
     if connection.conversion is None and source.conversion(target) is None:
@@ -258,7 +258,7 @@ def _objection(connection: Connection, source: Signal, target: Signal) -> str:
 def _transfers(
     building: Building, ends: Mapping[str, Mapping[str, Sequence[Signal]]], k: int, connection: Connection
 ) -> tuple[Transfer, ...]:
-    """Return the transfers of connection number k, none for a faulty connection; note faults.
+    """Return the transfers of connection number k; none for a faulty connection, whose faults are recorded.
 
     Args:
         ends: Side → `component.variable` → its signal, or the elements of its array.
@@ -275,11 +275,11 @@ def _transfers(
         elif name not in building.scenario.components and name not in building.file.broken:
             building.note(where, f'no component "{name}"{did_you_mean(name, building.scenario.components)}')
         elif component is None or name in building.file.broken:
-            pass  # Another check reports this component.
+            pass  # The fault of this component is reported by another check.
         elif text in ends[other]:
-            building.note(where, f"{text} is one of the {other} of {name}; an output goes to an input")
+            building.note(where, f"{text} is one of the {other} of {name}; connect an output to an input")
         elif any(s.local and s.name == variable for s in _signals(component, side)):
-            building.note(where, f"{text} is recorded, but no output of {name}; an output goes to an input")
+            building.note(where, f"{text} is recorded, but not an output of {name}; connect an output to an input")
         else:
             names = [end.partition(".")[2] for end in ends[side] if end.startswith(f"{name}.")]
             hint = did_you_mean(variable, names)
@@ -290,7 +290,7 @@ def _transfers(
     try:
         if len(sources) != len(targets):
             text = f"{connection.source} to {connection.target}"
-            raise ValueError(f"{text}: {len(sources)} values do not go to {len(targets)}")
+            raise ValueError(f"{text}: {len(sources)} values cannot be connected to {len(targets)}")
         return tuple(_transfer(building, connection, *pair) for pair in zip(sources, targets, strict=True))
     except ValueError as error:
         building.note(("connections", k), str(error))
@@ -308,16 +308,17 @@ def _transfer(building: Building, connection: Connection, source: Signal, target
     faults = tuple(f for on in dict.fromkeys((connection.target, name)) for f in scenario.faults if f.on == on)
     if target.kind == "Clock":
         if connection.noise or connection.conversion is not None or any(fault.on == name for fault in faults):
-            raise ValueError(f"{ends}: no factor, offset, noise or fault acts on a clock")
+            raise ValueError(f"{ends}: clocks accept no factor, offset, noise or fault; remove it")
         return Transfer(at, to, name, origin=origin, is_clock=True)
     noise = connection.noise if scenario.noise else None
     factor, offset = connection.conversion or source.conversion(target) or (1.0, 0.0)
     block = building.components[owner]
-    if isinstance(block, SourceBlock) and target.is_whole:  # Recorded signals that feed whole numbers are held.
+    # Recorded signals that feed integers are held constant between rows.
+    if isinstance(block, SourceBlock) and target.is_whole:
         block.hold(source.name)
     is_written = isinstance(block, SourceBlock) and source.unit  # by people
     if is_written and not (target.unit or target.is_whole or connection.conversion):  # converted to SI
-        assumed = assume_si(source.unit, "its FMU", f"give {connection.source} no unit")
+        assumed = assume_si(source.unit, "its FMU", f"remove the unit of {connection.source}")
         factor, offset = assumed.factor, assumed.offset
         warning = with_prefix(f"{connection.target} ", assumed.sentence)
         if assumed.sentence and warning not in building.warnings:  # once for all elements of an array
@@ -325,7 +326,7 @@ def _transfer(building: Building, connection: Connection, source: Signal, target
     changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
     changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
     if changes and (from_beside or to_beside):
-        raise ValueError(f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}")
+        raise ValueError(f"{ends}: {source.kind or target.kind} accepts no {' or '.join(changes)}; remove it")
     return Transfer(at, to, name, noise, factor, offset, faults, (from_beside, to_beside), target.items, origin)
 
 
@@ -344,17 +345,17 @@ def _signals(component: Component, side: str) -> tuple[Signal, ...]:
 
 
 def _check_faults(building: Building) -> None:
-    """Check the faults injected by a scenario: each acts on a connection, within the run, with its required keys."""
+    """Check the injected faults of a scenario: connection, time within the run, required keys."""
     scenario = building.scenario
     targets = dict.fromkeys(c.target for c in scenario.connections)
     needs = {"delay": "delay", "dropout": "probability"} | dict.fromkeys(("bias", "scale", "stuck", "spike"), "value")
     for k, fault in zip(building.file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
-            building.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
+            building.note(("faults", k, "on"), f"{fault.on} is not connected{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
             message = (
-                f"{fault.on} is of a component with a step of its own; faults act on components that step with the "
+                f"{fault.on} belongs to a component with its own step; faults need components that step with the "
                 "scenario"
             )
             building.note(("faults", k, "on"), message)
@@ -363,16 +364,19 @@ def _check_faults(building: Building) -> None:
             building.note(("faults", k), f"{fault.kind} needs {key}; add it")
         rounded = 0.0 if fault.delay is None else whole_steps(fault.delay, scenario.step) * scenario.step
         if fault.delay is not None and abs(rounded - fault.delay) > 1e-9 * rounded:
-            message = f"a delay of {fault.delay:g} s on {fault.on} is no whole number of steps: it is {rounded:g} s"
+            message = (
+                f"a delay of {fault.delay:g} s on {fault.on} is not a whole number of steps; it is rounded "
+                f"to {rounded:g} s"
+            )
             building.warnings.append(message)
         first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
         if not max(0, first) <= min(last, scenario.steps):
             end = scenario.start_time + scenario.duration
-            building.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
+            building.note(("faults", k), f"has no communication point within {scenario.start_time:g} … {end:g} s")
 
 
 def connection_warnings(building: Building) -> Iterator[str]:
-    """Yield a warning for each component with unconnected inputs that have no value in the scenario."""
+    """Yield a warning for each component with unconnected inputs without value in the scenario."""
     driven = building.scenario.targets
     driven |= {target for event in building.scenario.events for target in event.set}
     for name, component in building.components.items():
@@ -388,7 +392,7 @@ def connection_warnings(building: Building) -> Iterator[str]:
             and start.isdisjoint({s.name, s.array})
         ]
         if free:
-            where = "not connected, at the start value of the FMU"
+            where = "not connected; they keep the start value of the FMU"
             if isinstance(declared, FixComponent):
                 where = "inputs not connected, so their fixes are 0"
             yield f"{where}: {_some(free)}"

@@ -1,4 +1,4 @@
-"""Terms that an FMU may lack, each declared once and bound to every place where it can act.
+"""General catalogue of terms that an FMU may lack; each term is bound to every place where it can act.
 
 A user's own terms are subclasses in a file (`terms: my_terms.py` in a study):
 

@@ -1,4 +1,4 @@
-"""Classes of terms that look alike in many logs, each with the experiment that tells them apart."""
+"""Groups of terms with similar effects in many logs, each with an experiment that distinguishes them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Iterable
 ALIKE: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset({"delay", "lag", "second_order_lag", "rate_limit", "latency"}),
-        "steps of each input in several sizes, with five times as many rows: a delay waits, a lag begins at once, "
-        "and a limit of the rate takes longer for a larger step; at an input and at a sensor of a linear plant, "
-        "only a second sensor or a reading of the input behind the lag tells",
+        "steps of each input in several sizes, with five times as many rows: a delay responds late, a lag at once, "
+        "and a rate limit takes longer for a larger step; in a linear plant, an input and a sensor are distinguished "
+        "only by a second sensor or a measurement of the input behind the lag",
     ),
     (
         frozenset({"dead_band", "play", "coulomb", "stribeck"}),
         "slow ramps of each input through zero and back, and again with a reversal halfway: a dead band has no memory, "
-        "play answers late at each reversal only, and friction holds until a level",
+        "play delays the response only at reversals, and friction prevents motion up to a threshold",
     ),
     (
         frozenset({"gain", "scale", "saturation", "square_law", "offset", "bias", "drift"}),
-        "steps of each input in three sizes and both directions, with pauses at zero at the begin and the end",
+        "steps of each input in three sizes and both directions, with pauses at zero at the beginning and the end",
     ),
     (
         frozenset({"coulomb", "stribeck", "viscous", "quadratic_drag"}),
@@ -39,18 +39,21 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
 )
 
 
-# kind of term → kind that equals it at some values; of a storage that is never negative, an overflow does at level 0
+# kind of term → kind that it equals at some values; an overflow at level 0 equals a leak if the level is never negative
 SPECIAL_CASES = {"coulomb": "stribeck", "leak": "overflow"}
 
 
 def contains(rich: str, simple: str) -> bool:
-    """Return True if a term, named `kind_at_place`, equals another one of its place at some values."""
+    """Return True if the term `rich` equals the term `simple` at the same place for some parameter values.
+
+    Names have the form `kind_at_place`.
+    """
     (kind, _, place), (other, _, other_place) = rich.partition("_at_"), simple.partition("_at_")
     return place == other_place and SPECIAL_CASES.get(other) == kind
 
 
 def experiments_for(names: Iterable[str]) -> dict[frozenset[str], str]:
-    """Return names of terms that look alike → experiment that tells them apart.
+    """Return groups of similar terms → experiment that distinguishes them.
 
     Args:
         names: Names of all terms and sensor errors, `kind_at_place`.

@@ -1,4 +1,4 @@
-"""The general catalogue of terms at the inputs, pairs and storage states of an FMU, and of its sensors."""
+"""The general catalogue of terms for inputs, position-velocity pairs, storage states and sensors of an FMU."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cosim.model.sensors import Bias, Drift, Lag, Latency, Magnitude, Scale
 from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingTerm, bind, scaled
 
 BEGUN = Quantity("begun", "1", "whether the memory is initialized")
-SHORTEST = 1e-3  # least time constant of a lag, as a share of a substep; below, the input passes unchanged
+SHORTEST = 1e-3  # minimum time constant of a lag, as a share of a substep; a smaller one is ignored
 
 # -- at an input -----------------------------------------------------------------------------------
 
@@ -59,7 +59,7 @@ class DeadBand(InputTerm):
 
 
 class Saturation(InputTerm):
-    """Limit of an input; without effect at the largest value of the logs, from where its effect grows steadily."""
+    """Limit of an input. At the largest value of the logs the term has no effect; its effect grows with i."""
 
     kind = "saturation"
     equation = "clip(u, ±1/i) in place of u"
@@ -76,7 +76,7 @@ class Saturation(InputTerm):
 
 
 class SquareLaw(InputTerm):
-    """Part of an input that acts with its square, like the thrust of a propeller or the flow through a valve."""
+    """Square law of an input, like the thrust of a propeller or the flow through a valve."""
 
     kind = "square_law"
     equation = "(1 − s)·u + s·u·|u|/M in place of u, M the largest |u|"
@@ -98,7 +98,7 @@ class RateLimit(RememberingTerm):
     inverse_rate: float = scaled("T/u", neutral=0.0, typical=1.0, low=0.0, high=1000.0, doc="inverse i of the rate")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and the value at its end; exact for an input held over the substep."""
+        """Return the mean over the substep, and the value at its end; exact for a constant input."""
         pace = m.maximum(self.inverse_rate, 1e-6 / self.place.sizes["u"])
         moved = m.clip(value - memory[0], -h / pace, h / pace)
         end = memory[0] + moved
@@ -131,7 +131,7 @@ class InputLag(RememberingTerm):
     time: float = scaled("T", neutral=0.0, typical=3.0, low=0.0, high=1000.0, doc="time constant T")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and the value at its end; exact for an input held over the substep."""
+        """Return the mean over the substep, and the value at its end; exact for a constant input."""
         acts, slow = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
         share, before = m.exp(-h / slow), memory[0]
         end = value + (before - value) * share
@@ -155,7 +155,7 @@ class SecondOrderLag(RememberingTerm):
     damping: float = scaled("1", default=0.7, typical=0.3, low=0.05, high=3.0, doc="damping ratio ζ")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and both values at its end; exact for an input held over the substep."""
+        """Return the mean over the substep, and both values at its end; exact for a constant input."""
         acts, time = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
         position, speed = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
         damping, r, least = self.damping, h / time, 1e-6
@@ -191,13 +191,13 @@ class Coulomb(Force):
 
 
 class Stribeck(Force):
-    """Dry friction that is larger at rest."""
+    """Dry friction with a higher level at low speed."""
 
     kind = "stribeck"
     equation = "−(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)"
     at_least: ClassVar[Mapping[str, str]] = {"breakaway": "level"}
     resolved = ("softness",)
-    least: ClassVar[Mapping[str, float]] = {"speed": 3.0}  # a narrower peak imitates a transition that is not resolved
+    least: ClassVar[Mapping[str, float]] = {"speed": 3.0}  # a narrower peak imitates an unresolved transition
 
     level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F at speed")
     breakaway: float = scaled("u", neutral=0.0, typical=0.2, low=0.0, high=10.0, doc="level B at rest")
@@ -225,7 +225,7 @@ class Viscous(Force):
 
 
 class QuadraticDrag(Force):
-    """Drag with the square of the velocity."""
+    """Drag proportional to the square of the velocity."""
 
     kind = "quadratic_drag"
     equation = "−c·v·|v|"
@@ -238,7 +238,7 @@ class QuadraticDrag(Force):
 
 
 class CubicSpring(Force):
-    """Force with the cube of the position."""
+    """Spring force proportional to the cube of the position."""
 
     kind = "cubic_spring"
     equation = "−k·q³"
@@ -251,7 +251,7 @@ class CubicSpring(Force):
 
 
 class Cogging(Force):
-    """Force that repeats along the position, at least twice over the travel of the logs."""
+    """Periodic force along the position, with at least two periods over the travel of the logs."""
 
     kind = "cogging"
     equation = "−a·sin(2π·q/P) − b·cos(2π·q/P)"
@@ -269,7 +269,7 @@ class Cogging(Force):
 
 
 class Offset(Force):
-    """Constant force at a pair without an input of its own."""
+    """Constant force on a pair without an input of its own."""
 
     kind = "offset"
     equation = "+F"
@@ -285,7 +285,7 @@ class Offset(Force):
 
 
 class Gap(Force):
-    """Free play of a connection, which transmits its spring's force from the end of the gap on."""
+    """Free play of a connection. Its spring transmits force only beyond the gap."""
 
     kind = "gap"
     equation = "+k·clip(q, ±w)"
@@ -302,7 +302,7 @@ class Gap(Force):
 
 
 class Leak(RateTerm):
-    """Loss in proportion to a level."""
+    """Loss proportional to a level."""
 
     kind = "leak"
     equation = "−c·s in the rate of s"
@@ -315,7 +315,7 @@ class Leak(RateTerm):
 
 
 class GrowingLeak(RateTerm):
-    """Loss that grows with the square of a level."""
+    """Loss proportional to the square of a level."""
 
     kind = "growing_leak"
     equation = "−c·s·|s| in the rate of s"
@@ -328,7 +328,7 @@ class GrowingLeak(RateTerm):
 
 
 class Overflow(RateTerm):
-    """Loss above a level."""
+    """Overflow: loss proportional to the level above a limit."""
 
     kind = "overflow"
     equation = "−c·max(s − l, 0) in the rate of s"
@@ -349,7 +349,7 @@ RATE_TERMS = (Leak, GrowingLeak, Overflow)
 
 
 def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Iterator[type[Any]]:
-    """Yield every term of the catalogue and of the user at each place, in the order in which they act.
+    """Yield every term of the catalogue and of the user for each place, in the order of evaluation.
 
     Args:
         own: Terms of the user.
@@ -363,7 +363,7 @@ def _fits(kind: type[Any], place: Place) -> bool:
     if place.opposite is not None:
         return kind in OF_CONNECTIONS or (kind in OF_SPRINGS and "k" in place.sizes)
     if kind is Viscous and place.direction is not None:
-        return False  # a linear force again
+        return False  # the relative velocity would give a linear force again
     if place.position >= 0 and kind is Gap:
         return False
     if place.position >= 0:
@@ -386,9 +386,9 @@ def sensor_errors(
     """Yield the possible sensor errors of an output.
 
     Args:
-        size: Spread of the output along the logs.
-        step, duration: Time between rows, and of a log [s].
-        signed: True if some reading is negative, so that the sensor shows the direction.
+        size: Standard deviation of the output along the logs.
+        step, duration: Time between rows, and length of a log [s].
+        signed: True if some reading is negative, so that the sensor measures the sign.
     """
     magnitude = (Magnitude, "magnitude", "1", 0.0, 0.5, (0.0, 1.0), "share m of the magnitude")
     errors = (

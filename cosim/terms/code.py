@@ -1,4 +1,4 @@
-"""Terms as C code, for a filter over a binary and for the wrapper of a refined FMU."""
+"""Terms as C code, for the filter over an FMU's binary and for the wrapper of a refined FMU."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOOKS: tuple[Hook, ...] = ("shape_all", "port_inputs", "added_rates", "readings"
 
 @dataclass(frozen=True)
 class TermCode:
-    """Terms as C functions, with the variables on which they act.
+    """Terms as C functions, with the names of their variables.
 
     The parameters of the functions are those of `parameters` in order, then the length of the substep [s]. The
     functions, all `static void`, may use `<math.h>`:
@@ -59,11 +59,12 @@ class TermCode:
 
 
 def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) -> TermCode:
-    """Return the C code of some terms of the catalogue, for the variables of the FMU.
+    """Return the C code of the selected terms for the variables of the FMU.
 
     The FMU's own parameters have the values of the model.
 
     Args:
+        names: Terms of the catalogue.
         states: The FMU's variables in place of the model's states.
     """
     import sympy
@@ -98,7 +99,7 @@ def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) ->
 
 
 def _functions(body: Body) -> dict[Hook, tuple[str, list[Any], Any]]:
-    """Return arguments, results and stages of each function that changes something."""
+    """Return name → (arguments, results, stages) of each function that changes a value."""
     import sympy
 
     s, m = body.symbols, SymbolNamespace()

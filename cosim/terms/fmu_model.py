@@ -1,6 +1,6 @@
-"""An FMU for model exchange as a model: derivatives and outputs come from its library, terms are added as equations.
+"""An FMU for model exchange as a model. Its library supplies derivatives and outputs; terms are added as equations.
 
-The equations are for symbols only. Each derivative and output of the library is a function of the states on which it
+The equations exist for symbols only. Each derivative and output of the library is a function of the states on which it
 depends, printed in C as a call; `cosim/estimation/kernel/library.c` evaluates the library.
 """
 
@@ -26,7 +26,7 @@ class Dependencies(NamedTuple):
 
 
 class FmuModel(Model):
-    """Base class of models whose equations are in an FMU; `fmu_model` makes one.
+    """Base class of models whose equations are in an FMU; `fmu_model` makes a subclass.
 
     Attributes:
         dependencies: States and inputs on which each derivative and output depends.
@@ -34,7 +34,7 @@ class FmuModel(Model):
         variables: Name in the model → name of the FMU's variable.
         shown: Output → state that equals it, by index.
         stepped: True for an FMU for co-simulation; its outputs replace states.
-        starts: Its start states.
+        starts: Start values of the states.
     """
 
     dependencies: ClassVar[Dependencies]
@@ -48,10 +48,10 @@ class FmuModel(Model):
         """Return the equations with symbols.
 
         Raises:
-            TypeError: The namespace is one of numbers.
+            TypeError: The namespace works on numbers.
         """
         if not isinstance(m, SymbolNamespace):
-            raise TypeError("the equations are those of a library")
+            raise TypeError("the equations are in a library and need symbols")
 
         def value(row: int, state: Values, command: Values) -> Number:
             return library_value(row)(*self._arguments(m, row, state, command))
@@ -76,7 +76,7 @@ class FmuModel(Model):
         return Equations(derivative, output)
 
     def library_inputs(self, m: Namespace, state: Values, command: Values) -> Values:
-        """Return the inputs of the library: the command as transmitted, plus what acts through ports."""
+        """Return the inputs of the library: the commands after all input terms, plus forces added at input ports."""
         names = [q.name for q in self.inputs]
         values: Mapping[str, Number] = dict(zip(names, command, strict=True))
         for term in overrides(self.awake, "transmit", Effect):
@@ -118,14 +118,14 @@ class FmuModel(Model):
         return tuple(sorted({d for d in every if d is not None}, key=lambda d: d.number))
 
     def _arguments(self, m: Namespace, row: int, state: Values, command: Values) -> list[Number]:
-        """Return the symbols on which a derivative or output depends, also through forces at ports."""
+        """Return the symbols on which a derivative or output depends, including forces at ports."""
         import sympy
 
         of_states, of_inputs = self.dependencies
         inputs = self.library_inputs(m, state, command)
         places = {k for k, depends in enumerate(of_states[row]) if depends}
         acting = [sympy.sympify(u) for u, depends in zip(inputs, of_inputs[row], strict=True) if depends]
-        # by name: sympy may return an expression that it made earlier, of other objects for the same symbols
+        # keyed by name: sympy may return an earlier expression with other symbol objects
         through = {str(symbol) for u in acting for symbol in u.free_symbols}
         places |= {k for k, x in enumerate(state[: len(self.base_states)]) if str(x) in through}
         commands = [u for u in command if str(u) in through]
@@ -134,7 +134,7 @@ class FmuModel(Model):
 
 @cache
 def library_value(row: int) -> Any:
-    """Return the symbolic function of a derivative or output, numbered in the order of the library."""
+    """Return the symbolic function of a derivative or output, numbered as in the library."""
     return _library_function(
         f"library_value_{row}",
         lambda printer: f"library_value({row}, t, x, u, p)",
@@ -144,7 +144,7 @@ def library_value(row: int) -> Any:
 
 @cache
 def library_slope(row: int, by: Any) -> Any:
-    """Return the symbolic function of a slope, printed with the place of the state by which it is taken."""
+    """Return the symbolic derivative of a library function by a state, printed with the index of that state."""
     return _library_function(  # a state is printed as `x[3]`
         f"library_slope_{row}_{by}", lambda printer: f"library_slope({row}, {printer._print(by)[2:-1]}, t, x, u, p)"
     )
@@ -152,9 +152,10 @@ def library_slope(row: int, by: Any) -> Any:
 
 @cache
 def library_direction(number: int, row: int) -> Any:
-    """Return the symbolic function of a rate per force along a direction.
+    """Return the symbolic function for the rate of a state per force along a direction.
 
-    Its slopes are left out: in a Jacobian they are products of the added force and the curvature of the inertias.
+    Its derivatives are neglected: in a Jacobian they are products of the added force and the curvature of the
+    inertias.
     """
     code = f"library_direction({number}, {row}, t, x, u, p)"
     return _library_function(f"library_direction_{number}_{row}", lambda printer: code, is_costly=True)
@@ -163,7 +164,7 @@ def library_direction(number: int, row: int) -> Any:
 def _library_function(
     name: str, code: Callable[[Any], str], slope: Callable[[Any, int], Any] | None = None, **attributes: Any
 ) -> Any:
-    """Return a symbolic function that is printed as a call of the library; without `slope` its slopes are 0."""
+    """Return a symbolic function that is printed as a call of the library; its derivatives are `slope`, or 0."""
     import sympy
 
     def fdiff(e: Any, argindex: int = 1) -> Any:

@@ -1,4 +1,4 @@
-"""Terms and places: a term is declared in units of its place, and binding gives it a name, units and sizes."""
+"""Terms and places. A term is declared in units of its place; binding adds name, units and typical sizes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 
 @dataclass(frozen=True)
 class RatioFactor:
-    """The factor ((p + shift)/(value + shift))^power of a parameter p in a ratio, 1 at the given value.
+    """The factor ((p + shift)/(value + shift))^power of a parameter p in a ratio; 1 at p = value.
 
-    A shift of 0 is a power law; any other shift is the sum of what is added to the parameter.
+    A shift of 0 gives a power law; another shift is the constant that the model adds to the parameter.
     """
 
     parameter: str
@@ -30,7 +30,7 @@ class RatioFactor:
     power: float
 
     def at(self, value: Number) -> Number:
-        """Return the factor with another value of the parameter."""
+        """Return the factor for another value of the parameter."""
         return ((value + self.shift) / (self.value + self.shift)) ** self.power
 
 
@@ -40,8 +40,9 @@ class Opposite:
 
     Attributes:
         position, state: Indices of its position and velocity.
-        gear: Position of the first end per position of this one without deflection.
-        ratio: Acceleration of this end per opposite acceleration of the first, with the FMU's parameter values.
+        gear: Position of the first end divided by the position of this end, without deflection.
+        ratio: Acceleration of this end divided by the opposite acceleration of the first end, at the FMU's parameter
+            values.
         factors: Factors of the ratio, one for each parameter of an inertia.
     """
 
@@ -54,16 +55,16 @@ class Opposite:
 
 @dataclass(frozen=True)
 class Direction:
-    """Rates per force along a velocity v, from an FMU's own damping b of it: d(x) = −(f(x; b + δ) − f(x; b))/(δ·v).
+    """Rates per force along a velocity v, from the FMU's damping parameter b: d(x) = −(f(x; b + δ) − f(x; b))/(δ·v).
 
-    Both are evaluated with v at a usual speed, and with 0 for the velocities of other directions.
+    Both values of f are evaluated at a typical speed v and at 0 for the velocities of other directions.
 
     Attributes:
         number: Number of the direction in its model.
         parameter: Variable b of the FMU.
-        change, high: Change δ, which has the opposite sign where b would exceed its largest value.
+        change, high: Change δ, and the upper limit of b; if b + δ exceeds the limit, −δ is used.
         state: Index of v.
-        speed: Usual speed.
+        speed: Typical speed.
         rates: Indices of the rates that change.
     """
 
@@ -76,7 +77,7 @@ class Direction:
     rates: tuple[int, ...]
 
     def changed(self, value: float) -> float:
-        """Return the other value of the parameter."""
+        """Return the changed parameter value, b + δ or b − δ."""
         return value + self.change if value + self.change <= self.high else value - self.change
 
 
@@ -85,17 +86,17 @@ class Place:
     """A place of an FMU where terms can act.
 
     Attributes:
-        name: Name in the terms' names: that of the input, of the velocity, or of the state.
-        units, sizes: Symbol of `scaled` → unit, and usual size along the logs.
+        name: Name of the input, velocity or state, used in the terms' names.
+        units, sizes: Symbol of `scaled` → unit, and typical size along the logs.
         input: Index of the input of an input term, or of the port of a force or rate; −1 for a term on a rate.
         position, state: Indices of the position, and of the velocity or storage state.
         middle: Mean of the storage state.
-        resolution: Least change of the velocity that an integration step resolves, for the transition of friction.
+        resolution: Smallest change of velocity that an integration step resolves, for the transition of friction.
         sign: Sign of the port's effect on the derivative of the velocity.
         gain: Derivative of the storage per unit of the port.
         opposite: Other end of a connection; a force acts on both, along their relative position and velocity.
-        direction: Rates per force, of a force that does not change the rate of its velocity alone.
-        is_driven: True if an input acts on the velocity, be it through this place or not.
+        direction: Rates per force, for a force that changes more rates than that of its velocity.
+        is_driven: True if an input acts on the velocity, through this place or another.
     """
 
     name: str
@@ -128,7 +129,7 @@ class Term(Effect):
     Attributes:
         kind: First part of the name, `kind_at_place`.
         place: Place of a bound term.
-        least: Parameter → lower limit as a multiple of the velocity that an integration step resolves.
+        least: Parameter → lower limit, as a multiple of the smallest velocity that an integration step resolves.
     """
 
     kind: ClassVar[str]
@@ -141,7 +142,7 @@ class Term(Effect):
 
 
 class InputTerm(Term):
-    """A term that changes one input on its way to the FMU; symbols of `scaled`: u, M (largest value), T (row)."""
+    """A term that changes one input of the FMU. Symbols of `scaled`: u, M (largest value), T (row)."""
 
     def change(self, m: Namespace, value: Number) -> Number:
         """Return the changed input, for a term without memory."""
@@ -153,10 +154,13 @@ class InputTerm(Term):
 
 
 class RememberingTerm(InputTerm):
-    """A change of one input with a memory, advanced once per substep."""
+    """An input term with memory, which is updated once per substep."""
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the changed input from `t` to `t + h` [s], and the new memory, which is the input at the start."""
+        """Return the changed input from `t` to `t + h` [s], and the new memory.
+
+        Initially the memory equals the input.
+        """
         raise NotImplementedError
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
@@ -189,7 +193,7 @@ class Force(Term):
 
 
 class RateTerm(Term):
-    """An addition to the derivative of a storage state; symbols of `scaled`: r (unit of the derivative) and q."""
+    """An addition to the derivative of a storage state. Symbols of `scaled`: r (unit of the derivative) and q."""
 
     def rate(self, m: Namespace, level: Number) -> Number:
         """Return the addition to the derivative."""
@@ -211,15 +215,15 @@ def scaled(
 
     Args:
         unit: Product of symbols, such as `u/v^2`; `1` and `s` are units.
-        default, neutral, typical, low, high: Multiples of the same product of usual sizes.
-        absolute: Count from the mean of the place's state, not from zero.
+        default, neutral, typical, low, high: Values as multiples of the same product of typical sizes.
+        absolute: Measure the value from the mean of the place's state instead of zero.
     """
     declaration = Parameter("", default, unit, doc, (low, high), neutral, typical)
     return field(default=default, metadata={"parameter": declaration, ABSOLUTE: absolute})
 
 
 def bind(kind: type[Any], place: Place) -> type[Any]:
-    """Return a term for a place: a class with name, units, bounds and usual sizes."""
+    """Return a term bound to a place: a class with name, units, bounds and typical sizes."""
     least = dict.fromkeys(kind.resolved, place.resolution)
     least |= {name: multiple * place.resolution for name, multiple in kind.least.items()}
     absolute = {f.name for f in fields(kind) if f.metadata.get(ABSOLUTE)}
@@ -251,7 +255,7 @@ def _factors(expression: str) -> list[tuple[str, int]]:
             continue
         match = FACTOR.fullmatch(part)
         if match is None:
-            raise ValueError(f"no product of symbols: {expression!r}")
+            raise ValueError(f"not a product of symbols: {expression!r}")
         factors.append((match["symbol"], sign * int(match["power"] or 1)))
     return factors
 

@@ -68,14 +68,14 @@ VERBS["read"] = Verb(function="cosim.verbs.results:read")
 
 
 def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
-    """Yield name and declaration of every verb, or of the one of cosim with this name.
+    """Yield name and declaration of every verb, or only of cosim's verb `only`.
 
-    Warns of each package that redefines a verb of cosim.
+    A package that redefines a verb of cosim causes a warning.
     """
     yield from [(only, VERBS[only])] if only in VERBS else VERBS.items()
     for name in names(ADDED):
         if name in VERBS:
-            text = f"{name}: an installed package registers a verb that cosim has; it is ignored"
+            text = f"{name}: an installed package redefines this verb of cosim; its version is ignored"
             warnings.warn(text, ExtensionWarning, stacklevel=2)
     if only not in VERBS:
         yield from ((name, verb) for name, verb in registered(ADDED, Verb) if name not in VERBS)

@@ -16,7 +16,7 @@ def build_command(*, json: bool = False, **given: Any) -> None:
     Args:
         folder (--out -o PATH): Folder for the FMUs.
         model (MODEL): Build this model: a registered one, a model.yaml, the folder of a refine, or FILE.py:CLASS.
-        design (--design FILE): Design the model's controller by the weights and numbers in this YAML file.
+        design (--design FILE): Design the model's controller with the weights and numbers in this YAML file.
         platforms (NAME,NAME): Platforms of native FMUs (default: this machine).
 
     Example: cosim build --model results/refine/model.yaml --out build/refined
@@ -32,7 +32,10 @@ def build_command(*, json: bool = False, **given: Any) -> None:
         from cosim.fmi.building.build import build
 
         native_options = [f"--{name}" for name, usual in (("fmi", 2), ("platforms", [])) if given[name] != usual]
-        refuse(Fault(Path(name), 0, 0, "is of native FMUs; add --native, or leave it out") for name in native_options)
+        refuse(
+            Fault(Path(name), 0, 0, "applies to native FMUs only; add --native, or remove it")
+            for name in native_options
+        )
         paths = build(**given, tell=warn)
         say(*(f"built {path}" for path in paths))
         built = [{"fmu": str(path)} for path in paths]

@@ -1,4 +1,4 @@
-"""Files before a run: check, info, graph, linearize and schema."""
+"""Commands on files before a run: check, info, graph, linearize, doctor and schema."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ if TYPE_CHECKING:
     from cosim.simulation.report.system_diagram import Graph
 
 
-LIBRARIES = ("fmpy", "numpy", "scipy", "control", "pyarrow", "sympy", "pythonfmu")  # whose versions are shown
+LIBRARIES = ("fmpy", "numpy", "scipy", "control", "pyarrow", "sympy", "pythonfmu")  # libraries whose versions are shown
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
-MOST_LINES = 200  # printed without --json
+MOST_LINES = 200  # number of lines printed without --json
 SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
 EXPERIMENT_UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
 MAX_NAMES = 8  # states, and items of an enumeration
@@ -78,10 +78,9 @@ def check(
 
     Args:
         files: One file or several: scenarios, studies, sweeps, protocols, models, logs, SSPs, FMUs.
-        model: Model of the logs (base, a model.yaml, file.py:Class). By default a log with an input of the base model
-            belongs to that model, and another log is checked alone.
-        load: Load FMUs and make one step, and execute Python files that are named, in a worker process. False executes
-            nothing.
+        model: Model of the logs (base, a model.yaml, FILE.py:Class). By default, a log with an input of the base model
+            is compared with it, and other logs are checked without a model.
+        load: Load FMUs and make one step, and execute named Python files, in a worker process. False executes nothing.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
         columns: Column of the logs → variable, or "time".
         signed_by: File of an Ed25519 public key (PEM) whose owner must have signed every FMU.
@@ -112,7 +111,7 @@ def check(
         names = read_column_names(columns, first)
     with compiling(compile):
         if permission.get() and not load:
-            text = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
+            text = "needs to load FMUs, but --no-load (in Python load=False) forbids it; remove one of them"
             raise InputError.at(Path("--compile"), text)
         with Worker(*MODULES) if load else nullcontext() as worker:
             checking = Checking(model, dict(names), worker)
@@ -137,9 +136,9 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
             return _check(path, checking)
         except NotExecuted as code:
             if worker is None:
-                return [f"warning: {code} (--no-load); that file and everything that depends on it are not checked"]
+                return [f"warning: {code} (--no-load); this file and its dependants are not checked"]
         except InputError:
-            if worker is None or not skipped:  # else there may be more faults
+            if worker is None or not skipped:  # otherwise there may be more faults
                 raise
     try:
         lines: list[str] = worker.call(_check, path, replace(checking, worker=None))
@@ -160,11 +159,11 @@ def _check(path: Path, checking: Checking) -> list[str]:
         kind = kinds.kind_by_form(path)
     if kind is None:
         root = YamlFile(path).root
-        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # one that forgets its logs
+        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # a worker that does not keep its logs
         kind = kind_by_keys(root) or (artefact.STUDY if is_study else artefact.SCENARIO)
     declared = of_kind(kind)
     if declared is None or not declared.check:
-        raise InputError.at(path, f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}")
+        raise InputError.at(path, f"is {kind}, which has no check: {kinds.next_step(kind, path)}")
     notes: list[str] = resolve(declared.check)(path, checking)
     return notes
 
@@ -175,7 +174,7 @@ def check_command(*, json: bool = False, **given: Any) -> None:
     Args:
         files (FILE): Scenario, study, sweep, protocol, model, log, SSP, FMU or manifest.json.
         model (MODEL): Model of the logs: base, a model.yaml, or FILE.py:CLASS.
-        load: Load the FMUs and make one step in a separate process, or do not.
+        load: Load the FMUs and make one step in a separate process.
         columns (--column COLUMN=VARIABLE): Name of a log's column in the model, or time.
         signed_by (KEY): File of an Ed25519 public key whose owner must have signed every FMU.
 
@@ -191,11 +190,11 @@ def check_command(*, json: bool = False, **given: Any) -> None:
     except OSError as error:
         if not is_full(error):
             raise
-        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
+        raise FmuError("the disk is full, so FMUs cannot be loaded; use --no-load to check without loading") from None
     say(*lines[:MOST_LINES])
     if len(lines) > MOST_LINES:
         say(f"… and {len(lines) - MOST_LINES} more; --json lists all of them")
-    say(f"no fault in {', '.join(map(str, files))}")
+    say(f"no faults in {', '.join(map(str, files))}")
     if json:
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})
 
@@ -274,7 +273,7 @@ def _places(p: Places) -> list[str]:
     shows = {output: state for state, output in s.shown.items()}
     parameters = []
     for q in s.parameters:
-        acts = "yes" if q.acts else "at the start only" if q.starts else "no"
+        acts = "yes" if q.acts else "only at the start" if q.starts else "no"
         acts += ", and the FMU fails with a value near it" if q.failure else ""
         parameters.append((f"  {q.name}", q.quantity.unit, f"{q.quantity.start:.6g}", acts))
     pairs = [(f"  {r.position}", r.velocity, f"{r.gain:.6g}", forces(*r.ports) or "none") for r in s.pairs]
@@ -285,7 +284,7 @@ def _places(p: Places) -> list[str]:
     sections: list[tuple[str, tuple[str, ...], Sequence[Sequence[str]]]] = [
         ("pairs", ("  position", "velocity", "gain", "forces (gain)"), pairs),
         *([("connections", ("  position", "and", "spring", "damper"), joined)] if joined else []),
-        *([("dampings", ("  parameter", "velocity", "gain", "changes the rates of"), braked)] if braked else []),
+        *([("dampings", ("  parameter", "velocity", "gain", "changes the derivatives of"), braked)] if braked else []),
         ("storages", header, storages),
         ("sensors", ("  output", "unit", "shows"), [(f"  {q.name}", q.unit, shows.get(q.name, "")) for q in s.outputs]),
         ("inputs", ("  input", "unit", "start"), [(f"  {q.name}", q.unit, f"{q.start:.6g}") for q in s.inputs]),
@@ -320,7 +319,7 @@ def _overview(s: Summary) -> list[str]:
 
 
 def _variables(s: Summary, *, every: bool) -> list[str]:
-    """Return the tables of variables; local variables are counted unless all are shown."""
+    """Return the tables of variables; unless all are shown, local variables are only counted."""
     groups = {title: s.of(*causalities) for title, causalities in SECTIONS.items()}
     others = [v for v in s.variables if v.causality not in {"independent"}.union(*SECTIONS.values())]
     if every and others:
@@ -380,9 +379,9 @@ def graph_command(
         return
     path = Path(f"{scenario.stem}.svg" if out is None else out)
     if not path.parent.is_dir():
-        raise InputError.at(path, "its folder is not there; make it first")
+        raise InputError.at(path, "its folder does not exist; create it first")
     if path.suffix.lower() not in (".svg", ".mmd"):
-        raise InputError.at(path, "name an .svg or .mmd file")
+        raise InputError.at(path, "give an .svg or .mmd file")
     if path.exists() and not force:
         with path.open(encoding="utf-8", errors="replace") as stream:
             head = stream.read(DIAGRAM_HEAD)
@@ -392,9 +391,7 @@ def graph_command(
             titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
             is_earlier = titles[0] != [] and titles[0] == titles[1]
         if not is_earlier:
-            reason = (
-                f"exists and is not a picture of {graph.name}; name another file as --out, or overwrite it with --force"
-            )
+            reason = f"exists and is not a picture of {graph.name}; give another --out, or overwrite it with --force"
             raise InputError.at(path, reason)
     write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
     say(f"graph: {path}")
@@ -467,7 +464,7 @@ def linearize_command(*, open: bool = False, json: bool = False, **given: Any) -
         header, *cells = matrix_lines(name, *m.matrix(name)) or [[name]]
         say(*table(header, cells) if cells else [])
     count = len(outcome.linear)
-    several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""
+    several = f", {count} times from {m.point.time:g} s on; the first is shown above" if count > 1 else ""
     say(f"by {m.method}{several}")
     report = f"; report: {page}" if page.is_file() else ""
     say(f"linear model: {given['out'] / 'linear.json'}, linear.mat, linear.py{report}")
@@ -534,15 +531,14 @@ def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
     places = {**{a.schema_name: a.schema for a in artefacts() if a.schema}, **RESULT_SCHEMAS}
     if name not in places:
-        raise InputError.at(
-            Path(name), f"is no kind of file that has a schema; give one of {', '.join(kinds_with_schema())}"
-        )
+        raise InputError.at(Path(name), f"has no schema; give one of {', '.join(kinds_with_schema())}")
     model: type[BaseModel] = resolve(places[name])
     schema = model.model_json_schema(mode="serialization" if name in RESULT_SCHEMAS else "validation")
     for part in (schema, *schema.get("$defs", {}).values()):
         keys: dict[str, Any] = part.get("properties", {})
         rest, last = [], ""
-        for line in str(part.get("description", "")).splitlines():  # `key: meaning` goes to the key
+        # a docstring line `key: meaning` becomes the key's description
+        for line in str(part.get("description", "")).splitlines():
             match = KEY.match(line)
             if match and match[1] in keys:
                 last = match[1]
@@ -565,7 +561,7 @@ def schema_of(name: str) -> dict[str, Any]:
 
 
 def _allow_on_and_off(node: Any) -> Any:
-    """Allow `on` and `off`, as in YAML 1.1, in place of true and false."""
+    """Allow `on` and `off`, as in YAML 1.1, for true and false."""
     if isinstance(node, list):
         return [_allow_on_and_off(value) for value in node]
     if not isinstance(node, dict):

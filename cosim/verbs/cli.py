@@ -50,7 +50,7 @@ ITEM = re.compile(r"^    (\w+)(?: \((.*?)\))?: (.*?)(?=^    \w|\n\n|\Z)", re.MUL
 
 @dataclass
 class Output:
-    """Amount and form of the output of a command, and the warnings and notes so far."""
+    """Settings of the output of a command, with the warnings and notes so far."""
 
     quiet: bool = False
     verbose: bool = False
@@ -70,7 +70,7 @@ def echo(text: str, *, err: bool = False, tone: str = "") -> None:
     try:
         typer.secho(printable(text), err=err, fg=colour)
     except BrokenPipeError:
-        with suppress(OSError, ValueError):  # of a stream that is no file
+        with suppress(OSError, ValueError):  # a stream that is not a file
             os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())
 
 
@@ -82,7 +82,7 @@ def say(*lines: str, met: bool | None = None, tone: str = "") -> None:
 
 
 def warn(*texts: str) -> None:
-    """Print warnings and notes on stderr, and keep them for JSON; -q omits notes."""
+    """Print warnings and notes on stderr, and store them for JSON; -q omits notes."""
     for text in texts:
         OUTPUT.messages.append({"kind": "note" if isinstance(text, Note) else "warning", "message": str(text)})
         if not (OUTPUT.quiet and isinstance(text, Note)):
@@ -90,7 +90,7 @@ def warn(*texts: str) -> None:
 
 
 def say_json(value: Any) -> None:
-    """Print JSON, also with -q. An object gets the warnings and notes so far."""
+    """Print JSON, also with -q. The warnings and notes so far are added to an object."""
     if isinstance(value, dict) and OUTPUT.messages:
         value = {**value, "messages": OUTPUT.messages}
     echo(json.dumps(value, indent=2, ensure_ascii=False))
@@ -98,7 +98,7 @@ def say_json(value: Any) -> None:
 
 
 def say_error(error: CosimError, exit_code: int | None = None) -> int:
-    """Print an error and the files of a stopped run, as JSON too if that is asked for; return the exit code."""
+    """Print an error and the files of a stopped run, with --json also as JSON; return the exit code."""
     faults = error.faults if isinstance(error, InputError) else ()
     answer: dict[str, Any] = {"error": str(error), "kind": type(error).__name__, "faults": []}
     answer["exit_code"] = error.exit_code if exit_code is None else exit_code
@@ -109,7 +109,7 @@ def say_error(error: CosimError, exit_code: int | None = None) -> int:
         answer["faults"].append({"kind": kind, **place, "message": str(fault) if is_option else fault.message})
     for line in faults or [f"error: {error}"]:
         echo(str(line), err=True)
-    with suppress(OSError):  # stdout may be on the disk that is full
+    with suppress(OSError):  # stdout may be a file on the full disk
         if isinstance(error, SimulationError):
             from cosim.files.results import rows_in
 
@@ -137,7 +137,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 def show(report: Path, opens: bool) -> None:
     """Open a report in the browser on request."""
     if opens and report.is_file() and not webbrowser.open(report.resolve().as_uri()):
-        warn(f"no browser is found here; open {report}")
+        warn(f"no browser was found; open {report}")
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:
@@ -147,7 +147,7 @@ def files_in(folder: Path, *names: str) -> dict[str, str]:
 
 @contextmanager
 def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float], None] | None]:
-    """Yield a function of (completed, all steps) or (stage, share): a bar on a terminal, lines with -v, else None."""
+    """Yield a function of (completed, all steps) or (stage, share) for progress: a bar, lines with -v, else None."""
     is_terminal, start = sys.stderr.isatty(), time.monotonic()
     if OUTPUT.quiet or not (is_terminal or OUTPUT.verbose):
         yield None
@@ -165,14 +165,14 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float]
             text = printable(first if isinstance(first, str) else f"{activity}: {int(10 * share)}0 %", one_line=True)
             if text != task.description and not is_terminal:
                 echo(f"{time.monotonic() - start:6.1f} s  {text}", err=True)
-            task.total = 1.0 if 0.0 < share < 1.0 else None  # a bar only moves where a stage counts nothing or no more
+            task.total = 1.0 if 0.0 < share < 1.0 else None  # the bar never moves backwards
             bar.update(task.id, description=text, completed=share)
 
         yield advance
 
 
 def show_page(page: Any, kind: str, title: str, *limits: float, opens: bool = True) -> None:
-    """Open a served page in the browser; at the end of the command it stays until the user closes it."""
+    """Open a served page in the browser; it is served until the user closes it."""
     from cosim.pages.server import open_page
 
     LAST.append(lambda: page.wait_for_close(warn, *limits))
@@ -181,7 +181,7 @@ def show_page(page: Any, kind: str, title: str, *limits: float, opens: bool = Tr
 
 
 def live_page(kind: str, title: str, *, live: bool, port: int | None, **settings: Any) -> Any:
-    """Return the live page of a verb, of a class in `work_pages`; without --live a context of None."""
+    """Return the live page of a verb, of a class in `work_pages`; without --live, a context of None."""
     if not live and port is None:
         return nullcontext()
     from cosim.pages import work_pages
@@ -192,7 +192,7 @@ def live_page(kind: str, title: str, *, live: bool, port: int | None, **settings
 
 
 def _with_options(command: Callable[..., Any], verb: Verb) -> Callable[..., None]:
-    """Return a command with options for Typer; it returns nothing, which is exit code 0."""
+    """Return a command with options for Typer; it returns None, i.e. exit code 0."""
 
     def run(*, quiet: bool = False, verbose: bool = False, **given: Any) -> None:
         OUTPUT.quiet, OUTPUT.verbose, OUTPUT.as_json, OUTPUT.has_json = quiet, verbose, bool(given.get("json")), False
@@ -216,7 +216,7 @@ def _with_options(command: Callable[..., Any], verb: Verb) -> Callable[..., None
 
 
 def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[Parameter, str]:
-    """Return a parameter for Typer, whose values are text, and its name on the command line."""
+    """Return a parameter for Typer, with text values, and its name on the command line."""
     default = [] if parameter.default == () else parameter.default
     written = getattr(parameter.annotation, "__name__", str(parameter.annotation))
     is_list = re.search("^(list|Given|Names|Values)|Files", written)
@@ -236,7 +236,7 @@ def _option(parameter: Parameter, names: Sequence[str], meaning: str) -> tuple[P
 
 
 def _complete_runs(incomplete: str) -> list[tuple[str, str]]:
-    """Return names and numbers of results in `results` that begin so, each with its command and outcome."""
+    """Return names and numbers of results that begin with a text, each with its command and outcome."""
     from cosim.files.run_entries import entries
 
     found = [(text, f"{e.verb} {e.outcome}") for e in reversed(entries()) for text in (e.name, str(e.number))]
@@ -244,17 +244,18 @@ def _complete_runs(incomplete: str) -> list[tuple[str, str]]:
 
 
 def _complete_kinds(incomplete: str) -> list[str]:
-    """Return the kinds of files with a schema that begin so."""
+    """Return the kinds of files with a schema that begin with a text."""
     from cosim.verbs.checks import kinds_with_schema
 
     return [kind for kind in kinds_with_schema() if kind.startswith(incomplete)]
 
 
-COMPLETIONS: dict[str, Callable[[str], Any]] = {"RUN": _complete_runs, "KIND": _complete_kinds}  # by metavar
+# completion functions by metavar
+COMPLETIONS: dict[str, Callable[[str], Any]] = {"RUN": _complete_runs, "KIND": _complete_kinds}
 
 
 def _verb_to_complete() -> str:
-    """Return the verb on the line that a shell wants to complete, "-h" before it is whole."""
+    """Return the verb on the line to complete in a shell; "-h" if the verb itself is incomplete."""
     line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
     words = line.split()
     return words[1] if len(words) > 2 or (len(words) == 2 and line[-1:].isspace()) else "-h"
@@ -271,7 +272,10 @@ VERSION = typer.Option("--version", callback=_show_version, is_eager=True, help=
 
 @functools.cache
 def command_line(chosen: str = "") -> typer.Typer:
-    """Return the command line; if a verb is chosen, only it has options, because those of the others need imports."""
+    """Return the command line.
+
+    If a verb is chosen, only its options are built, because other verbs need more imports.
+    """
     keys = {"help_option_names": ["-h", "--help"]}
     line = typer.Typer(context_settings=keys, no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -288,12 +292,12 @@ def command_line(chosen: str = "") -> typer.Typer:
 
 
 def entry() -> None:
-    """Run the command line; an error of cosim is a message and an exit code, not a traceback."""
+    """Run the command line; an error of cosim becomes a message and an exit code instead of a traceback."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
-        if getattr(sys, name) is None:  # closed; a file opened later would take its number
+        if getattr(sys, name) is None:  # a closed stream; a file opened later would get its number
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "w" if number else "r", encoding="utf-8"))
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a terminal or file that is not UTF-8 has no true minus sign
+        if hasattr(stream, "reconfigure"):  # a terminal or file without UTF-8 cannot show a true minus sign
             stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = lambda message, category, *place: warn(str(message))
     try:
@@ -305,16 +309,17 @@ def entry() -> None:
     except CosimError as error:
         code = say_error(error)
     except (MemoryError, Terminated) as error:
-        text = str(error) or "there is not enough memory; run shorter, in longer steps or with less recorded"
+        text = str(error) or "not enough memory; use a shorter duration, longer steps, or record fewer signals"
         code = say_error(CosimError(text), SimulationError.exit_code)
-    except OSError as error:  # a folder that cannot be written, a disk that is full
+    except OSError as error:  # an unwritable folder, or a full disk
         text = "the disk is full" if is_full(error) else error.strerror or str(error)
         text = f"{error.filename}: {text}" if error.filename else text
         code = say_error(CosimError(text), SimulationError.exit_code if is_full(error) else 2)
     except typer.Abort:
-        code = say_error(CosimError("the input ended at a prompt; run it on a terminal"))
+        code = say_error(CosimError("the input ended at a prompt; run the command on a terminal"))
     except Exception as error:
-        if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
+        # Depending on its version, Typer has its own classes or those of click.
+        if not hasattr(error, "format_message"):
             raise
         error.show()  # type: ignore[attr-defined]
         if "--json" in sys.argv:

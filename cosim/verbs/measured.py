@@ -62,7 +62,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     say(*table(("channel", "error (rms)", "over", "noise σ", "error / noise floor"), rows))
     if (study := place / NEXT_STUDY).is_file():
         name = shlex.quote(str(study))
-        say(f"next: cosim refine {name}, or its parameters alone: cosim fit {name}")
+        say(f"next: cosim refine {name}, or to fit parameters only: cosim fit {name}")
     say(f"residual: {rows_in(place, 'residual')}" + (f", report: {page}" if page.is_file() else ""))
     if json:
         findings = [finding.line for finding in comparison.findings]
@@ -80,14 +80,14 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
 
     Args:
         logs: Measured logs: CSV files with time, inputs and measured outputs; or a study.
-        fmu (--fmu FMU): FMU whose parameters are estimated, if no study names it.
+        fmu (--fmu FMU): FMU whose parameters are estimated, unless a study names it.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME-fit of the FMU or study).
         vary (NAME[=BOUNDS]): Parameter to estimate: NAME, NAME=20% (prior) or NAME=LOW..HIGH (default: all
             identifiable ones).
-        start (NAME=VALUE): Further value of the FMU, or first value of a parameter.
-        sealed (LOG): Log for the proof, not used by the estimate.
+        start (NAME=VALUE): Value of another parameter, or initial value of an estimated parameter.
+        sealed (LOG): Log for the final check, not used by the estimate.
         per_log (--per-log NAME): Parameter with a value for each log, such as a load that changes between logs.
-        profile (NAME): Parameter whose likelihood is profiled, for an interval that need not be symmetric.
+        profile (NAME): Parameter whose likelihood is profiled, for an asymmetric interval.
         columns (--column COLUMN=VARIABLE): Variable of a column, for example stamp=time.
 
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
@@ -110,7 +110,7 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
             rows.append((name, amount(p["start"], unit, 4), amount(p["value"], unit, 5), interval, p["status"]))
             if p["profile"]:
                 ends = ("open" if end is None else amount(end, unit, 4) for end in p["profile"]["ci95"])
-                profiles.append(f"{name}: 95 % interval by its profile {' … '.join(ends)}")
+                profiles.append(f"{name}: 95 % interval from its profile likelihood {' … '.join(ends)}")
         own = [(e["name"], Path(e["log"]).name, amount(e["value"], e["unit"], 5)) for e in fitted.record["per_log"]]
     say(*table(("parameter", "before", "estimate", "95 % interval", "status"), rows))
     say(*(table(("parameter", "log", "estimate"), own) if own else []), *profiles)
@@ -137,11 +137,11 @@ def refine(
     """Find the effect that a model lacks, from measured logs.
 
     Args:
-        study: Study file, or an object that derives from `cosim.estimation.subject.interface.Subject`.
+        study: Study file, or an instance of a subclass of `cosim.estimation.subject.interface.Subject`.
         out: Folder for refine.json, model.yaml, plant.fmu and report.html.
-        logs (in Python): Estimation logs of an object.
-        validation (in Python): Sealed logs of an object.
-        settings (in Python): Further keys of a study file, for an object.
+        logs (in Python): Estimation logs, if `study` is an object.
+        validation (in Python): Sealed logs, if `study` is an object.
+        settings (in Python): Further keys of a study, if `study` is an object.
         report: Write report.html.
         force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
@@ -163,8 +163,8 @@ def refine(
 
     if isinstance(study, (str, PathLike)):
         if logs or validation or settings:
-            text = "logs, validation and settings are in the file; write them into the study, or give an object"
-            raise InputError.at(Path(study), f"{text} in its place")
+            text = "logs, validation and settings belong in the study file; write them there, or give an object"
+            raise InputError.at(Path(study), f"{text} instead of the file")
         source: Any = study
     else:
         source = study_of(study, logs, validation, **(settings or {}))
@@ -225,7 +225,7 @@ def refine_command(
 def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """Design the input that separates rival hypotheses best.
 
-    Writes excitation.csv, excitation.yaml, a scenario that plays the input, and report.html.
+    Writes excitation.csv, excitation.yaml (a scenario with this input) and report.html.
 
     Args:
         text (MODEL): A registered model such as base, a model.yaml, FILE.py:CLASS, an FMU, or a refine.json or its
@@ -251,7 +251,7 @@ def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     warn(*choice.warnings)
     say(*choice.sentences)
     files = {"excitation": str(place / "excitation.csv"), "scenario": str(place / "excitation.yaml")}
-    say(f"excitation: {files['excitation']}, played by: cosim run {shlex.quote(files['scenario'])}")
+    say(f"excitation: {files['excitation']}, simulate it with: cosim run {shlex.quote(files['scenario'])}")
     pages = files_in(place)
     say(*(f"report: {page}" for page in pages.values()))
     show(place / "report.html", open)
@@ -259,4 +259,4 @@ def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> N
         apart = [{"pair": list(pair), "standard_deviations": distance} for pair, distance in choice.apart.items()]
         say_json({"apart": apart, "warning": "; ".join(choice.warnings), "excess": choice.excess, **files, **pages})
     if choice.excess > 1.0:
-        raise CriterionMissed("the planned input exceeds a limit if a rival is true")
+        raise CriterionMissed("the planned input exceeds a limit for at least one rival")

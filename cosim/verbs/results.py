@@ -1,4 +1,4 @@
-"""Existing results: compare, report, list, open, view, gc, and `cosim.read`."""
+"""Commands on existing results: compare, report, list, open, view, gc, and `cosim.read`."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ if TYPE_CHECKING:
     from cosim.sweeps.store import Runs
 
 
-MAX_SIGNALS = 12  # on the terminal
+MAX_SIGNALS = 12  # number of signals on the terminal
 OTHER_RECORDS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
-WIDEST = 60  # characters of an outcome, of values and of changes
+WIDEST = 60  # characters of an outcome, of values and of changes in a table
 SORTED: Mapping[str, Callable[[Any], Any]] = {  # key of --sort → order of entries
     "when": lambda e: e.time,
     "command": lambda e: e.verb,
     "name": lambda e: e.name,
     "outcome": lambda e: (e.met is not False, e.outcome),
 }
-NAMED_RUNS = 5  # on the terminal
+NAMED_RUNS = 5  # removed runs listed on the terminal
 LAYOUTS = "view.json"
 GRACE_S = 10.0  # [s] without a page until the command ends
 MOST_REMOVED = 10
@@ -62,8 +62,8 @@ def compare(
 
     Args:
         a: Baseline: folder of a run, CSV file whose first column is time, number, name or pattern in `cosim list`, or
-            result of a function; or a list of runs, however many.
-        b: Run that is compared with the baseline `a`.
+            result of a function; or a list of runs.
+        b: Run to compare with the baseline `a`.
         out: Folder for comparison.json and report.html; None writes nothing.
         baseline: Baseline of a list of runs; by default its first run.
         tolerance: Allowed difference as a share of each signal's range in the baseline.
@@ -190,20 +190,21 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
 
     path = newest_run(folder)
     if not path.is_dir():
-        check_given(path, "a folder that a run left")
+        check_given(path, "the folder of a run")
         raise InputError.at(path, "is a file; give the folder with the results of `cosim run`")
     if not (path / "manifest.json").is_file():
         verb = next((v for name, v in OTHER_RECORDS.items() if (path / name).is_file()), None)
         own = "has no manifest.json; give the folder with the results of `cosim run`"
-        other = f"has no manifest.json; it is of `cosim {verb}`, which writes its page itself"
+        other = f"has no manifest.json; it is a result of `cosim {verb}`, whose report cannot be written again"
         raise InputError.at(path, other if verb else own)
     run = read_ran(path)
     if not isinstance(run.manifest.get("scenario"), dict):
         raise InputError.at(
-            path / "manifest.json", "is no manifest of a run: there is no scenario in it, or it is torn; run it again"
+            path / "manifest.json",
+            "is not a manifest of a run: it has no scenario or is damaged; run the scenario again",
         )
     if not run.results.time.size:
-        raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before its first; run it again")
+        raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before the first row; run it again")
     check_writable(path, ("report.html",))
     warn(*run.warnings)
     about_rows = [text for text in run.warnings if text not in warnings_on(path)]
@@ -219,7 +220,7 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
 def list_command(
     names: list[str] | None = None, *, results: Path | None = None, sort: str = "when", json: bool = False
 ) -> None:
-    """List results: when, what, values of criteria, and the inputs that changed.
+    """List results: time, command, outcome, criteria, and inputs that changed.
 
     Args:
         names ([RUN]): Numbers, names or patterns such as 'tank/*' (default: all).
@@ -282,7 +283,7 @@ def open_command(
 
     Args:
         run ([RUN]): Number, name or pattern of results, or their folder (default: the newest results).
-        browser: Open the page, or print its path only.
+        browser: Open the page; otherwise only print its path.
 
     Example: cosim open 3
     """
@@ -292,16 +293,16 @@ def open_command(
     root = results or RESULTS
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_groups([run], root)[0]
     if not found:
-        text = "no results here; run a command without --out first, or name their folder as --results"
+        text = "no results here; run a command without --out first, or give --results FOLDER"
         raise InputError.at(root, text)
     if len(found) > 1:
         names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], NAMED_RUNS)
-        raise InputError.at(Path(run or ""), f"{len(found)} results match: {names}; name one")
+        raise InputError.at(Path(run or ""), f"{len(found)} results match: {names}; give one of them")
     folder, entry = found[0].path, found[0].entry
     page = folder / "report.html"
     if not page.is_file():
         if not has_results(folder):
-            reason = "has no results of a command; give a number, a name or a folder in `cosim list`"
+            reason = "has no results of a command; give a number, name or folder from `cosim list`"
             raise InputError.at(folder, reason)
         if state := state_of(folder):
             raise InputError.at(folder, f"has no report.html: its command is {state}; `cosim list` shows the state")
@@ -327,15 +328,15 @@ def view_command(
     prepare: bool = False,
     json: bool = False,
 ) -> None:
-    """Browse the signals of runs in one page of this machine.
+    """Show the signals of runs in a browser page, served on this machine only.
 
     Args:
         runs ([RUN]): Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).
         columns (--column COLUMN=SIGNAL): Signal of a column of a table, for example stamp=time.
         layout: File of saved layouts (default: view.json in the folder of results).
         port: Port of the page (0: any).
-        browser: Open the page, or print its address only.
-        prepare: Convert large tables, and end without a page.
+        browser: Open the page; otherwise only print its address.
+        prepare: Convert large tables, without opening a page.
 
     Example: cosim view 'tank*'
     """
@@ -375,15 +376,15 @@ def gc_command(
     yes: bool = False,
     json: bool = False,
 ) -> None:
-    """Remove earlier runs; the newest results of each name stay.
+    """Remove earlier runs; the newest results of each name are kept.
 
-    Says how much it would remove, and asks.
+    Shows what would be removed, and asks for confirmation.
 
     Args:
         names ([RUN]): Numbers, names or patterns such as 'tank/*' (default: all).
-        keep (NUMBER): Earlier runs of each name that stay.
+        keep (NUMBER): Number of earlier runs of each name to keep.
         older (DAYS): Remove runs older than this number of days.
-        yes (--yes -y): Remove without a question.
+        yes (--yes -y): Remove without asking.
 
     Example: cosim gc --keep 5
     """
@@ -398,18 +399,18 @@ def gc_command(
         say(f"to remove: {_amount(plan)}: {some(planned, MOST_REMOVED)}")
         if not yes:
             if json or not sys.stdin.isatty():
-                raise InputError.at(root, "nothing is removed without an answer; add --yes")
+                raise InputError.at(root, "nothing was removed, because the question was not answered; add --yes")
             if not typer.confirm("Remove?"):
                 planned = []
     done = remove(plan.entries) if planned else Removal((), 0)
     warn(*done.warnings)
     reason = ""
     if not plan.entries:
-        reason = ": no earlier run is among these results"
+        reason = ": these results include no earlier runs"
         if names and chosen and all(entry.is_newest for entry in chosen):
             earlier = " ".join(shlex.quote(f"{entry.of}/*") for entry in chosen)
-            reason = f": the newest results of a name stay; name its earlier runs as {earlier}"
-    say(f"removed: {_amount(done)}" if done.entries else f"nothing is removed{reason}")
+            reason = f": the newest results of a name are kept; give its earlier runs, such as {earlier}"
+    say(f"removed: {_amount(done)}" if done.entries else f"nothing to remove{reason}")
     if json:
         say_json({"removed": [entry.name for entry in done.entries], "bytes": done.size})
     refuse(done.faults)

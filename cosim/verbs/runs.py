@@ -37,7 +37,7 @@ def run_command(
             run.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the scenario).
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
-        case (N): Run of a sweep to simulate by itself, by its number in the sweep's table.
+        case (N): Simulate only run N of a sweep, numbered as in the sweep's table.
         coupling_error: Run again with half the step and print the largest change of each output.
 
     Example: cosim run scenario.yaml --set noise=off --seed 7
@@ -121,7 +121,7 @@ def simulate_command(*, open: bool = False, json: bool = False, **given: Any) ->
         fmu: FMU to simulate.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the FMU).
         set (NAME=VALUE): Value of a parameter or input, for example angle=12deg.
-        input (FILE): CSV file with time and columns named as inputs; each value is held until the next row.
+        input (FILE): CSV file with time and columns named as inputs; values are constant between rows.
         columns (--column COLUMN=INPUT): Input that a column of --input drives, for example volts=voltage.
         interpolation (held|linear): Values of --input between two rows.
         stop (TIME): End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
@@ -187,17 +187,17 @@ def init_command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: b
         for other in m.others:
             say(f"      or {other}")
     for name, sources in matches.choices.items():
-        say(f"  {name} is left open, for several fit alike: {', '.join(sources)}")
+        say(f"  {name} is not connected, because several outputs fit equally well: {', '.join(sources)}")
     warn(*warnings)
     guesses, choices = sum(bool(m.guess) for m in matches.connections), matches.choices
     parts = [counted(len(fmus), "FMU"), counted(len(matches.connections), "connection")]
     parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
-    parts += [f"{counted(len(choices), 'input')} to choose for (in the file)"] if choices else []
+    parts += [f"{counted(len(choices), 'input')} with several fitting outputs (choose in the file)"] if choices else []
     say(f"wrote {out}: {', '.join(parts)}")
     if matches.connections or not matches.any_candidate:
         say(f"next: cosim run {shell_path(out)}")
     else:
-        say(f"next: remove the # before the connections of {out} that you want, then cosim run {shell_path(out)}")
+        say(f"next: remove the # before the right connections in {out}, then cosim run {shell_path(out)}")
 
 
 def sweep_command(
@@ -211,8 +211,8 @@ def sweep_command(
         path (SWEEP): A sweep file: a scenario and the values that vary.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the sweep).
         dask (ADDRESS): Address of a Dask scheduler, for example tcp://host:8786.
-        resume: Go on with the stopped sweep in --out (default: the newest).
-        part (K/N): Make the K-th of N parts of the runs, in a folder given by --out.
+        resume: Continue the stopped sweep in --out (default: the newest).
+        part (K/N): Simulate the K-th of N parts of the runs, in a folder given by --out.
 
     Example: cosim sweep sweep.yaml --workers 4
     """

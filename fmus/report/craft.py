@@ -1,7 +1,9 @@
-"""Crafts of a run: estimators, references, responses, effort, saturation, estimate against truth.
+"""Analysis of the crafts in a run: estimators, references, responses, effort, saturation, errors of the estimate.
 
-Component names are the user's, so variables define the roles: a craft has `x_world`, `y_world` and `psi`, an estimator
-has `x_hat` and `x_sigma`. Connections assign the estimators to crafts. Figures use every row and SI units.
+Component names are chosen by the user, so variables define the roles: a craft has `x_world`, `y_world` and `psi`,
+an
+estimator has `x_hat` and `x_sigma`. Connections assign the estimators to crafts. Figures use every row and SI
+units.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from cosim.simulation.report.recorded import Run, number
 
 SIDES = ("right", "left")
 COLOURS = {"right": "warm", "left": "cool"}
-BAND = 0.02  # m and rad: 2 % of the thesis' unit steps
+BAND = 0.02  # m and rad: 2 % of the unit steps in the thesis
 MERGE = 0.1  # s; changes of a reference closer than this are one ramp
 MAX_SETTLED_DISTANCE = 0.05  # m; a craft farther from its target has not settled
 TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
@@ -89,7 +91,7 @@ class Craft:
 
 
 def is_drawn(*lines: Array) -> bool:
-    """Return whether each line has a finite value."""
+    """Return True if each line has a finite value."""
     return all(np.isfinite(line).any() for line in lines)
 
 
@@ -103,7 +105,7 @@ def find_crafts(run: Run) -> list[Craft]:
 
 
 def _downstream(run: Run, start: str, names: Iterable[str], blocked: Iterable[str]) -> str | None:
-    """Return the first of `names` downstream of `start`, without a path through `blocked` ones."""
+    """Return the first of `names` downstream of `start`, without passing through `blocked` components."""
     edges = [(source.partition(".")[0], target.partition(".")[0]) for source, target in run.links]
     visited, front = {start, *blocked}, [start]
     while front:
@@ -191,10 +193,7 @@ def error_rms(signal: Array, target: Array) -> float:
 
 
 def saturation(craft: Craft, side: str) -> float:
-    """Return the share of time at the tilt limit.
-
-    Each command is held until the next.
-    """
+    """Return the share of time at the tilt limit; commands are constant between rows."""
     command, limit, time = craft.command(f"tilt_{side}"), craft.tilt_limit, craft.run.time
     if limit is None or time.size < 2 or not is_drawn(command):
         return math.nan
@@ -204,8 +203,8 @@ def saturation(craft: Craft, side: str) -> float:
 
 
 def inside_band(craft: Craft, variable: str) -> float:
-    """Return the share of rows with the truth within the estimator's ±2σ."""
+    """Return the share of rows in which the truth is within the estimator's ±2σ band."""
     names = (f"{variable}_hat", f"{variable}_sigma")
     good, true, estimate, sigma = finite(craft.signal(variable), *map(craft.estimate, names))
-    # At the start P = 0 and the estimate is exact: rounding must not count as outside.
+    # At the start P = 0 and the estimate is exact, so rounding must not count as outside.
     return float(np.mean(np.abs(estimate - true) <= 2 * sigma + 1e-9)) if good.any() else math.nan

@@ -89,7 +89,7 @@ def craft_page(craft: Craft, called: str, drawing: Drawing) -> Mapping[str, Any]
 
 
 def readout(panel: Panel, plot: Plot) -> Mapping[str, Any]:
-    """Return the last truth, estimate and reference of a state, as far as recorded: key of its series and text."""
+    """Return the last truth, estimate and reference of a state, if recorded, as key of the series and text."""
     series = {
         trace.style: (spec["y"], float(trace.values[-1]) if trace.values.size else math.nan)
         for spec, trace in zip(plot.spec["traces"], panel.traces, strict=True)
@@ -100,9 +100,9 @@ def readout(panel: Panel, plot: Plot) -> Mapping[str, Any]:
 
 
 def belief_sentence(craft: Craft) -> str | None:
-    """Warn if only the estimate has settled.
+    """Return a warning if the estimate has settled but the craft has not.
 
-    Distances are medians over the last second or the last tenth of the run, the longer of both, but after the last
+    Distances are medians over the last second or the last tenth of the run, whichever is longer, but after the last
     step.
     """
     good, x, x_hat, target = finite(craft.signal("x"), craft.estimate("x_hat"), craft.reference("x"))
@@ -120,8 +120,8 @@ def belief_sentence(craft: Craft) -> str | None:
     if not true > max(MAX_SETTLED_DISTANCE, 2 * estimated):
         return None
     sentences = [
-        "The estimator believes it has settled; the craft has not.",
-        f"At the end of the run x̂ lay {length(estimated)} from its target and the craft {length(true)}.",
+        "The estimate has settled, but the craft has not.",
+        f"At the end of the run, x̂ is {length(estimated)} from its target, the craft {length(true)}.",
     ]
     if not is_drawn(craft.estimate("x")):
         sentences.append(
@@ -130,7 +130,7 @@ def belief_sentence(craft: Craft) -> str | None:
         )
     if (double := 2 * float(craft.estimate("x_sigma")[good][-1])) > 0:
         verdict = "outside" if apart > double else "within"
-        sentences.append(f"That is {verdict} the ±2σ band of the estimator, ±{length(double)} by then.")
+        sentences.append(f"This is {verdict} the ±2σ band of the estimator, ±{length(double)} at that time.")
     return " ".join(sentences)
 
 
@@ -141,13 +141,14 @@ def integral_sentence(craft: Craft) -> str | None:
         return None
     last = craft.run.time[good] >= craft.run.time[-1] - 1.0
     off = length(abs(float(np.mean((x - target)[last]))))
-    error = f"Over the last second the craft was on average {off} off its target."
+    error = f"Over the last second, the craft's mean error was {off}."
     if craft.run.source(f"{craft.estimator}.fix") is not None:
-        return f"The controller integrates the error of the measured position, so that none remains. {error}"
+        return f"The controller integrates the error of the measured position, so no error remains. {error}"
     return (
-        "The controller integrates the error of x, but nothing measures x: it integrates the error of its own estimate."
-        " An accelerometer does not feel gravity on a tilted table, so the error of such a push remains."
-        f" {error} Fixes on x_meas and fix cure that."
+        "The controller integrates the error of x, but x is not measured, so it integrates the error of its own "
+        "estimate."
+        " An accelerometer does not measure gravity on a tilted table, so this error remains."
+        f" {error} Position fixes on x_meas and fix remove it."
     )
 
 
@@ -157,15 +158,15 @@ def band_sentence(craft: Craft) -> str | None:
     for variable in ("x", "psi"):
         share = inside_band(craft, variable)
         if math.isfinite(share):
-            parts.append(f"{SYMBOLS[variable]} lay within ±2σ of its estimate for {percent(share)} of the rows")
-    return f"{', '.join(parts)}; of a consistent filter about 95 % are." if parts else None
+            parts.append(f"{SYMBOLS[variable]} is within ±2σ of its estimate in {percent(share)} of the rows")
+    return f"{', '.join(parts)}; about 95 % is expected for a consistent filter." if parts else None
 
 
 def motion_sentence(craft: Craft, called: str) -> str:
     """Return the distance travelled, the displacement and the turn."""
     good, x, y, psi = finite(*map(craft.signal, ("x_world", "y_world", "psi")))
     if good.sum() < 2:
-        return "Too few finite rows to tell a motion."
+        return "Too few finite rows to describe a motion."
     way, gap = float(np.hypot(np.diff(x), np.diff(y)).sum()), math.hypot(x[-1] - x[0], y[-1] - y[0])
     turn = float(psi[-1] - psi[0])
     side = "left" if turn > 0 else "right"
@@ -185,7 +186,7 @@ def tilt_sentence(craft: Craft) -> str | None:
     if max(shares) == 0:
         return f"No tilt command reached its limit of {at}."
     return (
-        f"Tilt commands stood at their limit of {at} for {percent(shares[0])} of the time on the right, "
+        f"Tilt commands are at their limit of {at} for {percent(shares[0])} of the time on the right, "
         f"{percent(shares[1])} on the left."
     )
 

@@ -8,7 +8,7 @@ PROTOCOL = "a protocol of a testing bench"
 ARTEFACTS = (
     Artefact(
         PROTOCOL,
-        "`cosim identify {file}` identifies from it",
+        "`cosim identify {file}` evaluates it",
         keys=(frozenset({"cells", "tests"}), frozenset({"rest"}), frozenset({"distance"})),
         without=frozenset({"logs"}),
         schema="plant.identification.protocol:ProtocolFile",
@@ -17,13 +17,13 @@ ARTEFACTS = (
         check="plant.identification.workflow:check_protocol",
     ),
     Artefact(
-        "an answer of `cosim identify`",
-        "scripts read it; `cosim build --model` and studies take the model file beside it",
+        "a result of `cosim identify`",
+        "read it with a script; the model file in its folder is for `cosim build --model` and studies",
         keys=(frozenset({"schema_version", "estimates"}),),
         verb="cosim identify",
         marks=("identify.json",),
         files=("identify.json", "powertrain.yaml", "model.yaml", "report.html"),
         folder="the folder of an identification",
-        folder_step="`cosim build --model` takes the model file in it",
+        folder_step="use its model file with `cosim build --model`",
     ),
 )

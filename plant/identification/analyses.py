@@ -34,8 +34,8 @@ from plant.identification.recordings import Cells, Recording, at_rail
 from plant.powertrain import assembly_moment, ground_effect
 
 POLYNOMIAL_DEGREES = (1, 2, 3)
-MARGIN = 0.02  # [%] margin of duty to the cell's range and to zero thrust, since a low pass has memory
-MEMORY = 5.0  # lags and low passes after which a higher duty is forgotten to 1 %
+MARGIN = 0.02  # [%] margin of duty to the cell's range and to zero thrust, because of the low pass
+MEMORY = 5.0  # number of lags and low passes after which the influence of a higher duty is below 1 %
 MIN_LINE_ROWS, MIN_LINE_RANGE = 50, 0.1  # rows of a repetition, [%] of its ramp with thrust, for a line
 MIDDLE_DUTY = 6.0  # [%] origin of polynomials in the duty
 CHEESEMAN_BENNETT = 2.0
@@ -49,12 +49,14 @@ DECIBEL, DEGREE = 20.0, 180.0 / np.pi
 def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Array], int]:
     """Return rows in the window and the cell's range where T = max(0, a + b·δ), eq 4.20, is positive.
 
-    Selection is by command only, equal for all: selection by value would bias the line. Zero thrust ends at the kink of
-    the equation fitted to all readings.
+    Rows are selected by command only: a selection by reading would bias the line. Zero thrust ends at the kink of
+    the
+    equation fitted to all readings.
 
     Returns:
         Highest duty within the range of the cells [%], and highest duty of zero thrust [%]; of each repetition the
-        rows, and the duty in them after lag and low pass [%]; number of rows within the range, with or without thrust.
+        rows, and the duty in them after lag and low pass [%]; number of rows within the range, with or without
+        thrust.
     """
     cell, recent, tops, end = m.cells["z"], list[Array](), list[float](), np.inf
     for r in m.recordings:
@@ -80,10 +82,10 @@ def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Ar
 
 
 def zero_thrust(duty: Array, thrust: Array) -> float:
-    """Return δ₀ [%] of T = b·max(0, δ − δ₀); it is below all duties if a plain line fits best."""
+    """Return δ₀ [%] of T = b·max(0, δ − δ₀). If a straight line without kink fits best, δ₀ is below all duties."""
 
     def explained(start: float) -> float:
-        """Return the sum of squares that a line from zero thrust explains."""
+        """Return the sum of squares explained by a line that starts at zero thrust."""
         ramp = np.maximum(duty - start, 0.0)
         product = max(0.0, float(ramp @ thrust))
         return product * product / max(float(ramp @ ramp), 1e-12)
@@ -110,7 +112,7 @@ def thrust_line(m: Measurement) -> Result:
     def lines(using: Cells) -> Array:
         return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
 
-    # thesis: all samples with equal weight over the commanded duty, cell as calibrated
+    # estimator of the thesis: all samples with equal weight over the commanded duty, cell as calibrated
     duty = np.concatenate([r.duty[k] for r, k in own])
     raw = np.concatenate([1000.0 / m.bench.gravity * m.printed_force(r, "z")[k] for r, k in own])
     slope, offset = np.polyfit(duty, raw, 1).tolist()
@@ -130,14 +132,14 @@ def thrust_line(m: Measurement) -> Result:
     result.notes.append(f"r² = {r2:.4f} (eq 4.22); {sufficient}")
     if idle:
         result.warnings.append(
-            f"{idle} of {whole} readings are without thrust, which begins at {begins:.2f} %: "
-            "T = max(0, a + b·δ) is no line there, and they are left out"
+            f"{idle} of {whole} readings have no thrust, which begins at {begins:.2f} %: "
+            "T = max(0, a + b·δ) is not linear there, so they are not used"
         )
     top = max(float(r.duty[m.inside(r)].max()) for r in m.recordings)
     if end < top - 1e-9:
         result.notes.append(
             f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are "
-            f"used, not up to {top:.2f} %: a cell of a larger range would show the rest."
+            f"used, instead of up to {top:.2f} %. A cell with a larger range would cover the rest."
         )
     if degree > 1:
         _extend_to_tangents(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
@@ -177,20 +179,23 @@ def _reach(values: Array) -> float:
 
 
 def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float], duty: Array, thrust: Array) -> None:
-    """Extend the intervals to all tangents of a curve of `degree`, and warn that the thrust is nonlinear."""
+    """Widen the intervals to all tangents of a curve of `degree`, and warn that the thrust is nonlinear."""
     curve = np.poly1d(np.polyfit(duty - MIDDLE_DUTY, thrust, degree))
     grid = np.linspace(duty.min(), duty.max(), 101)
     slopes = curve.deriv()(grid - MIDDLE_DUTY)
     offsets = curve(grid - MIDDLE_DUTY) - slopes * grid
-    reason = f"the thrust bends: degree {degree} misses repetitions left out by {errors[degree]:.3g} gf, a line by "
+    reason = (
+        f"the thrust is nonlinear: the cross-validation error is {errors[degree]:.3g} gf with degree "
+        f"{degree}, and with a line "
+    )
     reason += f"{errors[1]:.3g} gf"
     for k, (e, span) in enumerate(zip(result.estimates, (offsets, slopes), strict=True)):
         low, high = min(e.low, float(span.min())), max(e.high, float(span.max()))
-        origin = f"{e.origin}; {reason}, so the interval reaches over the tangents"
+        origin = f"{e.origin}; {reason}, so the interval includes all tangents"
         result.estimates[k] = e._replace(low=low, high=high, origin=origin)
     result.warnings.append(
-        f"{reason}. The intervals of thrust_offset and thrust_slope reach over the tangents from {duty.min():.2f} to "
-        f"{duty.max():.2f} %; choose a `window` about the duty that is flown, and look at the cell's calibration"
+        f"{reason}. The intervals of thrust_offset and thrust_slope include all tangents from {duty.min():.2f} to "
+        f"{duty.max():.2f} %; choose a `window` around the operating duty, and check the cell's calibration"
     )
 
 
@@ -211,7 +216,7 @@ def _delayed_duty(m: Measurement, r: Recording, begins: float) -> Array:
 
 
 def _bow(m: Measurement, r: Recording, line: Array, begins: float) -> Array:
-    """Return the error [gf] of readings on ramps: the low pass filters volts, and the cell's curve bends."""
+    """Return the error [gf] of readings on ramps: the low pass filters voltages, and the cell's curve is nonlinear."""
     cell, gain, gram = m.cells["z"], _gain_at(m, r), 1000.0 / m.bench.gravity
     steady = line[0] + line[1] * held_lag(np.maximum(r.duty, begins), r.step, m.bench.lag)
     volts = cell.volts_of(steady * gain / gram, np.linspace(0.0, m.bench.converter_range, 4001))
@@ -220,7 +225,7 @@ def _bow(m: Measurement, r: Recording, line: Array, begins: float) -> Array:
 
 
 def least_degree(duty: Sequence[Array], thrust: Sequence[Array]) -> tuple[int, dict[int, float]]:
-    """Return the lowest degree about as good as the best, and the mean error of repetitions left out by degree."""
+    """Return the lowest degree that is nearly as good as the best, and the cross-validation error by degree."""
     means, spreads = {}, {}
     every = [np.stack((d - MIDDLE_DUTY, y)) for d, y in zip(duty, thrust, strict=True)]
     for degree in POLYNOMIAL_DEGREES:
@@ -289,20 +294,22 @@ def ground_effect_exponent(m: Measurement) -> Result:
     estimate, dropped = result.estimates[0], int((~good).sum())
     if dropped:
         result.notes.append(
-            f"{dropped} of {good.size} single ratios are Γ ≤ 1, where ln((Γ−1)/Γ) has no value: the thesis' "
-            "estimator leaves them out and is biased by it."
+            f"{dropped} of {good.size} single ratios are Γ ≤ 1, where ln((Γ−1)/Γ) is undefined: the thesis' "
+            "estimator omits them and is therefore biased."
         )
     result.details = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
         run = next(iter(chosen.values()))[0]
         duty = float(np.median(run.duty[run.rows(m.test.window)]))
         if main.keys() - chosen.keys():
-            result.warnings.append(f"the runs at {duty:.4g} % are not used: not every height has one; correct the duty")
+            result.warnings.append(
+                f"the runs at {duty:.4g} % are not used, because some heights have none; correct the duty"
+            )
             continue
         f = forces(lambda r: m.force(r, "z"), chosen)
         off = f[:-1].mean(axis=1) / f[-1].mean() - relative(estimate.value)
         result.details["validation_rmse"] = rms = float(np.sqrt(np.mean(off**2)))
-        result.notes.append(f"Validation at {duty:g} % of duty, not used in the fit: Γ is missed by {rms:.4f} (rms).")
+        result.notes.append(f"Validation at {duty:g} % duty, not used in the fit: error of Γ {rms:.4f} (rms).")
     # figures, over the height in propeller radii
     grid = np.linspace(0.5, 3.3, 90)
 
@@ -380,8 +387,9 @@ def projection(m: Measurement) -> Result:
         largest[letter] = float(np.nanmax(np.abs(np.mean(off, axis=0))))
     result.details = {"largest_deviation": largest}
     result.notes.append(
-        f"V(α) is off cos α by {largest['V']:.4f} at most, H(α) off sin α by {largest['H']:.4f}, in bins of 2.5°: sine "
-        "and cosine project it."
+        f"V(α) deviates from cos α by at most {largest['V']:.4f}, H(α) from sin α by {largest['H']:.4f}, in bins "
+        "of 2.5°: sine "
+        "and cosine describe the projection."
     )
     first, same = m.recordings[0], _equally_long(m)
     alpha = m.tilt(first)[m.inside(first)]
@@ -417,8 +425,9 @@ def moment(m: Measurement) -> Result:
     steps = change / (bench.converter_range / bench.converter_levels)
     result.details = {"steps_of_converter": steps}
     result.notes.append(
-        f"Over the whole tilt the cell moves by {steps:.1f} steps of the converter ({1000 * change:.1f} mV): noise and "
-        "the low pass, not its resolution, let it be read."
+        f"Over the whole tilt the cell voltage changes by {steps:.1f} converter steps ({1000 * change:.1f} mV): "
+        "noise and "
+        "the low pass make changes below one step measurable."
     )
     alpha, arm = first.commanded_tilt(m.bench)[m.inside(first)], result.estimates[0].value
     line = (f"m·g·l·sin α, l = {1000 * arm:.4f} mm", np.degrees(alpha), 1000.0 * arm * per_arm(alpha))
@@ -472,7 +481,7 @@ def _smoothed(values: Array, rows: int, width: float) -> Array:
 
 
 def after_step(m: Measurement, *, thrust: bool = False) -> Result:
-    """Return τ from a fit of F_x(t), of the thrust if `thrust`, and by 63 %, rise time and slope (§4.3.4)."""
+    """Return τ from a fit of F_x(t) (of the thrust with `thrust`), and by 63 %, rise time and slope (§4.3.4)."""
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
     at, window, axes = m.test.at, (m.test.at - BEFORE, m.test.window[1]), ("time after the step [s]", "gf")
 
@@ -498,11 +507,11 @@ def after_step(m: Measurement, *, thrust: bool = False) -> Result:
     result.details = details
     shown = [f"{1000 * d['mean']:.1f} ± {1000 * d['half_width_of_one']:.1f} ms" for d in details.values()]
     result.notes.append(
-        f"As the thesis reads it: {shown[0]} by 63 %, {shown[1]} by rise time, {shown[2]} by slope; "
+        f"By the methods of the thesis: {shown[0]} by 63 %, {shown[1]} by rise time, {shown[2]} by slope; "
         f"single fits {shown[3]} (± is 1.96 σ of one test)."
     )
     if not thrust and m.truth:
-        result.notes.append("63 % of sin α after 25° comes at 0.961 τ, for the sine bends before the angle settles.")
+        result.notes.append("63 % of sin α for 25° is reached at 0.961 τ, because the sine is nonlinear.")
     tau, first, window = result.estimates[0].value, m.recordings[0], (at - 0.1, at + 0.9)
     x = np.concatenate([np.append(r.time[r.rows(window)] - at, np.nan) for r in m.recordings])
     y = np.concatenate([np.append(m.gram_force(r, channel)[r.rows(window)], np.nan) for r in m.recordings])
@@ -581,8 +590,8 @@ def after_sines(m: Measurement) -> Result:
     rows = np.arange(-(SMOOTHED_ROWS // 2), SMOOTHED_ROWS // 2 + 1)
     gain = float(np.mean(np.cos(frequencies[-1] * m.recordings[0].step * rows)))
     result.notes.append(
-        f"The mean of nine rows costs the thesis' points {-DECIBEL * np.log10(abs(gain)):.2f} dB at "
-        f"{frequencies[-1]:g} rad/s. Ours are compared with the same commands through the bench's equations: hold, "
+        f"The mean of nine rows reduces the thesis' points by {-DECIBEL * np.log10(abs(gain)):.2f} dB at "
+        f"{frequencies[-1]:g} rad/s. Our points are compared with the bench equations under the same commands: hold, "
         "dead band, sine of the angle."
     )
     grid = np.geomspace(frequencies.min(), frequencies.max() * 1.5, 80)
@@ -640,7 +649,7 @@ def _sine(r: Recording, values: Array, w: float, test: SineTest) -> Any:
 
 
 def _sines_by_hand(chosen: list[list[tuple[Recording, float]]], m: Measurement) -> tuple[Array, Array]:
-    """Return magnitude [dB] and phase [°] from maximum and minimum of the filtered force, as in the thesis.
+    """Return magnitude [dB] and phase [°] from extrema of the filtered force, as in the thesis.
 
     Values are relative to the lowest frequency.
     """

@@ -1,4 +1,4 @@
-"""Checks of recordings and planned runs: ranges, phases of a test, saturated, swapped or mirrored cells, results."""
+"""Checks of recordings and planned runs: ranges, phases, saturated, swapped or sign-reversed cells, results."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ from plant.identification.protocol import (
 )
 from plant.identification.recordings import COLUMNS, Cells, Recording, at_rail, commands
 
-MIN_DUTY_CHANGE, MIN_TILT_CHANGE = 0.1, np.radians(5)  # [%, rad] least variation of a command
+MIN_DUTY_CHANGE, MIN_TILT_CHANGE = 0.1, np.radians(5)  # [%, rad] smallest variation of a command
 MIN_DUTY_STEP, MIN_AMPLITUDE = 0.02, np.radians(1)  # [%, rad] of the duty, and of a sine of the tilt
 MIN_WINDOW_ROWS, MIN_ROWS_BEFORE = 10, 3  # rows of a window, and before a step
 ROWS_PER_PERIOD = 10  # rows in a period of a sine
 MAX_PLANNED_ROWS = 1_000_000
-RANGES = {"duty": (0.0, 100.0), "servo_duty": (0.0, 100.0), "height": (0.001, 20.0)}  # 20 m: a height in mm exceeds it
+# 20 m: a height in mm exceeds this limit
+RANGES = {"duty": (0.0, 100.0), "servo_duty": (0.0, 100.0), "height": (0.001, 20.0)}
 MAX_TILT = np.radians(120.0)  # a servo turns by ±90° and some degrees; a duty in other units gives whole turns
 MAX_RAIL_SHARE = {"thrust_line": 0.8, "projection": 0.5}  # share of saturated readings in a window; default 0.05
 CHANNELS_OF = {"thrust_line": "z", "ground_effect": "z", "thrust_step": "z", "projection": "zx", "moment": "m"}
@@ -39,11 +40,11 @@ MIN_FOLLOWING = 0.2  # force of another cell, as a share of its calibration, fro
 PROJECTION_RANGE = (0.4, 1.7)  # plausible factors on sin α in a single run; outside, the column is wrong
 RESULT_RANGE = (0.5, 2.0)  # possible projection factors, ideally 1
 MAX_TARE = 0.25  # largest tare as a share of the calibration voltages
-SWAPPED = "are the channels swapped? Change their names"
+SWAPPED = "the channels may be swapped; then rename them"
 
 
 def planned_faults(protocol: Protocol) -> Iterator[Fault]:
-    """Yield every fault of the simulated tests before a simulation, once for all equal runs."""
+    """Yield every fault of the simulated tests before the simulation; equal runs are reported once."""
     file, bench = protocol.file, protocol.bench
     for name, test in file.tests.named_tests():
         if test.files:
@@ -52,10 +53,8 @@ def planned_faults(protocol: Protocol) -> Iterator[Fault]:
         if isinstance(test, SineTest):
             longest = max(2.0 * np.pi * n / w for n, w in zip(test.periods, test.frequencies, strict=True))
         if longest / file.step > MAX_PLANNED_ROWS:
-            text = (
-                f"a run of {longest:g} s would have {longest / file.step:.3g} rows, and {MAX_PLANNED_ROWS} are allowed"
-            )
-            yield protocol.yaml.fault(("step",), f"{text}; give {longest / MAX_PLANNED_ROWS:.1g} s or more")
+            text = f"a run of {longest:g} s would have {longest / file.step:.3g} rows; the limit is {MAX_PLANNED_ROWS}"
+            yield protocol.yaml.fault(("step",), f"{text}; use a step of at least {longest / MAX_PLANNED_ROWS:.1g} s")
             continue
         found = {
             (key, message)
@@ -66,22 +65,22 @@ def planned_faults(protocol: Protocol) -> Iterator[Fault]:
 
 
 def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> Iterator[tuple[str, int, str]]:
-    """Yield key of the test, row and message for each lack of a recorded or planned run.
+    """Yield key of the test, row and message for each fault of a recorded or planned run.
 
     Args:
-        own: True if the thrust line in `bench` is simulated and gives the duty of zero thrust.
+        own: True if the thrust line in `bench` is that of the simulation and gives the duty of zero thrust.
     """
     windows = {"rest": test.rest} if isinstance(test, SineTest) else {"rest": test.rest, "window": test.window}
     if isinstance(test, HoldTest):
         windows["hold"] = test.hold
     begin, end, slack = r.time[0], r.time[-1], 1.5 * r.step
-    cure = f"record all of it, {MIN_WINDOW_ROWS} rows or more, correct it, or say the unit of the time: time [ms]"
+    cure = f"record at least {MIN_WINDOW_ROWS} rows of it, correct the window, or give the unit of time: time [ms]"
     short = False
     for key, (first, last) in windows.items():
         count = int(r.rows((first, last)).sum())
         if count < MIN_WINDOW_ROWS or first < begin - slack or last > end + slack:
             short = True
-            text = f"`{key}` from {first:g} to {last:g} s has {count} rows, in a run from {begin:g} to {end:.4g} s"
+            text = f"`{key}` from {first:g} to {last:g} s has {count} rows of a run from {begin:g} to {end:.4g} s"
             yield key, 0, f"{text} with rows {r.step:.3g} s apart; {cure}"
     if short:
         return
@@ -92,14 +91,14 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> It
     begins = max(idle, at_rest)
     if needs_thrust and duty.max() <= idle:
         text = (
-            f"duty is {duty.max():g} % at most, and thrust begins above {idle:.4g} %: the phase with thrust is missing"
+            f"duty is at most {duty.max():g} %, but thrust begins above {idle:.4g} %: the phase with thrust is missing"
         )
         yield "duty" if isinstance(test, SineTest) else "phases", 0, text
         return
     is_highest = needs_thrust and at_rest >= duty[~rest].max(initial=-np.inf)
     if is_highest or at_rest > max(REST_DUTY, duty.min()) + MIN_DUTY_CHANGE:
         cure = f"begin each run with the motor off, at {REST_DUTY:g} % or less"
-        yield "rest", _first(rest), f"the phase at rest is missing: duty is {at_rest:g} % there already; {cure}"
+        yield "rest", _first(rest), f"the phase at rest is missing: duty is already {at_rest:g} % there; {cure}"
         return
     under_thrust = {} if name in ("thrust_line", "moment") else {"window": window}
     if isinstance(test, HoldTest):
@@ -111,39 +110,45 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> It
         near = (r.time >= test.at - 2.5 * r.step) & (r.time <= test.at + 2.5 * r.step)
         row = min(int(np.searchsorted(r.time, test.at)), r.time.size - 1)
         if np.abs(np.diff(command[near])).max(initial=0.0) < least:  # slower motion is no step
-            yield "at", row, f"{of} has no step at {test.at:g} s of {'0.02 %' if of == 'duty' else '5°'} at least"
+            yield "at", row, f"{of} has no step at {test.at:g} s of at least {'0.02 %' if of == 'duty' else '5°'}"
             return
         under_thrust["window"] = after = r.rows((test.at, test.window[1]))
         rows_before = int((r.time < test.at - 0.5 * r.step).sum())
         if test.window[0] > test.at + 0.5 * r.step or after.sum() < MIN_WINDOW_ROWS or rows_before < MIN_ROWS_BEFORE:
             text = f"with {MIN_WINDOW_ROWS} rows after it, and {MIN_ROWS_BEFORE} before it in the run"
-            yield "window", row, f"`window` does not hold the step `at` {test.at:g} s {text}"
+            yield "window", row, f"`window` does not contain the step `at` {test.at:g} s {text}"
             return
     for key, rows in under_thrust.items():
         if (low := rows & (duty <= begins)).any():
             text = f"duty is {duty[low].min():.4g} % in `{key}`, where thrust begins above {begins:.4g} %"
             yield key, _first(low), f"{text}; keep the motor running there"
     if name == "thrust_line" and duty[window].max() - max(idle, duty[window].min()) < MIN_DUTY_CHANGE:
-        text = f"the duty of `window` moves by less than {MIN_DUTY_CHANGE:g} % above {idle:.4g} %, where thrust begins"
+        text = (
+            f"the duty in `window` changes by less than {MIN_DUTY_CHANGE:g} % above {idle:.4g} %, where thrust begins"
+        )
         yield "window", _first(window), f"{text}: a line needs a ramp"
     if name in ("projection", "moment") and np.ptp(angle[window]) < MIN_TILT_CHANGE:
-        yield "window", _first(window), "the tilt of `window` moves by less than 5°; let it sweep"
+        yield "window", _first(window), "the tilt in `window` changes by less than 5°; sweep the tilt"
     if name == "moment" and (running := window & (duty > max(REST_DUTY, at_rest) + MIN_DUTY_CHANGE)).any():
-        text = f"duty is {duty[running].max():.4g} % in `window`, which is read with the motor off"
+        text = f"duty is {duty[running].max():.4g} % in `window`, which needs the motor off"
         yield "window", _first(running), text
     if isinstance(test, SineTest):
         if window.sum() < MIN_WINDOW_ROWS or np.ptp(angle[window]) < MIN_AMPLITUDE:
-            yield "amplitude", 0, f"the tilt has no sine after {test.lead:g} s; give it 1° at least"
+            yield "amplitude", 0, f"the tilt has no sine after {test.lead:g} s; command at least 1°"
             return
         w = frequency_of(r, test)
         period = 2.0 * np.pi / w
         needed = test.lead + max(test.skip, test.skipped_by_thesis(w)) + period
         if r.time[-1] < needed - 1.5 * r.step:
-            text = f"the run of {w:g} rad/s ends before a whole period after what is skipped"
-            yield "periods", r.time.size - 1, f"{text}; it has to last until {needed:.4g} s"
+            text = f"the run of {w:g} rad/s has no whole period after the skipped part"
+            yield "periods", r.time.size - 1, f"{text}; extend it to {needed:.4g} s"
         if r.step > period / ROWS_PER_PERIOD * (1.0 + 1e-3):
             text = f"rows are {r.step:.3g} s apart, fewer than {ROWS_PER_PERIOD} in a period of {w:g} rad/s"
-            yield "frequencies", 1, f"{text}; give rows {period / ROWS_PER_PERIOD:.3g} s apart or less, or leave it out"
+            yield (
+                "frequencies",
+                1,
+                f"{text}; use a row spacing of at most {period / ROWS_PER_PERIOD:.3g} s, or remove it",
+            )
 
 
 def _first(rows: Flags) -> int:
@@ -173,56 +178,56 @@ def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recordi
         heights = [height_of(r, test) for r in recordings]
         groups = Counter(f"{h:g} m" for h in heights)
         if max(heights) < test.free_height or len(set(heights)) < 3:
-            text = f"runs at {test.free_height:g} m or more, with nothing below, and at two lower heights are needed"
+            text = f"runs at {test.free_height:g} m or more, without ground below, and at two lower heights are needed"
             faults.append(yaml.fault(("tests", name), f"{text}; add runs, or lower free_height"))
     for place, count in groups.items():
         if count < MIN_REPETITIONS:
-            text = f"{count} recordings at {place} are too few; record {MIN_REPETITIONS} at least"
+            text = f"{count} recordings at {place} are too few; record at least {MIN_REPETITIONS}"
             faults.append(yaml.fault(("tests", name), text))
     line = rows_with_thrust(m)[3] if name == "thrust_line" else ()  # duty of each repetition
     if any(d.size < MIN_LINE_ROWS or np.ptp(d) < MIN_LINE_RANGE for d in line):
-        text = "the ramp has too few readings with thrust within the range of the cell; give a window with more"
+        text = "the ramp has too few readings with thrust within the range of the cell; enlarge the window"
         faults.append(yaml.fault(("tests", name, "window"), text))
     return faults
 
 
 def _range_faults(bench: Bench, r: Recording) -> Iterator[tuple[int, str]]:
-    """Yield row and message of each column's first implausible value, or else of an impossible tilt."""
+    """Yield row and message of each column's first implausible value; without one, of an impossible tilt."""
     step = bench.converter_range / bench.converter_levels
     cures = {"%": "write it in % of the frame", "V": "give raw voltages, or `converter_range`"}
     columns = (r.duty, r.servo_duty, r.height, *r.volts.values())
     for q, values in zip(COLUMNS, columns, strict=True):
         low, high = RANGES.get(q.name, (-step, bench.converter_range + step))
         if (outside := (values < low) | (values > high)).any():
-            text = f"{q.name} is {values[outside][0]:.4g} {q.unit} here, beyond {low:.3g} to {high:.4g} {q.unit}"
+            text = f"{q.name} is {values[outside][0]:.4g} {q.unit} here, outside {low:.3g} to {high:.4g} {q.unit}"
             yield _first(outside), f"{text}; {cures.get(q.unit, f'say its unit, such as {q.name} [mm]')}"
     angle = r.commanded_tilt(bench)
     if (outside := (np.abs(angle) > MAX_TILT) & (r.servo_duty <= RANGES["servo_duty"][1])).any():
-        text = f"servo_duty is a tilt of {np.degrees(angle[outside][0]):.0f}° here, beyond ±120°; {cures['%']}"
+        text = f"servo_duty is a tilt of {np.degrees(angle[outside][0]):.0f}° here, outside ±120°; {cures['%']}"
         yield _first(outside), f"{text}, or give `servo_neutral` and `servo_slope` under `parameters`"
 
 
 def _cell_faults(m: Measurement, name: str, r: Recording) -> Iterator[tuple[int, str]]:
-    """Yield row and message of a saturated, dead, swapped or mirrored cell."""
+    """Yield row and message of a saturated, dead, swapped or sign-reversed cell."""
     bench, test, window, channels = m.bench, m.test, r.rows(m.test.analysed), CHANNELS_OF.get(name, "x")
     for c in channels:
         volts, rail = r.volts[c], at_rail(bench, r.volts[c]) & window
         if (share := rail.sum() / window.sum()) > MAX_RAIL_SHARE.get(name, 0.05):
             text = f"volts_{c} is at the end of its range, {volts[rail][0]:.3g} V, at {100 * share:.0f} % of the rows"
-            yield _first(rail), f"{text}, first in this row; take a cell of a larger range, or less thrust"
+            yield _first(rail), f"{text}, first in this row; use a cell with a larger range, or less thrust"
             return
         if np.ptp(volts[window]) == 0.0:
-            yield _first(window), f"volts_{c} stands still at {volts[window][0]:.4g} V; look at the cell and its wires"
+            yield _first(window), f"volts_{c} is constant at {volts[window][0]:.4g} V; check the cell and its wires"
             return
     if name in UPRIGHT:
         follows = {c: float(m.force(r, c)[window].mean() / np.ptp(m.cells[c].loads)) for c in CHANNELS}
         other = max("xm", key=lambda c: abs(follows[c]))
         if abs(follows[other]) > max(MIN_FOLLOWING, abs(follows["z"])):
-            yield 0, f"volts_{other} follows the thrust and volts_z does not, upright: {SWAPPED}"
+            yield 0, f"upright, volts_{other} follows the thrust and volts_z does not: {SWAPPED}"
             return
         if follows["z"] < 0:
-            text = "the vertical force falls with the duty: volts_z has the wrong sign or another calibration"
-            yield 0, f"{text}; look at the plug and at the points of cell z"
+            text = "the vertical force decreases with the duty: volts_z has the wrong sign or calibration"
+            yield 0, f"{text}; check the connector and the points of cell z"
             return
     elif name != "moment":
         rows = r.rows((test.window[1] - 0.3, test.window[1])) if name == "step" else window
@@ -231,41 +236,45 @@ def _cell_faults(m: Measurement, name: str, r: Recording) -> Iterator[tuple[int,
             float(m.force(r, c)[rows] @ f(angle) / (f(angle) @ f(angle))) for c, f in (("x", np.sin), ("z", np.cos))
         )
         factor, (least, most) = x / z, PROJECTION_RANGE
-        # of a fast sine, an unknown lag changes the size, not the sign
+        # with a fast sine, an unknown lag changes the amplitude, not the sign
         is_fast = isinstance(test, SineTest) and frequency_of(r, test) > min(test.frequencies)
         if factor < 0.0 if is_fast else -most <= factor <= -least:
-            text = f"the horizontal force leans against the commanded tilt (factor {factor:.3g} on sin α, 1 is right)"
+            text = f"the horizontal force is opposite to the commanded tilt (factor {factor:.3g} on sin α instead of 1)"
             cure = (
-                f"turn the sign of `servo_slope` under `parameters`, {-bench.servo_slope:g}, or of the loads of cell x"
+                f"reverse the sign of `servo_slope` under `parameters`, {-bench.servo_slope:g}, or of the "
+                "loads of cell x"
             )
-            yield _first(rows), f"{text}; servo or cell x is mirrored: {cure}"
+            yield _first(rows), f"{text}; the sign of servo or cell x is reversed: {cure}"
             return
         if not is_fast and not least <= factor <= most:
-            text = f"the horizontal force is {factor:.3g} times the thrust of volts_z times sin α, and 1 is right"
+            text = f"the horizontal force is {factor:.3g} times (thrust of volts_z · sin α) instead of 1 times"
             yield (
                 _first(rows),
-                f"{text}; look at the points and units of cells z and x, and at `servo_slope`; {SWAPPED}",
+                f"{text}; check the points and units of cells z and x, and `servo_slope`; {SWAPPED}",
             )
             return
     for c in channels:
         cell, at_rest = m.cells[c], float(r.volts[c][r.rows(test.rest)].mean())
         if abs(at_rest - cell.zero) > MAX_TARE * float(np.ptp(cell.volts)):
-            text = f"volts_{c} is {at_rest:.4g} V at rest, and cell {c} without load {cell.zero:.4g} V"
-            yield 0, f"{text}, more than a quarter of its calibration off; calibrate it anew, or {SWAPPED}"
+            text = (
+                f"volts_{c} is {at_rest:.4g} V at rest, but the calibration of cell {c} gives {cell.zero:.4g} "
+                "V without load"
+            )
+            yield 0, f"{text}, a difference above a quarter of the calibrated range; calibrate again, or {SWAPPED}"
 
 
 def result_faults(protocol: Protocol, results: Sequence[Result]) -> Iterator[Fault]:
-    """Yield a fault for each impossible number; warn in its result of an interval that holds impossible values."""
+    """Yield a fault for each impossible result; warn in the result if an interval includes impossible values."""
     for result in results:
         for e in result.estimates:
-            if e.name.startswith("lag"):  # an end of the lags that are tried is no result
+            if e.name.startswith("lag"):  # an end of the range of tried lags is not a result
                 low, high = LAGS[0] * 1.001, LAGS[-1] / 1.001
             else:
                 low, high = RESULT_RANGE if "projection" in e.name else protocol.bench.declared[e.name].bounds
             possible = f"{low:.4g} to {high:.4g} {e.unit} is possible"
             text = f"{e.name} is {e.value:.4g} (95 % {e.low:.4g} … {e.high:.4g}), and {possible}"
             if not (low <= e.value <= high and np.isfinite([e.low, e.high]).all()):
-                cure = "look at the units and points of the cells, and for a run that differs"
+                cure = "check the units and points of the cells, and look for a deviating run"
                 yield protocol.yaml.fault(("tests", result.test), f"{text}; {cure}", key=True)
             elif e.low < low or e.high > high:
-                result.warnings.append(f"{text}: look for a run that differs, or record more")
+                result.warnings.append(f"{text}: look for a deviating run, or record more runs")

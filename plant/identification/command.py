@@ -1,4 +1,4 @@
-"""`cosim identify`: the command that the worked example adds."""
+"""`cosim identify`: a command that the worked example adds to cosim."""
 
 from __future__ import annotations
 

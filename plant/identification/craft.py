@@ -42,10 +42,11 @@ from plant.identification.estimates import Estimate, Figure, Result, make_estima
 from plant.identification.protocol import Files, Window
 
 MIN_RUNS = 3  # runs over the distance: the interval comes from the scatter between them
-MIN_REST_ROWS = 50  # below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
-DRIFT_RATIO = 1.1  # ratio to the variance about a line from which a mean hides a drift
-MOVING_RATIO = 5.0  # standard deviations between the halves of a log beyond which it was not at rest
-SHARES = np.geomspace(0.01, 1.0, 6).tolist()  # of the way to a bound, tried to bracket the distance
+MIN_REST_ROWS = 50  # number of rows below which the 95 % interval of a variance exceeds 0.7 to 1.55 of it
+DRIFT_RATIO = 1.1  # ratio to the variance about a line, above which the variance about the mean contains a drift
+# difference between the halves of a log at rest, in standard deviations, above which it was not at rest
+MOVING_RATIO = 5.0
+SHARES = np.geomspace(0.01, 1.0, 6).tolist()  # fractions of the way to a bound, tried to bracket the distance
 WIDE_RANGE = 1e3  # range of an unbounded parameter as a multiple of the model's own value
 IMU = ("psi", "psi_dot", "ax")
 
@@ -92,13 +93,13 @@ class CraftUnderTest:
     runs: Sequence[Log]
 
     def results(self) -> list[Result]:
-        """Return the variance of every output measured at rest, and the parameter from the distance."""
+        """Return the variance of every output measured at rest, and the parameter that explains the distance."""
         noise = [] if self.file.rest is None else [_noise(self.rest, self.loaded.model, self.file.rest.window)]
         return noise if self.file.distance is None else [*noise, _distance(self.runs, self.loaded, self.file.distance)]
 
 
 def read_craft(path: Path) -> CraftUnderTest | None:
-    """Read a file about craft logs, and the logs; return None for a protocol of a bench.
+    """Read a file for craft identification and its logs; return None for a protocol of a bench.
 
     Raises:
         InputError: Every fault of the file and its logs.
@@ -118,7 +119,7 @@ def read_craft(path: Path) -> CraftUnderTest | None:
                 text = f'{model.title} has no {kind} "{name}"{did_you_mean(name, known)}'
                 faults.append(yaml.fault(("distance", kind), text))
         if len(distance.lengths) != (count := len(distance.files)):
-            text = f"{len(distance.lengths)} distances for {count} files; give one each, or one for all"
+            text = f"{len(distance.lengths)} distances for {count} files; give one distance per file, or one for all"
             faults.append(yaml.fault(("distance", "covered"), text))
     logs: dict[str, list[Log]] = {"rest": [], "distance": []}
     for part, inputs in (("rest", ()), ("distance", model.inputs)):
@@ -130,7 +131,7 @@ def read_craft(path: Path) -> CraftUnderTest | None:
                 faults += error.faults
     if not faults and content.rest is not None:
         faults += _rest_faults(logs["rest"], content.rest.window)
-    text = "no command changes in it: nothing moves, and nothing can be matched; leave it out"
+    text = "all inputs are constant, so it has no motion to match; remove it"
     still = [run for run in logs["distance"] if all(np.ptp(v) == 0.0 for v in run.inputs.values())]
     refuse(faults + [Fault(run.path, 0, 0, text) for run in still])
     return CraftUnderTest(yaml, content, loaded, logs["rest"], logs["distance"])
@@ -145,16 +146,16 @@ def _rest_faults(logs: Sequence[Log], window: Window | None) -> Iterator[Fault]:
         for name in log.outputs:
             ((_, values),) = _readings([log], name, window)
             if values.size < MIN_REST_ROWS:
-                text = f"{values.size} rows of {name} at rest, and {MIN_REST_ROWS} are needed"
+                text = f"{values.size} rows of {name} at rest; at least {MIN_REST_ROWS} are needed"
                 yield Fault(log.path, 0, 0, f"{text}; log longer (the thesis took 20 s)")
                 continue
             first, last = np.array_split(values, 2)
             change, noise = float(last.mean() - first.mean()), float(np.std(np.diff(values))) / np.sqrt(2.0)
-            cure = "choose a window, or leave the log out"
+            cure = "choose a window, or remove the log"
             if np.ptp(values) == 0.0:
                 yield Fault(log.path, 0, 0, f"{name} is {values[0]:g} in every row: a dead channel; {cure}")
             elif abs(change) > MOVING_RATIO * noise > 0.0:
-                text = f"{name} moves by {change:.3g} from the first half to the second: not at rest"
+                text = f"{name} changes by {change:.3g} from the first half to the second: not at rest"
                 yield Fault(log.path, 0, 0, f"{text}; {cure}")
 
 
@@ -168,7 +169,7 @@ def _readings(logs: Sequence[Log], name: str, window: Window | None) -> Iterator
 
 
 def _noise(logs: Sequence[Log], model: Model, window: Window | None) -> Result:
-    """Return the pooled S² of eq 5.44 of each output, and the variance about a line with its 95 % χ² interval."""
+    """Return the pooled variance S² (eq 5.44) of each output, and the variance about a line with 95 % χ² interval."""
     result = Result("rest", [])
     for q in model.outputs:
         if not (parts := list(_readings(logs, q.name, window))):
@@ -216,7 +217,7 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
             except ValueError as error:
                 matches.append(np.nan)
                 if distance_of is by_model:
-                    text = f"no {parameter} makes the model cover the distance {length:g}: {error}"
+                    text = f"the model covers the distance {length:g} with no value of {parameter}: {error}"
                     faults.append(Fault(run.path, 0, 0, text))
     refuse(faults)
     thesis = float(np.mean(observed)) if observed else np.nan
@@ -230,7 +231,7 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
         end = ("covered", run.time[-1:], np.array([length]), "dots")
         result.figures.append(Figure(f"{run.path.name}: {output}", "time [s]", unit, [path, end]))
     if observed and np.isnan(thesis):
-        result.warnings.append(f"the observer of App. F reaches the distance of some run with no {parameter}")
+        result.warnings.append(f"for some run, the observer of App. F covers the distance with no value of {parameter}")
     result.details = {"each": values, "each_by_observer": observed}
     return result
 
@@ -256,8 +257,12 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
                 return float(optimize.brentq(gap, *bracket, xtol=1e-9, rtol=1e-9))
             gaps += pair
     reached = [g + length for g in gaps if np.isfinite(g)]
-    span = f"from {min(reached):.4g} to {max(reached):.4g} are" if reached else "nothing is"
-    raise ValueError(f"{span} within its bounds {low:g} … {high:g}; is the distance or the sign of a command wrong?")
+    span = (
+        f"the reachable distances are {min(reached):.4g} to {max(reached):.4g}"
+        if reached
+        else "no distance is reachable"
+    )
+    raise ValueError(f"{span} within the bounds {low:g} … {high:g}; check the distance and the signs of the inputs")
 
 
 def _path(run: Log, model: Model, output: str) -> Array:

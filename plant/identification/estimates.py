@@ -50,7 +50,7 @@ class Estimate(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """A figure of the report: lines and points over x; each has label, x, y, style. `log`: logarithmic x axis."""
+    """A figure of the report: lines and points over x, each with label, x, y, style. `log`: logarithmic x axis."""
 
     title: str
     x_label: str
@@ -83,7 +83,10 @@ class Result:
 
 @dataclass(frozen=True)
 class Measurement:
-    """The recordings of a test, cells and assumed bench; `truth` is the simulated bench, None for a measured one."""
+    """The recordings of a test, its cells and the assumed bench.
+
+    `truth` is the simulated bench, None for a measured one.
+    """
 
     recordings: Sequence[Recording]
     cells: Cells
@@ -102,7 +105,7 @@ class Measurement:
         return replace(self.cells[channel], smooth=False).force(r.volts[channel])
 
     def tilt(self, r: Recording) -> Array:
-        """Return a run's tilt [rad] by the equations."""
+        """Return a run's tilt [rad], computed by the bench equations."""
         return tilt_response(self.bench, r.time, r.servo_duty, np.array([self.bench.lag]))[:, 0]
 
     def gram_force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
@@ -146,7 +149,7 @@ def _tilt_response(bench: Bench, h: float, servo_duty: bytes, lags: tuple[float,
 
 
 def held_lag(values: Array, step: float, lag: float) -> Array:
-    """Return the exact first-order lag of a held command."""
+    """Return the exact first-order lag of a piecewise constant command."""
     if lag <= 0:
         return values
     share, out = 1.0 - np.exp(-step / lag), np.empty_like(values)
@@ -225,7 +228,7 @@ def estimated(
     numbers = []
     for name, by_thesis in thesis.items():
         parameter = name.removesuffix("_of_thrust")
-        declared = m.bench.declared.get(parameter)  # the factor of a projection is no parameter, and ideally 1
+        declared = m.bench.declared.get(parameter)  # the factor of a projection is not a model parameter, and ideally 1
         truth = getattr(m.truth, parameter, 1.0) if m.truth else float("nan")
         numbers.append((name, declared.unit if declared else "1", by_thesis, truth))
     return Result(test, make_estimates(numbers, each, origin, shifts), each=each, shifts=shifts)

@@ -32,7 +32,7 @@ from cosim.files.yaml_file import (
 from plant.bench import FREE_HEIGHT, Bench
 from plant.identification import PROTOCOL
 
-MIN_REPETITIONS = 3  # repetitions: intervals come from the scatter between them
+MIN_REPETITIONS = 3  # repetitions: intervals are computed from the scatter between them
 CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
 BENCH = "bench"  # the bench of this package
 MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
@@ -42,13 +42,13 @@ MIN_LOADS = 4  # different loads of a calibration
 
 def _forward(times: tuple[float, float]) -> tuple[float, float]:
     if times[0] >= times[1]:
-        raise ValueError(f"{times[0]:g} … {times[1]:g} s is empty; write its start, then its end")
+        raise ValueError(f"{times[0]:g} … {times[1]:g} s is empty; give the start before the end")
     return times
 
 
 def _distinct(values: list[Any]) -> list[Any]:
     if len(set(values)) < len(values):
-        raise ValueError("an entry stands twice; a repetition is a run of its own, and each height is given once")
+        raise ValueError("an entry occurs twice; give each height once, and a separate run per repetition")
     return values
 
 
@@ -96,14 +96,14 @@ class CellFile(Part):
 
     @model_validator(mode="after")
     def _has_a_curve(self) -> Self:
-        """Refuse loads that give no curve."""
+        """Raise ValueError for loads that do not determine a curve."""
         loads = self.loads or [load for load, _ in self.points]
         if bool(self.loads) == bool(self.points):
-            raise ValueError("give either `loads` to hang on the bench that is played, or measured `points`")
+            raise ValueError("give either `loads` for the simulated bench, or measured `points`")
         if len(set(loads)) < MIN_LOADS:
-            raise ValueError("a curve needs four different loads at least; give more")
+            raise ValueError("a curve needs at least four different loads; give more")
         if (most := max(map(abs, loads))) > MAX_OVERLOAD * self.full_scale:
-            text = f"{most:g} {self.unit} is beyond full_scale, {self.full_scale:g} {self.unit}"
+            text = f"{most:g} {self.unit} exceeds full_scale {self.full_scale:g} {self.unit}"
             raise ValueError(f"{text}; correct the unit, the load or full_scale")
         return self
 
@@ -124,21 +124,21 @@ class Draws(Part):
 class Test(Part):
     """A test: simulated `phases`, or measured `files`."""
 
-    repetitions: Annotated[
-        int, Field(strict=True, ge=MIN_REPETITIONS, le=10_000, description="runs that are played")
-    ] = MIN_REPETITIONS
+    repetitions: Annotated[int, Field(strict=True, ge=MIN_REPETITIONS, le=10_000, description="simulated runs")] = (
+        MIN_REPETITIONS
+    )
     files: Files = Field(
-        default=[], min_length=MIN_REPETITIONS, description="runs that were measured, a CSV each, in place of phases"
+        default=[], min_length=MIN_REPETITIONS, description="measured runs, one CSV file each, instead of phases"
     )
     low_pass: NotNegativeSeconds = Field(
         default=0.0, description="time constant of the filter of readings [s]; 0: none"
     )
     height: Metres = Field(default=FREE_HEIGHT, description="of the propeller above the ground [m]")
     phases: Annotated[list[Phase], AfterValidator(_in_order)] = Field(
-        default=[], description="time [s], duty [%], tilt [deg] each, straight in between"
+        default=[], description="time [s], duty [%] and tilt [deg] of each point, linear in between"
     )
-    rest: Window = Field(description="from and to [s], without thrust: the tare")
-    window: Window = Field(description="from and to [s], what is looked at")
+    rest: Window = Field(description="start and end [s], without thrust, for the tare")
+    window: Window = Field(description="start and end [s] of the analysed part")
 
     @property
     def analysed(self) -> tuple[float, float]:
@@ -147,9 +147,9 @@ class Test(Part):
 
     @model_validator(mode="after")
     def _can_be_played(self) -> Self:
-        """Refuse a test without runs."""
+        """Raise ValueError for a test without runs."""
         if not (self.files or self.phases or isinstance(self, SineTest)):
-            raise ValueError("has neither phases to play nor files; give either")
+            raise ValueError("has neither phases nor files; give one of them")
         return self
 
 
@@ -219,7 +219,7 @@ class SineTest(Test):
     @field_validator("periods")
     @classmethod
     def _one_each(cls, periods: list[float], info: ValidationInfo) -> list[float]:
-        """Refuse another number of periods than of frequencies."""
+        """Raise ValueError if the numbers of periods and frequencies differ."""
         if len(periods) != len(info.data.get("frequencies", periods)):
             raise ValueError("give one number for each frequency")
         return periods
@@ -313,29 +313,29 @@ def read_protocol(path: Path) -> Protocol:
         elif reason := declared[name].fault(value):
             faults.append(yaml.fault(("parameters", name), reason))
     if content.cells.keys() != CHANNELS.keys():
-        faults.append(yaml.fault(("cells",), f"a bench has the cells {', '.join(CHANNELS)}; give these", key=True))
+        faults.append(yaml.fault(("cells",), f"the cells must be {', '.join(CHANNELS)}", key=True))
     for name, cell in content.cells.items():
         if name in CHANNELS and factor(cell.unit, CHANNELS[name]) is None:
-            hint = f"; a mass that is hung is a force: write {cell.unit}f" if cell.unit in ("g", "kg") else ""
-            faults.append(yaml.fault(("cells", name, "unit"), f"{cell.unit} is no unit of {CHANNELS[name]}{hint}"))
+            hint = f"; the load of a mass is a force: write {cell.unit}f" if cell.unit in ("g", "kg") else ""
+            faults.append(yaml.fault(("cells", name, "unit"), f"{cell.unit} is not a unit of {CHANNELS[name]}{hint}"))
         if cell.loads and content.bench is None:
-            text = "no bench is played; give `points` [load, voltage] as measured"
+            text = "no bench is simulated; give measured `points` [load, voltage]"
             faults.append(yaml.fault(("cells", name, "loads"), text))
     if not (tests := dict(content.tests.named_tests())):
-        faults.append(yaml.fault(("tests",), f"holds no test; add one of {', '.join(Tests.model_fields)}", key=True))
+        faults.append(yaml.fault(("tests",), f"has no test; add one of {', '.join(Tests.model_fields)}", key=True))
     for name, test in tests.items():
         if content.bench is None and not test.files:
-            cure = "name the bench that is to be played as `bench:`, or the recordings as `files:`"
-            faults.append(yaml.fault(("tests", name), f"has no files, and no bench is played; {cure}", key=True))
+            cure = "give a bench to simulate as `bench:`, or recordings as `files:`"
+            faults.append(yaml.fault(("tests", name), f"has no files, and no bench is simulated; {cure}", key=True))
     if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
-        cure = f"write {BENCH} for the one that is built here, or the path of yours"
+        cure = f"write {BENCH} for the bench of this package, or the path of your own FMU"
         faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; {cure}"))
     refuse(faults)
     bench = bench.with_values(values)
     if (ground := content.tests.ground_effect) is not None and not ground.files:
         near, free = [h * bench.propeller_radius for h in ground.heights], ground.free_height
         if not near or max(near) >= free:
-            text = f"{free:g} m is not above two or more heights near the ground; give 10 radii or more"
+            text = f"{free:g} m is not above at least two heights near the ground; use at least 10 radii"
             faults.append(yaml.fault(("tests", "ground_effect", "free_height" if near else "heights"), text))
     refuse(faults)
     return Protocol(yaml, content.model_copy(update={"parameters": values}), bench)

@@ -33,7 +33,7 @@ COLUMNS = (*Bench.inputs[:3], *Bench.outputs[:3])  # of a recording, beside the 
 
 @dataclass(frozen=True)
 class Recording:
-    """A run on the bench: held commands, and the voltages of the cells once it is simulated or measured.
+    """A run on the bench: commands, constant between rows, and the simulated or measured cell voltages.
 
     Attributes:
         volts: Cell → voltage of each row.
@@ -77,7 +77,7 @@ class Recording:
 def commands(test: Any, bench: Bench, step: float) -> list[Recording]:
     """Return each different run of a test, without readings.
 
-    Commands are straight lines between phases; two phases at one time make a step.
+    Commands are linear between phases; two phases at the same time make a step.
     """
 
     sets = list[tuple[str, float, Any, float]]()  # label, height, phases, frequency of a sine of the tilt
@@ -100,7 +100,8 @@ def commands(test: Any, bench: Bench, step: float) -> list[Recording]:
         times, duties, angles = np.array(phases, float).T
         time = np.asarray(step * np.arange(round(times[-1] / step) + 1), dtype=np.float64)
         in_row = step * np.rint(times / step)
-        times = np.where(np.abs(in_row - times) < 1e-9, in_row, times)  # a step acts in its own row, despite rounding
+        # a step applies in its own row, despite rounding
+        times = np.where(np.abs(in_row - times) < 1e-9, in_row, times)
         duty, angle = (np.interp(time, times, values) for values in (duties, angles))
         if w:
             angle = np.where(time >= test.lead, test.amplitude * np.sin(w * (time - test.lead)), 0.0)
@@ -164,7 +165,7 @@ def play_on_fmu(
     try:
         count, names = len(block.inputs), [s.name for s in (*block.inputs, *block.outputs)]
         text = f"it has {', '.join(names)}"
-        refuse(Fault(fmu, 0, 0, f'is no bench: it lacks "{n}"; {text}') for n in (*own, *cells) if n not in names)
+        refuse(Fault(fmu, 0, 0, f'is not a bench: it lacks "{n}"; {text}') for n in (*own, *cells) if n not in names)
         order, read = [own.index(n) for n in names[:count]], [names.index(n) for n in cells]
         row = (ctypes.c_double * len(names))()
         block.bind(row, 0)
@@ -212,8 +213,11 @@ def read_recording(path: Path) -> Recording:
     if has_gap or np.diff(time).max() > LATE_ROW * np.median(np.diff(time)):
         spacing = np.diff(log.time)
         row, step = int(np.argmax(spacing)) + 1, float(np.median(spacing))
-        text = f"{spacing.max():.3g} s pass before this row, {step:.3g} s before others; rows are missing, or the clock"
-        cure = f"resample to rows {step:.3g} s apart, volts by straight lines, duties held"
+        text = (
+            f"the time step before this row is {spacing.max():.3g} s instead of {step:.3g} s; rows are "
+            "missing, or the clock"
+        )
+        cure = f"resample to rows {step:.3g} s apart, with linear interpolation of volts and constant duties"
         raise InputError([Fault(path, log.header + row + 1, 1, f"{text} is uneven: {cure}")])
     before = np.searchsorted(number, whole, side="right") - 1
     duty, servo_duty, height = (log.inputs[q.name][before] for q in COLUMNS[:3])
@@ -297,7 +301,7 @@ Cells = Mapping[str, Cell]
 
 
 def at_rail(bench: Bench, volts: Array, margin: Array | float = 0.0) -> Flags:
-    """Return True for readings at a limit of the converter: saturated, or within `margin` [V] if that is more."""
+    """Return True for readings at a limit of the converter: saturated, or closer than `margin` [V]."""
     least = np.maximum(RAIL_STEPS * bench.converter_range / bench.converter_levels, margin)
     result: Flags = (volts <= least) | (volts >= bench.converter_range - least)
     return result
@@ -329,14 +333,19 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         steps = np.diff(f)
         turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
         if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
-            text = f"a point has {volts[beyond][0]:g} V, beyond the converter's 0 to {limit:g} V; write volts, or "
+            text = f"a point has {volts[beyond][0]:g} V, outside the converter's 0 to {limit:g} V; give volts, or "
             text += "`converter_range` under `parameters`"
         elif f.size < MIN_POINTS:
-            text = f"{f.size} of {loads.size} points are inside the converter's range and beyond their error of its "
-            text += f"ends, and {MIN_POINTS} are needed; measure more points inside it"
+            text = (
+                f"{f.size} of {loads.size} points are inside the converter's range, by more than their error from its "
+            )
+            text += f"ends; at least {MIN_POINTS} are needed; measure more points inside the range"
         elif turns.any():
             low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
-            text = f"between {low:.4g} V and {high:.4g} V the load turns back; measure those points again"
+            text = (
+                f"between {low:.4g} V and {high:.4g} V the load does not increase monotonically; measure these "
+                "points again"
+            )
         if text:
             faults.append(protocol.yaml.fault(("cells", channel), text, key=True))
         cells[channel] = Cell(f, v, error, tuple(loads[rail].tolist()))

@@ -43,7 +43,7 @@ def page(
 
     Args:
         path: Protocol.
-        recordings: What was read or simulated, such as `3 logs`.
+        recordings: Description of the data, such as `3 logs`.
         calibrated: Channel, cell, load unit in N or N m, and name of the unit.
     """
     charts, every = Charts(), [(r.test, e) for r in results for e in r.estimates]
@@ -55,7 +55,7 @@ def page(
         headline = f"{held} of {len(testable)} intervals of 95 % contain the true value."
     elif widths:
         least = max(widths, key=lambda name: widths[name])
-        headline += f"; least certain is {least}, known to ±{plain(100 * widths[least], 2)}\u00a0%."
+        headline += f"; the least accurate is {least}, ±{plain(100 * widths[least], 2)}\u00a0%."
     cells = []
     for c, cell, unit, unit_name in calibrated:
         shown, grid = written(unit_name), np.linspace(cell.volts[0], cell.volts[-1], 200)
@@ -99,7 +99,7 @@ def page(
 
 
 def _shown(e: Estimate) -> dict[str, Any]:
-    """Return the numbers of an estimate as text, with as many digits as the half-width of the interval justifies."""
+    """Return the numbers of an estimate as text; the half-width of the interval determines the digits."""
 
     def number(value: float, like: float) -> str:
         if not np.isfinite(value):

@@ -43,7 +43,7 @@ from plant.powertrain import ground_effect
 
 RECORD, REPORT = "identify.json", "report.html"
 NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}  # of a power-train
-# in order of dependence; the lag of a step is that of the model
+# in order of dependence; a step test takes precedence for the lag
 ANALYSES: Mapping[str, Callable[[Measurement], Result]] = {
     "step": after_step,
     "frequency": after_sines,
@@ -82,12 +82,12 @@ class Outcome:
             value = f"{e.value:.5g}" if e.unit == "1" else f"{e.value:.5g} {e.unit}"
             thesis = "no value" if np.isnan(e.thesis) else f"{e.thesis:.5g}"
             truth = "" if np.isnan(e.truth) else f"; true {e.truth:.6g}"
-            lines.append(f"{key} = {value} (95 % {e.low:.5g} … {e.high:.5g}; as the thesis {thesis}{truth})")
+            lines.append(f"{key} = {value} (95 % {e.low:.5g} … {e.high:.5g}; by the thesis' method {thesis}{truth})")
         return lines
 
     def closing(self, out: Path) -> str:
-        """Return the sentence on the model file and the command that builds an FMU of it."""
-        return f"model: {out / self.model_file}, built by: cosim build --model {shell_path(out / self.model_file)}"
+        """Return a sentence with the model file and the command that builds its FMU."""
+        return f"model: {out / self.model_file}; build it with: cosim build --model {shell_path(out / self.model_file)}"
 
 
 def identify(
@@ -203,8 +203,8 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
     text = protocol.file.model
     model = named_model(text) if is_model(text) else load_model(text, protocol.yaml.path.parent, protocol.yaml).model
     if not NUMBERS & {p.name for p in model.parameters}:
-        reason = f"{text} has none of {', '.join(sorted(NUMBERS))}: nothing that is identified is a parameter of it"
-        refuse([protocol.yaml.fault(("model",), f"{reason}; name the model of what stands on the bench")])
+        reason = f"{text} has none of {', '.join(sorted(NUMBERS))}, the identified parameters"
+        refuse([protocol.yaml.fault(("model",), f"{reason}; give the model of the object on the bench")])
     return protocol, model, measured
 
 
@@ -218,7 +218,7 @@ def _recorded(
         loads, runs = load_runs(protocol, seed), {name: runs_of(protocol, name, seed) for name in names}
         every = [run for group in (*loads.values(), *runs.values()) for run in group]
         total = sum(run.time.size for run in every) or 1
-        tell = None if progress is None else (lambda done: progress("playing the bench", done / total))
+        tell = None if progress is None else (lambda done: progress("simulating the bench", done / total))
         with temporary_folder("identify") as folder:
             fmu = protocol.yaml.path.parent / protocol.file.bench
             if protocol.file.bench == BENCH:
@@ -237,7 +237,7 @@ def _recorded(
 def analyse(protocol: Protocol, cells: Cells, recordings: Recordings) -> list[Result]:
     """Return the results in order of dependence.
 
-    Unknown numbers come from earlier tests, else from the protocol.
+    Required numbers come from earlier tests; without them, from the protocol.
     """
     bench, truth = protocol.bench, protocol.bench if protocol.file.bench == BENCH else None
     if truth is not None:  # estimated parameters must not be known
@@ -286,7 +286,7 @@ def _model_text(
     identified: Mapping[str, Estimate],
     repetitions: str,
 ) -> str:
-    """Return a model.yaml: parameters, sensor errors, and interval, unit and origin of identified numbers.
+    """Return a model.yaml with parameters, sensor errors, and interval, unit and origin of identified numbers.
 
     Args:
         source: Model from which the file derives.

@@ -48,13 +48,13 @@ def build(
 
     Args:
         folder: Folder for the FMUs.
-        model: Registered model, with its controllers, model.yaml, file.py:Class, or the folder of a refine.
+        model: Registered model (with its controllers), model.yaml, FILE.py:Class, or the result folder of a refine.
         nearest: Use nearest.yaml instead of model.yaml of the refine folder.
         native: Build compiled FMUs, which need no Python.
         fmi: FMI version of native FMUs, 2 or 3.
         platforms: Platforms of native FMUs; none means this machine.
-        design: File of weights and numbers, by which start values of the model's controllers are designed.
-        tell (in Python): Function that shows a warning of the design.
+        design: YAML file of weights and numbers for the design of the controllers; sets their start values.
+        tell (in Python): Function called with each warning of the design.
 
     Returns:
         Paths of the FMUs.
@@ -87,7 +87,7 @@ def build(
 
 
 def _write(folder: Path, makers: Mapping[str, Callable[[Path], Made]]) -> dict[str, Made]:
-    """Write the files that functions of a path make, or none after a failure."""
+    """Write the files made by functions of a path; write none if one of them fails."""
     with temporary_folder("build") as drafts:
         made = {name: make(drafts / name) for name, make in makers.items()}
         for name in makers:
@@ -124,12 +124,14 @@ def build_native(
     texts = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} {known}' for name in unknown]
     refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
     if fmi not in SUFFIX:
-        raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
+        raise InputError.at(Path("--fmi"), f"is {fmi}; allowed: {' or '.join(map(str, SUFFIX))}")
     _check_compiler(platforms)
     loaded, starts = designed_model(model, nearest, design, tell)
     native_names = model_entry(loaded.source).native if is_model(loaded.source) else {}
     if starts and not any(f"{name}.fmu" in starts for name in native_names):
-        raise InputError.at(Path("--design"), "names no controller that has a native FMU; build it without --native")
+        raise InputError.at(
+            Path("--design"), "this model has no controller with a native FMU; build it without --native"
+        )
     makers = {
         f"{name}{SUFFIX[fmi]}": partial(_compile, native, fmi=fmi, platforms=platforms)
         for name, native in _natives(loaded, starts)
@@ -140,7 +142,7 @@ def build_native(
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     """Build the native FMU of a model's class.
 
-    The FMU has the declared defaults and the substep, so a single compilation serves all parameter values.
+    Parameters have their declared defaults, so one compiled FMU serves all parameter values.
 
     Raises:
         InputError: The build is impossible.
@@ -157,9 +159,9 @@ def _native_of(kind: type[Model], source: str, substep: float | None, integrator
 
 
 def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> Iterator[tuple[str, Native]]:
-    """Yield the plant and further native FMUs of a registered model, with designed start values by file.
+    """Yield the native FMUs of a registered model, the plant first, with designed start values by file.
 
-    A part of the model that cannot be expressed in C is a fault at its line.
+    An expression without C equivalent is reported at its line.
     """
     from cosim.fmi.native.package import native_model
     from cosim.fmi.native.printing import UnprintableModel
@@ -169,8 +171,8 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
     except (UnprintableModel, TypeError, AttributeError, RecursionError) as raised:
         error: Exception = raised
         if isinstance(raised, RecursionError):  # sympy 1.14, for some nested minima and maxima
-            error = UnprintableModel("sympy finds no end in differentiating its equations")
-        cure = "let its equations take functions and branches from m, or build it without --native"
+            error = UnprintableModel("the symbolic derivatives of its equations are too large")
+        cure = "use functions and branches of m in its equations, or build it without --native"
         file = loaded.source.rpartition(":")[0]
         if not file:
             fault = Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
@@ -186,13 +188,13 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
 
 
 def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> NativeFmu:
-    """Return a built FMU; raise InputError with the compiler's reason against it."""
+    """Return a built FMU; raise InputError with the compiler's message on failure."""
     from cosim.fmi.native.package import build_native as build_fmu
 
     try:
         return build_fmu(native, path, fmi, platforms)
     except CompilerFailed as error:
-        reason = f"the compiler {error}; mend the compiler, or name another in CC"
+        reason = f"the compiler {error}; repair the compiler, or name another in CC"
         raise InputError.at(Path("--native"), reason) from None
 
 
@@ -207,7 +209,7 @@ def _check_compiler(platforms: Sequence[str]) -> None:
 def designed_model(
     text: str | None, nearest: bool, design: FilePath | None, tell: Callable[[str], None]
 ) -> tuple[LoadedModel, Mapping[str, Mapping[str, Value]]]:
-    """Return the named model, and the start values that a design file gives to controllers, by file of an FMU.
+    """Return the named model, and the start values designed for its controllers, by file name of their FMUs.
 
     A refine folder means its refined model, or with `nearest` its nearest model.
 
@@ -216,7 +218,7 @@ def designed_model(
     """
     if text is None:
         registered = "".join(f"{name}, " for name in sorted(models()) if name != BASE)
-        raise InputError.at(Path("--model"), f"is missing; name one: {registered}a model.yaml, or FILE.py:CLASS")
+        raise InputError.at(Path("--model"), f"is missing; give {registered}a model.yaml, or FILE.py:CLASS")
     file: str | Path = text
     if nearest or names_refine(Path(text)):
         try:

@@ -59,21 +59,21 @@ class ModelText:
                     self._places |= {(node.name, name): (part.lineno, part.col_offset + 1) for name in names}
 
     def fault(self, owner: type, attribute: str, message: str) -> Fault:
-        """Return a fault at a class's declaration, else at the class."""
+        """Return a fault at the line of a class attribute, otherwise at the class."""
         keys = [(c.__name__, attribute) for c in owner.__mro__ if c.__module__ == owner.__module__]
         place = next((key for key in keys if key in self._places), (owner.__name__, ""))
         line, column = self._places.get(place, (int(getattr(owner, "line", 0)), 0))
         return Fault(self.path, line, column, message)
 
     def convert_error(self, error: BaseException, doing: str) -> Fault:
-        """Return the fault of an exception, with line and known remedy."""
+        """Return an exception as a fault, with its line and the cure, if known."""
         text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
         cure = ""
         if isinstance(error, TypeError) and TRUTH_TEST in text:
             where = "m.where(condition, then, otherwise) works on symbols too"
-            cure = f"; no `if`, `max`, `min` or `and` on a number: {where}"
+            cure = f"; do not use `if`, `max`, `min` or `and` on a number: {where}"
         elif isinstance(error, (TypeError, AttributeError)) and any(words in text for words in FOREIGN):
-            cure = f"; functions come from m, which has {FUNCTIONS}"
+            cure = f"; use functions of m: {FUNCTIONS}"
         name = f"{doing}: {type(error).__name__}: {text}".removesuffix(": ")
         return Fault(self.path, *self._raised_at(error), f"{name}{cure}")
 
@@ -87,7 +87,7 @@ class ModelText:
 
 
 Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
-COMMA = "with a comma even after a single one"
+COMMA = "with a comma even after a single element"
 MAX_NUMBER = sys.float_info.max
 MAX_TOLERANCE = 2.0  # share of a value; larger tolerances are meaningless
 DICTIONARY = "is a dictionary"
@@ -101,7 +101,7 @@ FORMS = {  # declaration → its form; its type is the annotation of `Model`
     "drawn_against": f'{DICTIONARY}: {{"effect": ("signal",)}}',
     "sensor_variance": f'{DICTIONARY}: {{"output": variance}}',
     "start_variance": f'{DICTIONARY}: {{"state": variance}}',
-    "excursion": f'{DICTIONARY}: {{"input or output": how far from its start}}',
+    "excursion": f'{DICTIONARY}: {{"input or output": allowed deviation from its start}}',
     "told_apart_by": f'{DICTIONARY}: {{frozenset({{"name", "name"}}): "what an experiment needs"}}',
 }
 
@@ -131,7 +131,7 @@ def make_model(kind: type[Model], source: ModelText) -> Model:
 
 
 def _form_faults(kind: type[Model]) -> Faults:
-    """Yield faults of missing or mistyped declarations, and of classes that are no dataclasses."""
+    """Yield faults of missing or mistyped declarations, and of classes that are not dataclasses."""
     if kind.equations is Model.equations:
         yield kind, "", f"{kind.__name__} has no equations; give it `def equations(self, m)` that returns Equations"
     annotations = get_type_hints(Model) | {"sensors": ClassVar[tuple[type[SensorError], ...]]}
@@ -147,18 +147,18 @@ def _form_faults(kind: type[Model]) -> Faults:
             if not isinstance(getattr(owner, label, None), str):
                 yield owner, label, f'{owner.__name__} has no {label}; add {label} = "…"'
         if "." in (label := str(getattr(owner, "name", ""))):
-            yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
+            yield owner, "name", f'the name "{label}" has a dot, the separator of effect and parameter; remove it'
         for group in ("states", "memory"):
             if not _is_of(getattr(owner, group), tuple[Quantity, ...]):
                 yield owner, group, f"{group} {FORMS['inputs']}"
     for cls in (kind, *owners):
         if name := next((n for n, v in vars(cls).items() if isinstance(v, dataclasses.Field)), ""):
-            reason = "is no field: put @dataclass(frozen=True, kw_only=True) above the class"
+            reason = "is not a field: put @dataclass(frozen=True, kw_only=True) above the class"
             yield cls, name, f"{cls.__name__}.{name} {reason}"
 
 
 def _is_of(value: Any, annotation: Any) -> bool:
-    """Return whether a value is of an annotated type, without conversion."""
+    """Return True if a value has an annotated type without conversion."""
     try:
         TypeAdapter(annotation, config=ConfigDict(strict=True, arbitrary_types_allowed=True)).validate_python(value)
     except ValidationError:
@@ -176,16 +176,17 @@ def _parameter_faults(kind: type[Model]) -> Faults:
             yield owner, p.name, f"{name} has bounds {p.bounds}; write the lower one first"
             continue
         values = {"default": p.default, "neutral": p.neutral}
-        if p.neutral == p.bounds[0]:  # Its fit starts at the typical size; elsewhere the size is only a step.
+        # A fit starts at the typical size, so the size must be inside the bounds; elsewhere it is only a step size.
+        if p.neutral == p.bounds[0]:
             values["typical"] = p.typical
         for word, value in values.items():
             if (word == "default" or value is not None) and (fault := p.fault(value)):
                 yield owner, p.name, f"the {word} of {prefix}{fault}; change the value or the bounds"
         if p.tolerance is not None and not _is_size(p.tolerance, MAX_TOLERANCE):
-            reason = "it is a share of the value, as 0.1 for 10 %"
+            reason = "use a share of the value, such as 0.1 for 10 %"
             yield owner, p.name, f"the tolerance of {name} is {p.tolerance!r}; {reason}"
         if p.typical is not None and not 0.0 < p.typical < math.inf:
-            yield owner, p.name, f"the typical of {name} is {p.typical!r}; it is a size above 0"
+            yield owner, p.name, f"the typical size of {name} is {p.typical!r}; use a number above 0"
 
 
 def _is_size(value: Any, limit: float = MAX_NUMBER) -> bool:
@@ -194,23 +195,23 @@ def _is_size(value: Any, limit: float = MAX_NUMBER) -> bool:
 
 
 def _number_faults(kind: type[Model]) -> Faults:
-    """Yield faults of declared numbers and units: times and variances not positive, start values out of bounds."""
+    """Yield faults of numbers and units: times or variances that are not positive, start values out of bounds."""
     for name, limit in (("rate", MAX_NUMBER), ("substep", MAX_NUMBER), ("horizon", math.inf)):
         if not _is_size(value := getattr(kind, name), limit):
-            yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
+            yield kind, name, f"{name} is {value!r}; use a time above 0 s"
     if kind.integrator not in INTEGRATORS:
-        yield kind, "integrator", f"integrator is {kind.integrator!r}; it is one of {', '.join(INTEGRATORS)}"
+        yield kind, "integrator", f"integrator is {kind.integrator!r}; allowed: {', '.join(INTEGRATORS)}"
     for attribute in ("sensor_variance", "start_variance", "excursion"):
         for name, value in getattr(kind, attribute).items():
             if not _is_size(value):
-                yield kind, attribute, f"the {attribute} of {name} is {value!r}; it is a number above 0"
+                yield kind, attribute, f"the {attribute} of {name} is {value!r}; use a number above 0"
     for attribute in ("base_states", "inputs", "outputs"):
         for q in getattr(kind, attribute):
             low, high = q.bounds
             if not low < high:
                 yield kind, attribute, f"{q.name} has bounds {q.bounds}; write the lower one first"
             elif not low <= q.start <= high:
-                yield kind, attribute, f"{q.name} starts at {q.start:g}, beyond its bounds {q.bounds}"
+                yield kind, attribute, f"the start value {q.start:g} of {q.name} is outside its bounds {q.bounds}"
     owners: Iterable[Any] = (kind, *kind.catalogue, *kind.sensors)
     for owner in owners:
         groups = ("states", "memory") if issubclass(owner, Effect) else ("base_states", "inputs", "outputs")
@@ -222,7 +223,7 @@ def _number_faults(kind: type[Model]) -> Faults:
 
 
 def _name_faults(kind: type[Model]) -> Faults:
-    """Yield faults of names with two meanings, and of declarations that refer to undefined names."""
+    """Yield faults of names used twice, and of references to undefined names."""
     quantities = {name: [q.name for q in getattr(kind, name)] for name in ("base_states", "inputs", "outputs")}
     named = {name: list(getattr(kind, name)) for name in ("forced", "calibrated", "measured")}
     for attribute, names in (quantities | named).items():
@@ -231,7 +232,7 @@ def _name_faults(kind: type[Model]) -> Faults:
                 yield kind, attribute, f'{attribute} has {count} called "{name}"; give each its own name'
     states, inputs, outputs = quantities.values()
     if "time" in (*inputs, *outputs):
-        yield kind, "", 'an input or output is called "time", which is the first column of a log; give it another name'
+        yield kind, "", 'an input or output is called "time", the name of the time column of logs; give it another name'
     parameters = {p.name: not isinstance(p.default, bool) for p in parameters_of(kind)}
     every = (*kind.catalogue, *kind.sensors)
     for name, count in Counter(owner.name for owner in every).items():
@@ -248,7 +249,7 @@ def _name_faults(kind: type[Model]) -> Faults:
         fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
         yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
     if states and not kind.forced:
-        reason = "name those whose equations may lack something, the accelerations usually"
+        reason = "list the states whose equations may be incomplete, usually the accelerations"
         yield kind, "forced", f"forced names no state; {reason} (states: {', '.join(states)})"
     numbers = [name for name, is_number in parameters.items() if is_number]
     candidates = [*(owner.name for owner in every), *numbers]
@@ -272,13 +273,13 @@ def _name_faults(kind: type[Model]) -> Faults:
                 yield kind, attribute, f"{attribute}: {_unknown(sort, name, names)}"
     for name in kind.suspect:
         if name in kind.calibrated:
-            yield kind, "suspect", f'"{name}" is in calibrated too; leave it out of suspect'
+            yield kind, "suspect", f'"{name}" is also in calibrated; remove it from suspect'
 
 
 def _unknown(sort: str, name: str, names: Iterable[str]) -> str:
     """Return a message about an unknown or missing name."""
     every = f"({sort.replace(' or', 's or')}s: {', '.join(names) or 'none'})"
-    return f'no {sort} "{name}"{did_you_mean(str(name), names)} {every}' if name else f"no {sort} is named {every}"
+    return f'no {sort} "{name}"{did_you_mean(str(name), names)} {every}' if name else f"a name is missing {every}"
 
 
 def _effect_faults(kind: type[Model]) -> Faults:
@@ -286,12 +287,12 @@ def _effect_faults(kind: type[Model]) -> Faults:
     for owner in (*kind.catalogue, *kind.sensors):
         switches = [p for p in parameters_of(owner) if p.neutral is not None]
         if not switches:
-            reason = "has no parameter with a neutral value, so that it can never be awake; add one"
+            reason = "has no parameter with a neutral value, so it is never active; add one"
             yield owner, "", f"{owner.name} {reason}"
         for p in switches:
             if p.default != p.neutral:
                 values = f"{p.default!r}, its neutral value {p.neutral!r}"
-                yield owner, p.name, f"the default of {owner.name}.{p.name} is {values}; let them be the same"
+                yield owner, p.name, f"the default of {owner.name}.{p.name} is {values}; they must be equal"
         names = [p.name for p in parameters_of(owner)]
         for attribute, groups in (("starts", owner.starts), ("at_least", owner.at_least.items())):
             for name in dict.fromkeys(chain.from_iterable(groups)):
@@ -305,7 +306,7 @@ def _effect_faults(kind: type[Model]) -> Faults:
     for owner in kind.sensors:
         names = [p.name for p in parameters_of(owner)]
         if names != ["value"]:  # `value` is the only parameter
-            cure = "let another class hold the others" if "value" in names else "call it so"
+            cure = "move the others to another class" if "value" in names else "rename it"
             given = f"{owner.name} has {' and '.join(names) or 'none'}"
             yield owner, (names or [""])[0], f'a sensor error has one parameter, called "value"; {given}; {cure}'
         if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
@@ -327,19 +328,19 @@ def _effect_faults(kind: type[Model]) -> Faults:
         bounds = {p.name: p.bounds for p in parameters_of(owner)}
         if owner.delay not in bounds:
             unknown = f'has no parameter "{owner.delay}"{did_you_mean(str(owner.delay), bounds)}'
-            yield owner, "delay", f"{owner.name} {unknown}; `delay` names the one by which the command is late"
+            yield owner, "delay", f"{owner.name} {unknown}; `delay` names the parameter that delays the command"
         elif issubclass(owner, Delay) and (longest := bounds[owner.delay][1]) > owner.longest:
-            late = f"is up to {longest:g} s late and remembers {owner.longest:g} s"
+            late = f"allows a delay up to {longest:g} s but stores {owner.longest:g} s of history"
             yield owner, owner.delay, f"{owner.name} {late}; set longest = {longest:g}"
         if owner not in order:
-            yield owner, "delay", f"{owner.name} delays the command but has no `shape`; give it one"
+            yield owner, "delay", f"{owner.name} delays the command but has no method `shape`; add it"
         elif owner is not order[0] and owner is delays[0]:
             yield kind, "catalogue", f"{owner.name} delays the command: put it before {order[0].name} in the catalogue"
         if len(owner.memory) != len(kind.inputs):
             counts = f"{len(kind.inputs)} inputs and has {len(owner.memory)} quantities of memory"
-            yield owner, "memory", f"{owner.name} delays {counts}; give it one for each input, in their order"
+            yield owner, "memory", f"{owner.name} delays {counts}; declare one quantity per input, in their order"
         if owner is not delays[0]:
-            yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; let one of them do it"
+            yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; only one effect may"
 
 
 # -- trial of equations, on floats as in the FMU and on symbols ------------------------------------------
@@ -348,7 +349,7 @@ FAILED = object()  # in place of the result of a call that raised an exception
 
 
 class _Trial:
-    """Calls of a user's functions, and the faults found."""
+    """Trial calls of a user's functions, and the faults they raise."""
 
     def __init__(self, source: ModelText) -> None:
         self.source = source
@@ -358,7 +359,7 @@ class _Trial:
         self.faults.append(self.source.fault(owner, attribute, message))
 
     def attempt(self, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Return a call's result, or FAILED with its exception noted as fault."""
+        """Return the result of a call; after an exception, record a fault and return FAILED."""
         try:
             return call(*arguments)
         except Exception as error:  # A user's file may raise any error.
@@ -367,28 +368,28 @@ class _Trial:
 
 
 def _try_model(trial: _Trial, kind: type[Model]) -> None:
-    """Note the faults of `equations` and start values, evaluated on floats and on symbols.
+    """Record the faults of `equations` and of start values, evaluated on floats and on symbols.
 
-    No effect is active on floats. All effects are active on symbols, for both values of Boolean parameters.
+    On floats all effects are dormant. On symbols all are active, for both values of Boolean parameters.
     """
     before = len(trial.faults)
-    model = trial.attempt("cannot be made", kind)
+    model = trial.attempt("cannot be created with its defaults", kind)
     if model is FAILED:
         return
     for hook, quantities in (("start_state", model.base_states), ("start_input", model.inputs)):
         values = trial.attempt(f"`{hook}` raises", getattr(model, hook))
         names = [q.name for q in quantities]
         if not isinstance(values, dict) and values is not FAILED:
-            trial.note(kind, hook, f"`{hook}` gives {values!r}; return a dictionary of values by name")
+            trial.note(kind, hook, f"`{hook}` returns {values!r}; return a dictionary of values by name")
         for name in values.keys() - set(names) if isinstance(values, dict) else ():
-            reason = f'`{hook}` gives a value for "{name}"{did_you_mean(str(name), names)}'
+            reason = f'`{hook}` returns a value for the unknown name "{name}"{did_you_mean(str(name), names)}'
             trial.note(kind, hook, f"{reason} (allowed: {', '.join(names)})")
     if len(trial.faults) == before:
         arguments = 0.0, model.start(), model.start_command()
         _try_equations(trial, model, SCALAR, arguments, _number_objection)
     flags = any(isinstance(p.default, bool) for p in model.parameters)
     for flag in (True, False) if flags else (None,):
-        s = trial.attempt("cannot be made of symbols", symbolic, model, flag)
+        s = trial.attempt("cannot be evaluated with symbols as parameters", symbolic, model, flag)
         if s is FAILED:
             break
         m = SymbolNamespace()
@@ -396,15 +397,15 @@ def _try_model(trial: _Trial, kind: type[Model]) -> None:
         _try_equations(trial, s.model, m, (s.time, s.state, s.command), _symbol_objection)
 
 
-Objection = Callable[[Any], str]  # why a value is unsuitable, "" if it is suitable
+Objection = Callable[[Any], str]  # a function from a value to the reason why it is unsuitable, "" if it is suitable
 
 
 def _try_equations(trial: _Trial, model: Model, m: Namespace, arguments: tuple[Any, ...], objection: Objection) -> None:
-    """Note faults of derivative and output: exceptions, number and values."""
+    """Record faults of derivative and output: exceptions, and a wrong number or type of values."""
     body, kind = trial.attempt("`equations` raises", model.equations, m), type(model)
     if not isinstance(body, Equations):
         if body is not FAILED:
-            reason = f"`equations` gives {type(body).__name__}; return Equations(derivative, output)"
+            reason = f"`equations` returns {type(body).__name__}; return Equations(derivative, output)"
             trial.note(kind, "equations", reason)
         return
     for function, quantities in (("derivative", model.states), ("output", model.outputs)):
@@ -413,12 +414,12 @@ def _try_equations(trial: _Trial, model: Model, m: Namespace, arguments: tuple[A
         texts = []
         if isinstance(values, (tuple, list)) and len(values) == len(names):
             objections = zip(names, map(objection, values), strict=True)
-            texts = [f"`{function}` gives {text} for {name}" for name, text in objections if text]
+            texts = [f"`{function}` returns {text} for {name}" for name, text in objections if text]
         elif isinstance(values, (tuple, list)):
-            texts = [f"`{function}` gives {len(values)} values; return {len(names)}: {', '.join(names)}"]
+            texts = [f"`{function}` returns {len(values)} values; return {len(names)}: {', '.join(names)}"]
         elif values is not FAILED:
             wrong = type(values).__name__
-            texts = [f"`{function}` gives one {wrong}; return a tuple of {len(names)}: {', '.join(names)}"]
+            texts = [f"`{function}` returns one {wrong}; return a tuple of {len(names)}: {', '.join(names)}"]
         for text in texts:
             trial.note(kind, "equations", text)
 
@@ -427,7 +428,7 @@ def _number_objection(value: Any) -> str:
     is_number = isinstance(value, (int, float)) or hasattr(value, "__float__")
     if is_number and math.isfinite(value):
         return ""
-    return f"{repr(value) if is_number else type(value).__name__}, no finite number, at the start values"
+    return f"{repr(value) if is_number else type(value).__name__}, not a finite number, at the start values"
 
 
 def _symbol_objection(value: Any) -> str:
@@ -437,13 +438,14 @@ def _symbol_objection(value: Any) -> str:
         is_expression = isinstance(sympy.sympify(value, strict=True), sympy.Expr)
     except sympy.SympifyError:
         is_expression = False
-    return "" if is_expression else f"{type(value).__name__}, no number,"
+    return "" if is_expression else f"{type(value).__name__}, not a number,"
 
 
 def _try_effects(trial: _Trial, kind: type[Model]) -> None:
-    """Note the faults of effects and sensor errors.
+    """Record the faults of effects and sensor errors.
 
-    A substep is computed with each effect alone at its typical size. Commands are shaped and readings taken as symbols.
+    Each effect alone is integrated over a substep at its typical size. Shaped commands and readings are tried on
+    symbols.
     """
     import sympy
 
@@ -463,14 +465,14 @@ def _try_effects(trial: _Trial, kind: type[Model]) -> None:
             trial.attempt(f"a step with {owner.name} raises", step)
     s, h = symbolic(model), sympy.Symbol("h", positive=True)
     for effect in overrides(s.model.awake, "shape", Effect):
-        if effect.delay:  # It needs no check, since the log supplies delayed commands.
+        if effect.delay:  # The delay needs no trial on symbols, since the log supplies delayed commands.
             continue
         memory = tuple(sympy.Symbol(f"memory:{q.name}", real=True) for q in effect.memory)
         shaped = trial.attempt(f"`shape` of {effect.name} raises", effect.shape, m, s.time, h, s.command, memory)
         counts = (len(s.command), len(memory))
         is_pair = isinstance(shaped, tuple) and all(isinstance(part, (tuple, list)) for part in shaped)
         if shaped is not FAILED and not (is_pair and tuple(map(len, shaped)) == counts):
-            message = f"`shape` of {effect.name} returns two tuples: {counts[0]} commands and {counts[1]} of memory"
+            message = f"`shape` of {effect.name} must return two tuples: {counts[0]} commands, {counts[1]} of memory"
             trial.note(type(effect), "shape", message)
     value, t = (sympy.Symbol(name, real=True) for name in ("value", "time"))
     outputs = {q.name: sympy.Symbol(f"output:{q.name}", real=True) for q in model.outputs}
@@ -483,6 +485,6 @@ def _try_effects(trial: _Trial, kind: type[Model]) -> None:
             continue
         if list(readings) != list(sensor.affected()):
             names = ", ".join(map(str, readings)) or "nothing"
-            trial.note(sensor, hook, f"{doing} reads {names}; it is of {', '.join(sensor.affected())}")
+            trial.note(sensor, hook, f"{doing} returns {names}; it must return {', '.join(sensor.affected())}")
         elif text := next(filter(None, map(_symbol_objection, readings.values())), ""):
-            trial.note(sensor, hook, f"{doing} gives {text} for a reading; return a number")
+            trial.note(sensor, hook, f"{doing} returns {text} as a reading; return a number")

@@ -1,4 +1,4 @@
-"""Model files: a model with its parameters and sensor errors. `cosim refine` writes them, and studies name them."""
+"""Model files: a model with its parameter values and sensor errors. `cosim refine` writes them; studies name them."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from cosim.terms.language import Term
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
 
-SUBCLASS = "a model is a subclass of cosim.model.Model"
-ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
+SUBCLASS = "a model must be a subclass of cosim.model.Model"
+ALLOWED = f"give {BASE}, a model.yaml, or FILE.py:Class of your own model"
 
 
 def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-    """Return a number or a switch, with a single message on failure."""
+    """Return a number or a Boolean; all type errors give the same message."""
     try:
         return inner(value)
     except ValidationError:
-        cure = "give a finite number, text with a unit such as 400 g, or, of a switch, true or false"
+        cure = "give a finite number, or text with a unit such as 400 g; for a Boolean, true or false"
         raise ValueError(cure) from None
 
 
@@ -100,7 +100,7 @@ class LoadedModel:
 
     @property
     def values(self) -> dict[str, float]:
-        """Return the sensor errors by name, zero ones included."""
+        """Return all sensor errors by name, including zeros."""
         clean = {name: float(p.default) for name, p in self.model.sensor_parameters.items()}
         return {**clean, **self.sensors}
 
@@ -180,7 +180,7 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
             if re.fullmatch(r".+\.py:\w+", content.model):
                 message = f"no such file: {file}"
             names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
-            raise InputError([yaml.fault(("model",), f"{message}; a model is {', '.join(names)}")])
+            raise InputError([yaml.fault(("model",), f"{message}; allowed: {', '.join(names)}")])
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
     except NotExecuted:
@@ -196,9 +196,10 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
                 faults.append(yaml.fault((section, name), unknown, key=True))
             elif text := declared[name].fault(value):
                 effect, dot, _ = name.rpartition(".")
-                faults.append(yaml.fault((section, name), f"{effect}{dot}{text}; correct this value"))
+                faults.append(yaml.fault((section, name), f"{effect}{dot}{text}; correct the value"))
     values: dict[str, float | bool] = {}
-    if name := content.parameters_from:  # A larger model can use parameters refined on a test rig.
+    # A parameter file of a small model, e.g. refined on a test rig, may serve a larger model.
+    if name := content.parameters_from:
         other = path.parent / name
         at = ("parameters_from",)
         try:
@@ -207,11 +208,11 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
                 reason = f"no such model file: {name}; name a model.yaml or the folder of a refine"
                 raise InputError([yaml.fault(at, reason)])
             if other.resolve() in (here := (*readers, path.resolve())):
-                reason = f"{name} takes its parameters from here itself; leave one of them out"
+                reason = f"{name} takes its parameters from this file, a cycle; remove one parameters_from"
                 raise InputError([yaml.fault(at, reason)])
             values = {n: v for n, v in read_model(other, here).parameters.items() if n in model.declared}
             if not values:
-                raise InputError([yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")])
+                raise InputError([yaml.fault(at, f"{name} has no parameter in common with {model.title}; remove it")])
             texts = [fault for n, v in values.items() if (fault := model.declared[n].fault(v))]
             refuse(yaml.fault(at, f"{name}: {text}; correct it there, or write it under parameters") for text in texts)
         except InputError as error:
@@ -243,7 +244,7 @@ def own_model(text: str, folder: Path) -> Model:
 
 
 def only_model(path: Path) -> Model:
-    """Return the only model of `file.py`; raise InputError for faults, no model or several."""
+    """Return the only model of `file.py`. Raise InputError for faults, and unless the file has exactly one model."""
     source, module = _execute(path.resolve())
     kinds: dict[Any, str] = {}  # name by class: a class with two names counts once
     for name, kind in _model_classes(module).items():
@@ -268,7 +269,7 @@ def own_terms(path: Path) -> list[type[Term]]:
     own = [v for v in terms if v.__module__ == module.__name__]
     if not own:
         raise InputError.at(
-            path, "holds no term; a term is a subclass of cosim.terms.Force, InputTerm or RateTerm with a kind"
+            path, "has no term; write a subclass of cosim.terms.Force, InputTerm or RateTerm with a `kind`"
         )
     return own
 
@@ -309,7 +310,7 @@ def _model_classes(module: ModuleType) -> dict[str, type[Model]]:
 
 
 def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:
-    """Write a model.yaml for `read_model`.
+    """Write a model.yaml that `read_model` reads.
 
     Args:
         folder: Final folder, if the file will be moved.

@@ -1,4 +1,4 @@
-"""A model run along a log: recorded commands, and measured states if an output shows them."""
+"""Simulation of a model along a log, with recorded inputs, and states reset to readings if an output measures them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cosim.model.integrate import Moment, Stepper
 from cosim.model.model import Model, Values
 from cosim.model.namespaces import SCALAR
 
-MAX_GAP = 10.0  # rows; integration over longer gaps is limited to this length
+MAX_GAP = 10.0  # rows; an integration over a longer gap stops after this length
 
 
-RunLog = Any  # a `cosim.logs.log.Log`, of a room above: path, time, step, inputs, outputs
+RunLog = Any  # stands for `cosim.logs.log.Log` of a higher room, with path, time, step, inputs, outputs
 
 
 def shown_states(model: Model) -> set[str]:
-    """Return states equal to an output of the same name, tested at a single state."""
+    """Return the states that equal an output of the same name, tested at one state."""
     state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
     values = dict(zip((s.name for s in model.states), state, strict=True))
     outputs = model.acting(SCALAR).output(0.0, state, model.start_command())

@@ -1,4 +1,4 @@
-"""Files of a refine's folder: the refined model and FMU, and the nearest ones."""
+"""Files of a refine's folder: model.yaml and FMU of the refined model and of the nearest model."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NEAREST = ("nearest.yaml", "nearest.fmu")
 
 
 class NoNearest(ValueError):
-    """A missing nearest model, with reason and remedy."""
+    """The nearest model does not exist; the message gives reason and cure."""
 
 
 def folder_of(path: Path) -> Path | None:
@@ -22,11 +22,11 @@ def folder_of(path: Path) -> Path | None:
 
 
 def refined_file(path: Path, *, nearest: bool = False) -> Path:
-    """Return the model.yaml or FMU in a refine.
+    """Return the path of the model.yaml or FMU in a refine's folder.
 
     Args:
         path: Folder of the refine, its refine.json or another of its files.
-        nearest: Whether to return the nearest model, equal to the refined model for a complete claim.
+        nearest: Return the nearest model, which equals the refined model if the claim is complete.
 
     Raises:
         NoNearest: No nearest model exists.
@@ -36,17 +36,17 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
     folder = folder_of(path)
     if folder is None:
         raise NoNearest(
-            f"{path} is of no refine, so there is no nearest model; name the folder that `cosim refine` left, or "
-            "leave nearest out"
+            f"{path} is not a result of `cosim refine`, so it has no nearest model; give the folder of a refine, or "
+            "omit nearest"
         )
     kind = 1 if path.suffix == ".fmu" else 0
     if (folder / NEAREST[kind]).is_file():
         return folder / NEAREST[kind]
     if content_of(folder / ANSWER).get("grade") == "claimed":
         return folder / REFINED[kind]
-    raise NoNearest(f"{folder} holds no {NEAREST[kind]}; refine its study again, or leave nearest out")
+    raise NoNearest(f"{folder} has no {NEAREST[kind]}; refine its study again, or omit nearest")
 
 
 def names_refine(path: Path) -> bool:
-    """Return whether a path is the results folder of `cosim refine` or its refine.json, and not another file in it."""
+    """Return True if a path is the result folder of `cosim refine` or its refine.json, but no other file in it."""
     return path.name == ANSWER if path.is_file() else (newest_run(path) / ANSWER).is_file()

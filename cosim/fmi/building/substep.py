@@ -1,11 +1,11 @@
 """Choice of integrator and substep: stable and accurate for the model's modes.
 
-Kernel and FMU integrate by RK4 in equal substeps. In a substep of h, a mode of eigenvalue λ changes by R(λh),
+Filter and FMU integrate by RK4 in equal substeps. In a substep of h, a mode of eigenvalue λ is multiplied by R(λh),
 R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, instead of exp(λh). If |R| > 1, the mode grows although the model decays.
 
-A class keeps its stated `substep` unless unstable, and the default if accurate. Otherwise the longest accurate fraction
-1/n of `rate` is chosen. A model with a need for more than MOST_SUBSTEPS is stiff if all modes too fast for RK4 decay
-within a row. The implicit method then takes substeps accurate for the remaining modes.
+A `substep` stated by the class is kept unless it is unstable; the default is kept if it is accurate. Otherwise the
+longest accurate fraction 1/n of `rate` is chosen. A model that needs more than MOST_SUBSTEPS is stiff if all modes too
+fast for RK4 decay within a row. The implicit method then uses substeps accurate for the remaining modes.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
             growth = abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
             if z.real < 0.0 and growth > 1.0 + GROWTH:
                 reason = f"substep is {_ms(model.substep)}, unstable for this model: {mode}"
-                cure = f"state at most {_ms(MAX_DEFAULT / mode.speed)}, or leave substep out: then it follows the model"
-                message = f"{reason}, and RK4 in steps of {_ms(h)} lets it grow; {cure}"
+                cure = f"use at most {_ms(MAX_DEFAULT / mode.speed)}, or omit substep, so that cosim chooses it"
+                message = f"{reason}, which RK4 amplifies in steps of {_ms(h)}; {cure}"
                 raise InputError([text.fault(type(model), "substep", message)])
         return loaded, []
     if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
@@ -98,12 +98,12 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
     too_fast, integrator = model.integrator == AUTO and count > MOST_SUBSTEPS, model.chosen_integrator
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
         substep, integrator = fastest.stiff_substep(), STIFF
-        note = Note(f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}")
+        note = Note(f"integrated by the implicit method instead of RK4, in substeps of {_ms(substep)}: {mode}")
     elif count > MOST_SUBSTEPS:
         raise InputError([text.fault(type(model), "", _stiff(model, mode))])
     else:
         substep = model.rate / count
-        note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
+        note = Note(f"integrated in substeps of {_ms(substep)} instead of the default {_ms(Model.substep)}: {mode}")
     return replace(loaded, model=model.with_substep(substep, integrator)), [note]
 
 
@@ -144,7 +144,7 @@ class _Fastest:
         return fastest
 
     def die_within_a_row(self) -> bool:
-        """Return whether modes too fast for RK4 decay within a row."""
+        """Return True if all modes too fast for RK4 decay within a row."""
         values = np.concatenate(self.eigenvalues)
         fast = values[self.model.rate * np.abs(values) > MOST_SUBSTEPS * MAX_CHOSEN]
         return bool(np.all(-self.row * fast.real >= DEAD))
@@ -155,9 +155,9 @@ class _Fastest:
         return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
 
     def _at(self, state: Values, command: Values, t: float, place: str) -> StateMode:
-        """Return the fastest mode at a point, with the state that participates most in it.
+        """Return the fastest mode at a point, with the state of the largest participation.
 
-        Participation is left times right eigenvector, independent of units.
+        The participation is the product of left and right eigenvector, independent of units.
         """
         from scipy.linalg import eig
 
@@ -176,15 +176,15 @@ class _Fastest:
 
 
 def _stiff(model: Model, mode: StateMode) -> str:
-    """Return the message on a mode too fast for the model's rate."""
+    """Return the message for a mode too fast for the model's rate."""
     name = type(model).__name__
     if mode.eigenvalue.real > 0.0:
-        return f"{name} runs away: {mode} that grows; check its parameters, start values and the units of the log"
-    stiff = f"{name} is stiff: {mode}, for which RK4 takes more than {MOST_SUBSTEPS} substeps in a rate of"
+        return f"{name} is unstable: {mode} that grows; check its parameters, start values and the units of the log"
+    stiff = f"{name} is stiff: {mode}, for which RK4 needs more than {MOST_SUBSTEPS} substeps per communication step of"
     if model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
-        return f"{stiff} {_ms(model.rate)}; state integrator = 'stiff', or leave it out"
-    cure = f"let {mode.state} follow the rest at once, as an algebraic equation, or state a substep of at most"
-    return f"{stiff} {_ms(model.rate)}; {cure} {_ms(MAX_DEFAULT / mode.speed)} and take the time that it costs"
+        return f"{stiff} {_ms(model.rate)}; set integrator = 'stiff', or omit it"
+    cure = f"replace the equation of {mode.state} by an algebraic one, or set a substep of at most"
+    return f"{stiff} {_ms(model.rate)}; {cure} {_ms(MAX_DEFAULT / mode.speed)}, which is slow"
 
 
 def _ms(seconds: float) -> str:
@@ -193,7 +193,7 @@ def _ms(seconds: float) -> str:
 
 
 def check_model(path: Path, checking: Checking) -> list[str]:
-    """Return notes on a model.yaml or a model class; InputError lists faults.
+    """Check a model.yaml or a model class; return notes, raise InputError with all faults.
 
     The class is `FILE.py:Class`, or the only class in FILE.py.
     """
@@ -209,5 +209,5 @@ def check_model(path: Path, checking: Checking) -> list[str]:
 
 
 def substep_notes(loaded: LoadedModel, logs: Sequence[Any] = ()) -> list[str]:
-    """Return notes on a chosen substep; raise InputError if none is suitable."""
+    """Return notes on an automatically chosen substep; raise InputError if none is suitable."""
     return [f"note: {note}" for note in with_substep(loaded, logs)[1]]

@@ -1,7 +1,7 @@
 """Check of generated C against a model's Python at seeded random points, before compilation.
 
-A model may make a decision while its equations are traced that depends on numbers at run time (a dictionary look-up of
-a parameter, a test for effects). No rule detects all such lines, but comparing two evaluations does.
+While its equations are traced, a model may decide on numbers that are known only at run time (a look-up in a
+dictionary, a test for effects). No rule detects all such lines; a comparison of two evaluations does.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from cosim.model.symbolic.trace import Trace
 TOLERANCE = 1e-9  # of max(1, |value|)
 POINTS, TRIES = 6, 18  # points per case, and draws if Python gives no number
 DECIDED = (
-    "something is decided before the numbers are known (a look-up in a dictionary, int() or a Python branch on a "
-    "number): choose by m.where"
+    "the equations contain a decision that symbols cannot express (a look-up in a dictionary, int() or a branch on a "
+    "number): use m.where"
 )
 NOT_NEUTRAL = (
-    "its lines are not neutral at its neutral value, or the equations ask which effects there are: in C a dormant "
-    "effect is its lines at the neutral value"
+    "the effect changes the equations at its neutral value, or the equations test for effects: in C a dormant "
+    "effect is evaluated at its neutral value"
 )
-Case = tuple[tuple[Any, ...], Mapping[str, bool]]  # active effects, values of the model's switches
+Case = tuple[tuple[Any, ...], Mapping[str, bool]]  # active effects, values of the model's Boolean parameters
 Difference = tuple[str, str, float, float]  # quantity, method of the model, values by Python and by generated code
 
 
 @dataclass(frozen=True)
 class EvaluationPoint:
-    """A point of evaluation: states x and memory (those of dormant effects too), inputs u, parameters by FMI name."""
+    """A point of evaluation: states x and memory (also of dormant effects), inputs u, parameters by FMI name."""
 
     t: float
     h: float
@@ -118,7 +118,7 @@ class Check:
         return None
 
     def compare(self, case: Case, at: EvaluationPoint, code: GeneratedCode) -> Iterator[Difference]:
-        """Yield each quantity: derivatives, outputs, then shaped commands and memory of effects, also at the start.
+        """Yield each compared quantity: derivatives, outputs, shaped commands, memory of effects (also initial).
 
         A delay is skipped because it has hand-written C code.
         """
@@ -165,7 +165,7 @@ class Check:
             return value + size * uniform(-1, 1) * max(1.0, abs(value))
 
         values: dict[str, Any] = {}
-        for p in self.model.parameters:  # unchanged, within 10 %, or an integer in its bounds
+        for p in self.model.parameters:  # unchanged, within 10 %, or for an integer, any in its bounds
             low, high = p.bounds
             value = values[p.name] = getattr(self.model, p.name)
             if isinstance(value, bool) or k % POINTS == 0:
@@ -191,7 +191,7 @@ class Check:
         return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, values)
 
     def draw_effect_value(self, p: Parameter, awake: bool, k: int) -> Any:
-        """Return a random parameter value of an effect: neutral if dormant, else about its default or typical size."""
+        """Return a random parameter value of an effect: neutral if dormant, else near its default or typical size."""
         if isinstance(p.default, bool):
             return p.default
         if p.neutral is not None and not awake:
@@ -215,7 +215,7 @@ class Check:
             return UnprintableModel(text, awake[0], "" if hook == "equations" else hook, DECIDED)
         if awake or not kinds or self.first_difference((kinds, switches), code):
             return UnprintableModel(text, type(self.model), "equations", DECIDED)
-        # An effect is at fault if the difference shows with it alone dormant.
+        # An effect is at fault if the difference occurs with only this effect dormant.
         others = ((kind, tuple(k for k in kinds if k is not kind)) for kind in kinds)
         culprits = [kind for kind, rest in others if self.first_difference((rest, switches), code)]
         if len(culprits) == 1:

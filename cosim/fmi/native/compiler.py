@@ -1,4 +1,4 @@
-"""C compilers of this machine or from pip, their platforms, and their libraries."""
+"""C compilers of this machine or from pip, their target platforms, and compiled libraries."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cosim.core.extras import install_command
 from cosim.core.scratch import temporary_folder
 from cosim.files.cache import cache_environment, cache_path
 
-# The errno of sin and pow is never read.
+# errno after sin and pow is never read
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
 POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # option for code of libraries on this machine
 LIMIT = 900.0  # time limit of the compiler [s]
@@ -32,7 +32,7 @@ PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 @dataclass(frozen=True)
 class Platform:
-    """Folders of FMI 2.0 and 3.0 below `binaries`, library suffix, and zig's target name."""
+    """A target platform: folders of FMI 2.0 and 3.0 below `binaries`, library suffix, and zig's target name."""
 
     name: str
     fmi3: str
@@ -40,7 +40,10 @@ class Platform:
     target: str
 
     def folder(self, fmi: int) -> str:
-        """Return the folder below `binaries`. Platforms without a name in FMI 2.0 have that of 3.0, as in 2.0.4."""
+        """Return the folder below `binaries`.
+
+        A platform without a name in FMI 2.0 uses its FMI 3.0 name, as in FMI 2.0.4.
+        """
         return self.name if fmi == 2 else self.fmi3
 
 
@@ -57,7 +60,7 @@ PLATFORMS = {
 
 
 def this_platform() -> Platform | None:
-    """Return this machine's platform, None if not listed."""
+    """Return the platform of this machine; None if it is not in `PLATFORMS`."""
     import fmpy
 
     return next((p for p in PLATFORMS.values() if p.fmi3 == fmpy.platform_tuple), None)
@@ -70,11 +73,11 @@ def glibc_floor(library: bytes) -> str:
 
 
 class NoCompiler(LookupError):
-    """Error: no compiler for a platform exists; the message names the remedy."""
+    """No compiler exists for a platform; the message names the cure."""
 
 
 class CompilerFailed(RuntimeError):
-    """Failure of a compiler: its message in a line, all of it in `output`."""
+    """A compilation failed: the message in one line; the full text is in `output`."""
 
     def __init__(self, reason: str, output: str = "") -> None:
         super().__init__(reason)
@@ -116,8 +119,8 @@ def cross_command(target: Platform) -> list[str]:
 def commands(names: Sequence[str] = ()) -> dict[Platform, list[str]]:
     """Return platform → compiler command, by default for this machine.
 
-    The cross compiler, which also targets old versions of glibc, is taken for a platform named by the user, or without
-    a local compiler.
+    The cross compiler, which also targets old versions of glibc, is used for platforms named by the user and if there
+    is no local compiler.
 
     Raises:
         KeyError: A platform is unknown.
@@ -126,15 +129,15 @@ def commands(names: Sequence[str] = ()) -> dict[Platform, list[str]]:
     machine, found = this_platform(), {}
     if machine is None and not names:
         fault = f"this machine, {platform.machine()} {sys.platform}, is none of {', '.join(PLATFORMS)}"
-        raise NoCompiler(f"{fault}; name one of these")
+        raise NoCompiler(f"{fault}; give one of these")
     for target in [PLATFORMS[name] for name in names] or [p for p in PLATFORMS.values() if p == machine]:
         if can_cross() and (names or compiler() is None):
             command = cross_command(target)
         elif target == machine:
             command = _required()
         else:
-            install = f"{install_command('native')}, which brings a compiler that crosses"
-            raise NoCompiler(f"no compiler for {target.name} is found; {install}")
+            install = f"{install_command('native')} (a cross compiler)"
+            raise NoCompiler(f"no compiler for {target.name} was found; {install}")
         found[target] = [*command, *OPTIONS, "-fvisibility=hidden"]
         found[target] += [] if target.suffix == ".dll" else ["-fPIC"]
     return found
@@ -153,14 +156,14 @@ def library_command() -> list[str]:
 
 
 def cure(extra: str) -> str:
-    """Return the remedy for a missing C compiler."""
-    return f"install gcc or clang, say which in CC, or {install_command(extra)}"
+    """Return the cure for a missing C compiler."""
+    return f"install gcc or clang, name a compiler in CC, or {install_command(extra)}"
 
 
 def _required() -> list[str]:
     """Return the C compiler's command; raise NoCompiler if there is none."""
     if (command := compiler()) is None:
-        raise NoCompiler(f"no C compiler is found in CC or on PATH; {cure('native')}")
+        raise NoCompiler(f"no C compiler was found in CC or on PATH; {cure('native')}")
     return command
 
 
@@ -205,8 +208,8 @@ def library_of(
         data = _compile([*command, "-o", "library", main, *libraries], folder, limit)
     if missing := _missing_exports(data, exports):
         raise CompilerFailed(
-            f"{shlex.join(command[:1])} failed: it ended without an error, but what it made is no library "
-            f"that has {missing[0]}"
+            f"{shlex.join(command[:1])} failed: it reported no error, but its output is not a library "
+            f"with the function {missing[0]}"
         )
     with draft_of(path_of(data)) as draft:
         draft.write_bytes(data)
@@ -228,7 +231,7 @@ def _compile(command: Sequence[str], folder: Path, limit: float) -> bytes:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
+        raise CompilerFailed(f"{command[0]} did not finish within {limit:g} s") from None
     except OSError as error:
         raise CompilerFailed(f"{command[0]}: {error!s}") from error
     library = folder / "library"
@@ -240,11 +243,11 @@ def _compile(command: Sequence[str], folder: Path, limit: float) -> bytes:
     if run.returncode:
         raise CompilerFailed(f"{name} failed: {line or 'it says nothing'}", output)
     said = line and f"; it said {line}"
-    raise CompilerFailed(f"{name} failed: it ended without an error and made no library{said}", output)
+    raise CompilerFailed(f"{name} failed: it reported no error but wrote no library{said}", output)
 
 
 def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
-    """Return required functions missing in a library."""
+    """Return the required functions that a library lacks."""
     if library.startswith(PACKED):  # names are stored as a tree of parts
         return []
     return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
@@ -253,7 +256,7 @@ def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
 def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     """Return a loaded library compiled from source and headers.
 
-    A cached library of another machine is compiled anew.
+    A cached library of another machine is compiled again.
 
     Raises:
         NoCompiler: No compiler exists.
@@ -273,5 +276,5 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
         except (CompilerFailed, OSError) as error:
             reasons.append(error)
     if not reasons:
-        raise NoCompiler("no C compiler is found in CC or on PATH")
+        raise NoCompiler("no C compiler was found in CC or on PATH")
     raise CompilerFailed(str(reasons[0])) from reasons[0]

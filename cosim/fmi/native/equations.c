@@ -50,7 +50,7 @@ static int initialize(Instance *m)
     if (check_bounds(m)) return 1;
     wake(m->values, m->awake);
     if (m->exchange && counting(m->awake) != NULL)
-        return refuse(m, "%s counts substeps, which a solver has none of: take this FMU for co-simulation, or leave it dormant", counting(m->awake));
+        return refuse(m, "%s depends on substeps, which model exchange lacks: use co-simulation, or keep the effect dormant", counting(m->awake));
     m->warned = 0;
     m->time = m->start_time;
     starts(m->values, STATE, MEMORY, u, late);
@@ -179,14 +179,14 @@ static int not_finite(Instance *m, const double *before)
         largest = fabs(v), value = v;
         name = k < INPUTS ? variables[k].name : STATE_NAME[k - INPUTS];
     }
-    return refuse(m, "the state is not finite any more; largest before the step: %s = %g", name, value);
+    return refuse(m, "the state is not finite after the step; the largest state before it: %s = %g", name, value);
 }
 
 static int advance(Instance *m, double t, double h)
 {
     double shaped[INPUTS + MEMORIES + 1], before[STATES + 1];
     const double counted = ceil(h / SUBSTEP - 1e-6);
-    if (!(counted < 1e9)) return refuse(m, "step of %g s; that is %g substeps", h, counted);
+    if (!(counted < 1e9)) return refuse(m, "step of %g s needs %g substeps", h, counted);
     const long n = counted < 1.0 ? 1 : (long)counted;
     const double dt = h / (double)n;
     check_range(m, t);
@@ -223,8 +223,8 @@ static int check_held_inputs(Instance *m)
     if (!m->exchange || m->phase != CONTINUOUS || !is_discrete(m)) return 0;
     for (int k = 0; k < INPUTS; k++)
         if (fabs(m->values[k] - SEEN[k]) > 1e-9 * (1.0 + fabs(SEEN[k]))) /* a host that interpolates rounds */
-            return refuse(m, "%s moves between events, at t = %.15g s: a delay or play takes inputs that are piecewise constant; "
-                             "change it in event mode, or leave the effect dormant", variables[k].name, m->time);
+            return refuse(m, "%s changes between events, at t = %.15g s: a delay or play needs piecewise constant inputs; "
+                             "change it in event mode, or keep the effect dormant", variables[k].name, m->time);
     return 0;
 }
 
@@ -357,7 +357,7 @@ static int set_states(Instance *m, const double *x, size_t count)
 {
     if (check_count(m, count, STATES, "states")) return 1;
     for (int k = 0; k < STATES; k++)
-        if (!isfinite(x[k])) return refuse(m, "%s is set to %g; it is a finite number", STATE_NAME[k], x[k]);
+        if (!isfinite(x[k])) return refuse(m, "%s is set to %g; use a finite number", STATE_NAME[k], x[k]);
     memcpy(STATE, x, sizeof(double) * STATES);
     m->is_stale = 1;
     return 0;
@@ -392,7 +392,7 @@ static int direction_add(Instance *m, Direction *d, size_t k, double change)
     const long i = (long)k - VARIABLES;
     if ((long)k < INPUTS) d->u[k] += change;
     else if (i >= 0 && i < STATES) d->x[i] += change;
-    else return refuse(m, "directional derivatives are by inputs and states; value reference %zu is neither", k);
+    else return refuse(m, "directional derivatives need an input or a state; value reference %zu is neither", k);
     return 0;
 }
 
@@ -406,6 +406,6 @@ static int direction_read(Instance *m, const Direction *d, size_t k, double *slo
     const long i = (long)k - VARIABLES - STATES, output = (long)k - INPUTS;
     if (output >= 0 && output < OUTPUTS) *slope = d->dy[output];
     else if (i >= 0 && i < STATES) *slope = d->dx[i];
-    else return refuse(m, "directional derivatives are of outputs and derivatives; value reference %zu is neither", k);
+    else return refuse(m, "directional derivatives exist for outputs and derivatives; value reference %zu is neither", k);
     return 0;
 }

@@ -140,7 +140,7 @@ static int correct(Instance *m, Filter *f, const double *z)
             S[i][j] = i == j ? d->W[i] : 0.0;
             for (int k = 0; k < NX; k++) S[i][j] += d->H[i][k] * PH[k][j];
         }
-    if (inverse(S, SI)) return refuse(m, "the innovation has no variance; a measurement variance of 0 needs process noise");
+    if (inverse(S, SI)) return refuse(m, "the variance of the innovation is 0; a measurement variance of 0 needs process noise");
     for (int i = 0; i < NX; i++)
         for (int j = 0; j < NZ; j++) {
             K[i][j] = 0.0;
@@ -176,7 +176,7 @@ static int correct_by(Instance *m, Filter *f, double z, const double *H, double 
         for (int k = 0; k < NX; k++) PH[i] += f->P[i][k] * H[k];
     }
     for (int i = 0; i < NX; i++) S += H[i] * PH[i];
-    if (!(fabs(S) > 0.0)) return refuse(m, "a fix has no variance; a measurement variance of 0 needs process noise");
+    if (!(fabs(S) > 0.0)) return refuse(m, "the variance of a fix is 0; a measurement variance of 0 needs process noise");
     for (int i = 0; i < NX; i++) K[i] = PH[i] / S;
     for (int i = 0; i < NX; i++) f->x[i] += K[i] * y;
     for (int i = 0; i < NX; i++)

@@ -128,7 +128,7 @@ FMI(Status) FMI(GetFMUstate)(FMI(Component) c, FMI(FMUstate) *state)
 {
     KNOWN(c);
     Snapshot *taken = snapshot(m);
-    if (taken == NULL) return STATUS(refuse(m, "there is no memory for a state"));
+    if (taken == NULL) return STATUS(refuse(m, "not enough memory for a state"));
     free(*state);
     *state = taken;
     return FMI(OK);
@@ -164,7 +164,7 @@ FMI(Status) FMI(SerializeFMUstate)(FMI(Component) c, FMI(FMUstate) state, FMI(By
 {
     KNOWN(c);
     const Snapshot *s = state;
-    if (s == NULL || size < s->size) return STATUS(refuse(m, "there is no room for the state"));
+    if (s == NULL || size < s->size) return STATUS(refuse(m, "the buffer is too small for the state"));
     memcpy(bytes, s->bytes, s->size);
     return FMI(OK);
 }
@@ -173,7 +173,7 @@ FMI(Status) FMI(DeSerializeFMUstate)(FMI(Component) c, const FMI(Byte) bytes[], 
 {
     KNOWN(c);
     Snapshot *s = malloc(sizeof *s + size);
-    if (s == NULL) return STATUS(refuse(m, "there is no memory for a state"));
+    if (s == NULL) return STATUS(refuse(m, "not enough memory for a state"));
     s->size = size;
     memcpy(s->bytes, bytes, size);
     *state = s;

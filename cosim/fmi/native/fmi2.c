@@ -52,7 +52,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     int refused = 0;
     if (guid == NULL || strcmp(guid, MODEL_GUID) != 0)
-        refused = refuse(m, "the GUID is %s; this library is of %s", guid ? guid : "missing", MODEL_GUID);
+        refused = refuse(m, "the GUID is %s, but this library was built for %s", guid ? guid : "missing", MODEL_GUID);
     if (type == fmi2ModelExchange && !EXCHANGE)
         refused = refuse(m, "this FMU is for co-simulation only");
     if (refused) {
@@ -92,9 +92,9 @@ ACCESS(fmi2SetString, const fmi2String, set_strings)
 REFUSED(fmi2GetInteger, (fmi2Component c, VRS, fmi2Integer value[]), ((void)vr, (void)value), count > 0, "there is no Integer")
 REFUSED(fmi2SetInteger, (fmi2Component c, VRS, const fmi2Integer value[]), ((void)vr, (void)value), count > 0, "there is no Integer")
 REFUSED(fmi2SetRealInputDerivatives, (fmi2Component c, VRS, const fmi2Integer order[], const fmi2Real value[]),
-        ((void)vr, (void)order, (void)value), count > 0, "inputs are held over a step")
+        ((void)vr, (void)order, (void)value), count > 0, "inputs are constant during a step")
 REFUSED(fmi2GetRealOutputDerivatives, (fmi2Component c, VRS, const fmi2Integer order[], fmi2Real value[]),
-        ((void)vr, (void)order, (void)value), count > 0, "outputs have no derivatives here")
+        ((void)vr, (void)order, (void)value), count > 0, "output derivatives are not supported")
 REFUSED(fmi2CancelStep, (fmi2Component c), (void)0, 1, "no step is pending")
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t unknowns,

@@ -36,7 +36,7 @@ static fmi3Instance instantiate(int exchange, fmi3String token, fmi3InstanceEnvi
     Instance *m = created(exchange, host, to_host);
     int refused = m == NULL;
     if (m != NULL && (token == NULL || strcmp(token, MODEL_GUID) != 0))
-        refused = refuse(m, "the instantiation token is %s; this library is of %s", token ? token : "missing", MODEL_GUID);
+        refused = refuse(m, "the instantiation token is %s, but this library was built for %s", token ? token : "missing", MODEL_GUID);
     if (m != NULL && exchange && !EXCHANGE) refused = refuse(m, "this FMU is for co-simulation only");
     if (!refused) return m;
     if (m != NULL) dispose(m);
@@ -81,7 +81,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance
 
 static int check_scalars(Instance *m, size_t count, size_t values)
 {
-    return count != values && refuse(m, "there are %zu variables and %zu values; all of them are scalars", count, values);
+    return count != values && refuse(m, "%zu variables and %zu values; all variables are scalars", count, values);
 }
 
 #define ACCESS(name, type, of) \

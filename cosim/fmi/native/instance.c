@@ -74,7 +74,7 @@ static int append(Instance *m, double t, const double *command)
         } else {
             size_t room = h->room ? 2 * h->room : 64;
             double *rows = realloc(h->rows, sizeof(double) * ROW * room);
-            if (rows == NULL) return refuse(m, "there is no memory for the history of commands");
+            if (rows == NULL) return refuse(m, "not enough memory for the history of commands");
             h->rows = rows;
             h->room = room;
         }
@@ -145,7 +145,7 @@ static int in_phase(Instance *m, unsigned allowed, const char *asked)
 static int start_at(Instance *m, double t)
 {
     if (in_phase(m, IN(INSTANTIATED), "an experiment is set up")) return 1;
-    if (!isfinite(t)) return refuse(m, "the start time is %g s; it is a finite number", t);
+    if (!isfinite(t)) return refuse(m, "the start time is %g s; use a finite number", t);
     m->start_time = m->time = t;
     return 0;
 }
@@ -170,7 +170,7 @@ static int step(Instance *m, double t, double h)
 {
     if (in_phase(m, IN(STEP), "a step")) return 1;
     if (!(h > 0.0 && isfinite(h) && isfinite(t)))
-        return refuse(m, "step of %.15g s at t = %.15g s; a step is positive and finite", h, t);
+        return refuse(m, "step of %.15g s at t = %.15g s; it must be positive and finite", h, t);
     begin_computing(m);
     return end_computing(m, advance(m, t, h));
 }
@@ -178,7 +178,7 @@ static int step(Instance *m, double t, double h)
 static int set_time(Instance *m, double t)
 {
     if (in_phase(m, IN(EVENT) | IN(CONTINUOUS), "time is set")) return 1;
-    if (!isfinite(t)) return refuse(m, "time is set to %g s; it is a finite number", t);
+    if (!isfinite(t)) return refuse(m, "time is set to %g s; use a finite number", t);
     m->time = t;
     m->is_stale = 1;
     return 0;
@@ -230,7 +230,7 @@ static void mark(Instance *m, size_t k)
 static int set_number(Instance *m, size_t k, Kind kind, double value)
 {
     if (check_settable(m, k, kind)) return 1;
-    if (!isfinite(value)) return refuse(m, "%s is set to %g; it is a finite number", variables[k].name, value);
+    if (!isfinite(value)) return refuse(m, "%s is set to %g; use a finite number", variables[k].name, value);
     m->values[k] = value;
     mark(m, k);
     return 0;
@@ -257,7 +257,7 @@ static int check_bounds(Instance *m)
         const Variable *v = &variables[k];
         if (!m->is_set[k] || v->causality != PARAMETER || v->kind != REAL) continue;
         if (v->low <= m->values[k] && m->values[k] <= v->high) continue;
-        const char *format = "%s%s is %.15g; it lies in [%g, %g]%s%s";
+        const char *format = "%s%s is %.15g; allowed range: [%g, %g]%s%s";
         const char *join = used ? "; " : "", *space = v->unit[0] ? " " : "";
         int more = snprintf(NULL, 0, format, join, v->name, m->values[k], v->low, v->high, space, v->unit);
         char *longer = more < 0 ? NULL : realloc(faults, used + (size_t)more + 1);
@@ -319,7 +319,7 @@ static int restore(Instance *m, const char *bytes, size_t size)
     char guid[GUID_SIZE + 1] = {0};
     double d[FIXED], *at = d + 6;
     if (size >= state_size(0)) memcpy(guid, bytes, GUID_SIZE);
-    if (strcmp(guid, MODEL_GUID) != 0) return refuse(m, "this FMU state is of another FMU");
+    if (strcmp(guid, MODEL_GUID) != 0) return refuse(m, "this FMU state belongs to another FMU");
     memcpy(d, bytes + GUID_SIZE, sizeof d);
     const double rows = d[FIXED - 1];
     if (!(rows >= 0.0 && rows <= 1e12 && size == state_size((size_t)rows) && *at >= 0.0 && *at <= TERMINATED))

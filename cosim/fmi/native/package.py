@@ -1,4 +1,4 @@
-"""Native FMUs: a model's C within common code, compiled and packed, byte-reproducible."""
+"""Native FMUs: a model's generated C with common code, compiled and packed, byte-reproducible."""
 
 from __future__ import annotations
 
@@ -22,19 +22,22 @@ from cosim.fmi.ports import Port, model_ports
 from cosim.fmi.sampled import TOOL
 from cosim.model.model import Model
 
-LOG = {"logStatusWarning": "what the model was not made for", "logStatusError": "why a call was refused"}
+LOG = {
+    "logStatusWarning": "conditions outside the model's range of validity",
+    "logStatusError": "reasons for rejected calls",
+}
 
 
 @dataclass(frozen=True)
 class Native:
-    """Everything needed for a native FMU.
+    """Sources and data of a native FMU.
 
-    Value references are those of the ports of `about`, then those of the local variables.
+    Value references are those of the ports of `about`, followed by those of the local variables.
 
     Attributes:
         body: Generated C code, `model.c`.
         sizes: Definitions of `config.h`.
-        parts: C files to follow `model.c`.
+        parts: C files included after `model.c`.
         text: Documentation in HTML.
         locals: States, their derivatives in the same order, memory, event indicators.
         dependencies: Output or derivative → names of the inputs and states on which it depends.
@@ -55,7 +58,7 @@ class Native:
 
 
 def describe_native(native: Native, fmi: int, identifier: str, version: str, guid: str) -> bytes:
-    """Return modelDescription.xml of FMI 2.0 or 3.0; that of 2.0 names the sources in `all.c`."""
+    """Return modelDescription.xml of FMI 2.0 or 3.0. The FMI 2.0 description lists `all.c` as source file."""
     about, is2 = native.about, fmi == 2
     root = Element("fmiModelDescription", {"fmiVersion": f"{fmi}.0", "modelName": native.name})
     root.set("generationTool", f"{TOOL} {version}")
@@ -99,7 +102,7 @@ BUILD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 @dataclass(frozen=True)
 class NativeFmu:
-    """A built native FMU, and the oldest glibc of each Linux library in it, "" for further platforms."""
+    """A built native FMU, with the oldest usable glibc of each Linux library ("" for other platforms)."""
 
     path: Path
     floors: Mapping[str, str]
@@ -112,9 +115,9 @@ class NativeFmu:
 
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
-    """Return a model for a native FMU, checked against its Python; raise UnprintableModel on failure."""
+    """Return a model as a native FMU, checked against its Python; raise UnprintableModel on failure."""
     if list(recipe.about.ports) != list(model_ports(model)):
-        raise ValueError("the description is of another model")
+        raise ValueError("the description belongs to another model")
     printer = ModelPrinter(model, recipe.about.ports)
     body, sizes = printer.sources()
     Check(model, printer).run()
@@ -143,7 +146,7 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
             sources[q.name] |= sources_of(e)
         acting = dict(zip(inputs, trace.shaped, strict=True))
         for state, e in zip(states, trace.derivative, strict=True):
-            direct = sources_of(e)  # The acting command is shaped.
+            direct = sources_of(e)  # The command after all effects is shaped.
             sources[f"der({state})"] |= direct.union(*(sources_of(acting[n]) for n in direct & acting.keys()))
     dependencies = {output: sorted(direct) for output, direct in sources.items()}
     equations = {"equations.c": part("equations.c")}
@@ -174,7 +177,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
     def config(guid: str) -> bytes:
         sizes = {**native.sizes, "MODEL_GUID": f'"{guid}"'}
         lines = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-        return f"/* How large this model is, and which it is. */\n{lines}".encode()
+        return f"/* Sizes and identity of this model. */\n{lines}".encode()
 
     sources = {
         "all.c": (head + "".join(f'#include "{name}"\n' for name in order)).encode(),
@@ -192,7 +195,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
     others = ", ".join(p.name for p in PLATFORMS.values() if p not in targets)
     text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(', '.join(p.name for p in targets))}"
     if others:
-        text += f"; none for {escape(others)}, for which the C in <code>sources/</code> is to be compiled"
+        text += f"; none for {escape(others)}, compile <code>sources/</code> there"
     way = f"FMI {fmi}.0 {'co-simulation and model exchange' if native.named('state') else 'co-simulation'}"
     pages = documentation(native.about, f"{text}.</p>{native.text}", __version__, guid, way)
     members |= {f"documentation/{name}": data for name, data in pages.items()}

@@ -17,18 +17,18 @@ from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.symbols import number_guard
 from cosim.model.symbolic.trace import Trace, Untraceable
 
-MOST_SWITCHES = 4  # each doubles the generated code
+MOST_SWITCHES = 4  # Boolean parameters; each doubles the generated code
 LANGUAGE = C()
 Function = tuple[str, str, str]  # name, arguments, text
 
 
 class UnprintableModel(ValueError):
-    """A model without C equivalent.
+    """A model without a C equivalent.
 
     Attributes:
         owner: Class at fault, if known.
-        hook: Its method at fault.
-        cure: Remedy.
+        hook: Method of the class at fault.
+        cure: Cure for the message.
     """
 
     def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
@@ -37,13 +37,13 @@ class UnprintableModel(ValueError):
 
 
 def quote(text: str) -> str:
-    """Return a C string, with octal escapes outside printable ASCII."""
+    """Return a text as a C string, with octal escapes outside printable ASCII."""
     plain = (chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode())
     return f'"{"".join(plain)}"'
 
 
 def number(value: float) -> str:
-    """Return an exact C double."""
+    """Return a value as an exact C double."""
     text = repr(float(value))
     return {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}.get(text, text)
 
@@ -71,7 +71,7 @@ def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
 
 
 class ModelPrinter:
-    """Code generator of a model; C code of each position of the model's switches is chosen at run time."""
+    """Generator of a model's C code. Boolean parameters choose among variants of the code at run time."""
 
     def __init__(self, model: Model, ports: Sequence[Port]) -> None:
         self.model, self.ports = model, ports
@@ -79,8 +79,8 @@ class ModelPrinter:
         self.switches = [name for name, p in model.declared.items() if isinstance(p.default, bool)]
         if len(self.switches) > MOST_SWITCHES:
             names = ", ".join(self.switches)
-            text = f"{len(self.switches)} parameters are true or false ({names}); {MOST_SWITCHES} are printed at most"
-            cure = "make the rest numbers that m.where looks at, or constants of the class"
+            text = f"{len(self.switches)} Boolean parameters ({names}); at most {MOST_SWITCHES} are supported"
+            cure = "replace the others by numbers used in m.where, or by constants of the class"
             raise UnprintableModel(text, type(model), self.switches[MOST_SWITCHES].rpartition(".")[2], cure)
         positions = product((False, True), repeat=len(self.switches))
         try:
@@ -102,7 +102,7 @@ class ModelPrinter:
 
     @cached_property
     def remembering(self) -> list[tuple[Any, Any]]:
-        """Return (effect, quantity) for all memory except delays."""
+        """Return (effect, quantity) for all memory of effects except delays."""
         shaping = overrides(self.trace.effects, "shape", Effect)
         return [(e, q) for e in shaping if not e.delay for q in e.memory]
 
@@ -139,7 +139,7 @@ class ModelPrinter:
         return "\n".join(parts), sizes
 
     def _serialize(self) -> str:
-        """Return a text that determines all generated functions, as key of the cache."""
+        """Return a text that determines all generated functions; its hash is the key of the cache."""
         from sympy import srepr
 
         parts: list[Any] = [fingerprint(("cosim.model.symbolic", "cosim.fmi.native"))]
@@ -152,7 +152,10 @@ class ModelPrinter:
         return str(srepr([parts, [self.place[name] for name in self.switches]]))
 
     def _functions(self) -> tuple[list[str], int, int, int]:
-        """Return C functions, and the numbers of kinks of derivatives and outputs, of all kinks, and of calls."""
+        """Return the C functions and three numbers.
+
+        The numbers are those of kinks of derivatives and outputs, of all kinks, and of extracted calls.
+        """
         indicators = []  # of kinks of each variant: of derivatives and outputs, and of command shaping without memory
         for trace in self.variants:
             moving = {*trace.s.state, *trace.s.command, trace.s.time}
@@ -167,7 +170,7 @@ class ModelPrinter:
         return merged, sizes[0], sum(sizes), max(len(near) for _, _, near in calls)
 
     def _variant(self, trace: Trace, indicators: Any, near: Any, sizes: Sequence[int]) -> list[Function]:
-        """Return the functions of a position of the switches."""
+        """Return the functions for one combination of the Boolean parameters."""
         import sympy
 
         s = trace.s
@@ -202,11 +205,11 @@ class ModelPrinter:
             raise UnprintableModel(str(error)) from error
 
     def _places(self, trace: Trace) -> dict[Any, str]:
-        """Return symbol → its place in C, with parameters by value reference."""
+        """Return the place of each symbol in C; parameters are indexed by value reference."""
         return trace.places({name: f"p[{self.place[name]}]" for name in trace.s.parameters})
 
     def _merge(self, variants: Sequence[Function]) -> str:
-        """Return a C function that calls the variant for the values of the model's switches."""
+        """Return a C function that calls the variant for the values of the Boolean parameters."""
         name, arguments, text = variants[0]
         if all(other == text for _, _, other in variants):
             return text
@@ -221,7 +224,7 @@ class ModelPrinter:
         return "\n".join(texts) + f"\n{head}\n{{\n    switch ({bits}) {{\n{cases}    }}\n}}\n"
 
     def _starts(self) -> str:
-        """Return C code that computes start values from parameters, unless the host sets the start values."""
+        """Return C code that computes start values that depend on parameters, unless the host has set them."""
         import sympy
 
         m, model = SymbolNamespace(), self.trace.s.model
@@ -250,8 +253,8 @@ class ModelPrinter:
     def _questions(self) -> Iterator[str]:
         """Yield three C functions on effects.
 
-        `wake` marks effects as active if a parameter is not neutral. `remembers` is whether an active effect has
-        memory. `counting` is the name of an active effect that depends on the substep, or NULL.
+        `wake` marks an effect as active if a parameter is not neutral. `remembers` returns true if an active effect has
+        memory. `counting` returns the name of an active effect that depends on the substep, or NULL.
         """
         effects, remembering = self.trace.effects, {e.name for e, _ in self.remembering}
         lines = ""
@@ -277,11 +280,11 @@ class ModelPrinter:
         yield f"{head}{''.join(counting.values())}    return NULL;\n}}\n"
 
     def _tables(self) -> str:
-        """Return the tables of value references of start values, and of ranges in which the model is valid."""
+        """Return the tables of value references of start values, and of the model's ranges of validity."""
         late = [f"{self.delay.name}.{q.name}" for q in self.delay.memory] if self.delay else []
         if self.delay and len(late) != len(self.model.inputs):
             raise UnprintableModel(
-                f"{self.delay.name} remembers {len(late)} commands; there are {len(self.model.inputs)}"
+                f"{self.delay.name} has {len(late)} memory quantities; the model has {len(self.model.inputs)} inputs"
             )
         starts = {
             "STATE_START": [q.name for q in self.states],

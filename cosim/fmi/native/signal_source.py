@@ -1,4 +1,4 @@
-"""Native FMUs without states: steps and ramps as tables above `source.c`; a gain as numbers above `gain.c`."""
+"""Native FMUs without states: signals of steps and ramps (`source.c`), and a linear conversion (`gain.c`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refined FMUs: the original binary unchanged, and a small library that forwards every call and adds terms."""
+"""Refined FMUs: the original binary, unchanged, and a small library that forwards every call and adds terms."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from cosim.terms.code import TermCode
 TYPEDEF = re.compile(r"typedef\s+([^;()]*?)\b(fmi[23]\w+)TYPE\s*\(([^;]*?)\)\s*;", re.DOTALL)
 COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 PARAMETER = re.compile(r"(?P<type>.*?[\s*])?(?P<name>\w+)\s*(?P<array>\[\])?", re.DOTALL)
-# a function of FMI that is hand-written in C, without its prefix; others are forwarded as they are
+# FMI functions that are hand-written in C, without prefix; the others are forwarded
 WRITTEN = re.compile(r"^(?:DERIVATIVE\(|(?!static|typedef)[\w ]+[ *](?:fmi\d|FMI\())(\w+)\)?[(\n]", re.MULTILINE)
-# Functions that need no current inputs: before them nothing is computed.
+# functions that do not need current inputs, so pending inputs are not sent before them
 UNRELATED = ("Set", "Cancel", "Terminate", "EnterConfigurationMode", "ExitConfigurationMode")
 HEAD = "/* Generated from FMI's headers. */"
 
@@ -47,7 +47,7 @@ HEAD = "/* Generated from FMI's headers. */"
 
 
 def function_table(header: str) -> str:
-    """Return C: the table of functions `Functions`, and their names with their places in it, `SYMBOLS`."""
+    """Return C code: a struct `Functions` of function pointers, and a table `SYMBOLS` of names and offsets."""
     names = [name for _, name, _ in TYPEDEF.findall(COMMENT.sub("", header))]
     table = [f"    {name}TYPE *{name[4:]};" for name in names]
     symbols = [f'    {{"{name}", offsetof(Functions, {name[4:]})}},' for name in names]
@@ -57,9 +57,9 @@ def function_table(header: str) -> str:
 
 
 def forwarding_code(header: str, wrapper: str) -> str:
-    """Return C of all functions that only forward, those that are not in the C code of the wrapper.
+    """Return C code of all forwarded functions, i.e. those that the wrapper does not define itself.
 
-    Pending inputs are sent to the original before it is asked for anything.
+    Pending inputs are sent to the original before a value is read from it.
     """
     functions, written = [HEAD], {name.lower() for name in WRITTEN.findall(wrapper)}
     for result, name, text in TYPEDEF.findall(COMMENT.sub("", header)):
@@ -93,7 +93,7 @@ NONE = {"false", "0"}  # values of an absent capability
 
 
 class CannotWrap(ValueError):
-    """Error: terms cannot be added to an FMU."""
+    """Terms cannot be added to an FMU."""
 
 
 def xml_of(root: Any) -> bytes:
@@ -121,16 +121,16 @@ def set_starts(root: Any, values: Mapping[str, float], file: str) -> None:
     for name, value in values.items():
         node = nodes[name] if root.get("fmiVersion").startswith("3") else nodes[name].find("Real")
         if node.get("start") is None:
-            raise CannotWrap(f"{name} of {file} has no start value; only variables with one take another")
+            raise CannotWrap(f"{name} of {file} has no start value; only existing start values can be changed")
         node.set("start", repr(float(value)))
 
 
 def describe_wrapped(
     text: bytes, file: str, kept: Iterable[str], terms: TermCode, values: Mapping[str, float], first: int
 ) -> tuple[Any, list[str]]:
-    """Return the root of a wrapped FMU's description, with the original's token, and what the wrapper withdraws.
+    """Return the root of a wrapped FMU's description, the original's GUID or token, and the withdrawn capabilities.
 
-    Everything that is not edited stays, comments and annotations included.
+    All other content stays, comments and annotations included.
 
     Args:
         kept: Interfaces in which the terms act.
@@ -145,7 +145,8 @@ def describe_wrapped(
         if interface.tag not in kept:
             root.remove(interface)
             withdrawn.append(interface.tag)
-        for sources in interface.findall("SourceFiles"):  # the original's, of which the library is not made
+        # sources of the original, which are not those of the new library
+        for sources in interface.findall("SourceFiles"):
             interface.remove(sources)
     interfaces = [node for node in root if node.tag in INTERFACES]
     lost: list[str] = []
@@ -206,8 +207,8 @@ class Wrapped:
 
     Attributes:
         platforms: Platforms with a library, as named in FMI 2.0, and the oldest glibc of a Linux library.
-        left_out: Platform folder of the original → reason why the wrapper has none.
-        withdrawn: Interfaces and capabilities of the original that the wrapper does not have.
+        left_out: Platform folder of the original → reason why the wrapper has no library for it.
+        withdrawn: Interfaces and capabilities of the original that the wrapper lacks.
     """
 
     path: Path
@@ -219,14 +220,14 @@ class Wrapped:
 def wrap(
     original: Path, terms: TermCode, values: Mapping[str, float], out: Path, *, substep: float | None = None
 ) -> Wrapped:
-    """Write an FMU that holds the original and adds terms, completely or not at all.
+    """Write an FMU that contains the original and adds terms, completely or not at all.
 
-    Its platforms are those of the original, with this machine's compiled by its own compiler.
+    It has the platforms of the original that can be compiled for; the local compiler is used for this machine.
 
     Args:
         values: Start values of the terms' parameters, and of real variables of the original.
-        substep: Longest step [s] in co-simulation over which forces and shaped inputs are held, if the original takes
-            steps of any length; by default the communication step. Model exchange needs one for terms with memory.
+        substep: Longest step [s] in co-simulation with constant forces and shaped inputs, if the original accepts any
+            step; by default the communication step. Model exchange needs a substep for terms with memory.
 
     Raises:
         FmuError: The original is invalid.
@@ -236,7 +237,7 @@ def wrap(
     """
     about = read_description(original)
     if about.fmiVersion[0] not in "23":
-        raise CannotWrap(f"{original.name} is FMI {about.fmiVersion}; terms are added to FMI 2.0 and 3.0")
+        raise CannotWrap(f"{original.name} is FMI {about.fmiVersion}; terms can be added to FMI 2.0 and 3.0")
     fmi = int(about.fmiVersion[0])
     interfaces = _interfaces(original.name, about, terms, substep)
     taken = sorted({int(v.valueReference) for v in about.modelVariables})
@@ -280,17 +281,20 @@ def wrap(
 
 
 def _interfaces(file: str, about: Any, terms: TermCode, substep: float | None) -> dict[str, str]:
-    """Return interface → modelIdentifier of all interfaces in which the terms act; raise CannotWrap for none."""
+    """Return interface → modelIdentifier of all interfaces in which the terms act.
+
+    Raise CannotWrap if there is none.
+    """
     exchange, steps = about.modelExchange, about.coSimulation
     variables, names = {v.name for v in about.modelVariables}, [p.name for p in terms.parameters]
     if taken := [name for name in names if name in variables]:
-        raise CannotWrap(f'{file} already has a variable "{taken[0]}"; a parameter of a term needs another name')
+        raise CannotWrap(f'{file} already has a variable "{taken[0]}"; give the parameter of the term another name')
     if terms.delay and terms.delay not in names:
-        raise CannotWrap(f'the delay "{terms.delay}" is no parameter of the terms')
+        raise CannotWrap(f'the delay "{terms.delay}" is not a parameter of the terms')
     if substep is not None and not substep > 0:
         raise CannotWrap(f"the substep is {substep:g} s; give a positive number")
     if terms.directions and exchange.canBeInstantiatedOnlyOncePerProcess:
-        raise CannotWrap(f"the terms need a second instance of {file}, which allows one instance in a process")
+        raise CannotWrap(f"the terms need a second instance of {file}, which allows only one instance per process")
     states, found = [*scalars(states_of(about))], {}
     reads_states = "port_inputs" in terms.hooks or "added_rates" in terms.hooks
     if exchange is not None and (not reads_states or [*terms.states] == states):
@@ -299,11 +303,11 @@ def _interfaces(file: str, about: Any, terms: TermCode, substep: float | None) -
         found["CoSimulation"] = str(steps.modelIdentifier)
     if not found and exchange is not None:
         fault = f"the terms are for the states {', '.join(terms.states)}, but {file} has {', '.join(states)}"
-        raise CannotWrap(f"{fault}; print them for this FMU")
+        raise CannotWrap(f"{fault}; generate the terms for this FMU")
     if not found:
-        raise CannotWrap(f"the terms act on derivatives, and {file} has no model exchange")
+        raise CannotWrap(f"the terms act on derivatives, but {file} has no model exchange")
     if "ModelExchange" in found and terms.memory and substep is None:
-        raise CannotWrap("the terms have a memory, which model exchange needs a substep for; give a substep [s]")
+        raise CannotWrap("terms with memory need a substep in model exchange; give a substep [s]")
     return found
 
 
@@ -317,7 +321,7 @@ def _config(
     first: int,
     substep: float,
 ) -> str:
-    """Return config.h without the tokens and the path of the original's library: sizes and tables of variables."""
+    """Return config.h (sizes and tables of variables) without the tokens and the path of the original's library."""
     variables, parameters = {v.name: v for v in about.modelVariables}, terms.parameters
 
     def references(names: Iterable[str]) -> list[int]:
@@ -325,7 +329,7 @@ def _config(
             if name not in variables:
                 raise CannotWrap(f'{file} has no variable "{name}"')
             if variables[name].type not in REALS or variables[name].shape:
-                raise CannotWrap(f"{name} of {file} is no real scalar; terms act on real scalars")
+                raise CannotWrap(f"{name} of {file} is not a real scalar; terms act on real scalars")
         return [int(variables[name].valueReference) for name in names]
 
     names, dampings = [p.name for p in parameters], [d.parameter for d in terms.directions]
@@ -338,7 +342,7 @@ def _config(
         "rate": [] if any(v.shape for v in rates) else [int(v.valueReference) for v in rates],
         "own": references(own),
     }
-    # places of a variable that is not only forwarded among inputs, outputs, derivatives and own values; its elements
+    # indices, among inputs, outputs, derivatives and own values, of variables that are not only forwarded; their sizes
     places: dict[int, dict[str, int]] = {}
     for role, found in roles.items():
         for k, reference in enumerate(found):
@@ -362,7 +366,7 @@ def _config(
         "FIRST_PARAMETER": f"{first}u",
         "DELAY": f"({names.index(terms.delay) if terms.delay else -1})",
         "SUBSTEP": number(substep),
-        "ANY_STEP": int(takes_any_step(about) and not may_pend),  # a pending step goes on in the background
+        "ANY_STEP": int(takes_any_step(about) and not may_pend),  # a pending step continues in the background
         **{flag: int(hook in terms.hooks) for flag, hook in FLAGS.items()},
     }
     whole = {
@@ -379,7 +383,7 @@ def _config(
     }
     direction = ""
     if terms.directions:
-        # of each direction: damping with its place among own values, change, largest value; state, speed
+        # per direction: index of the damping among own values, change, largest value; state, speed
         whole["DAMPING_REFERENCE"] = references(dampings)
         whole["DAMPING_OWN"] = [[*own].index(name) for name in dampings]
         whole["BRAKED"] = [d.state for d in terms.directions]
@@ -418,7 +422,7 @@ def _libraries(
             folders.setdefault(parts[1], []).append(parts[2])
     if not folders:
         identifiers = ", ".join(sorted({*interfaces.values()}))
-        raise CannotWrap(f"{file} has no library for {identifiers}; there is nothing to wrap")
+        raise CannotWrap(f"{file} has no library for {identifiers}; it cannot be wrapped")
     known = {p.folder(fmi): p for p in PLATFORMS.values()}
     members: dict[str, bytes] = {}
     built: dict[str, str] = {}
@@ -426,10 +430,10 @@ def _libraries(
     for folder, files in sorted(folders.items()):
         platform = known.get(folder)
         if platform is None:
-            left_out[folder] = f"{folder} is not among the platforms to build for"
+            left_out[folder] = f"{folder} is not a requested platform"
             continue
         libraries = [each for each in files if each.endswith(platform.suffix)]
-        # A single library may have another name than its identifier.
+        # A single library may have a file name other than its identifier.
         own = {i: i + platform.suffix for i in interfaces.values()}
         if missing := [i for i, library in own.items() if library not in libraries and len(libraries) != 1]:
             left_out[folder] = f"{folder} has no library for {missing[0]}"
@@ -455,7 +459,7 @@ def _libraries(
     if not members:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise NoCompiler(
-            f"the refined FMU of {file} needs a small library around the original, and no platform of it can be "
+            f"the refined FMU of {file} needs a small library around the original, but none of its platforms can be "
             f"compiled for: {reasons}"
         )
     return members, built, left_out

@@ -118,7 +118,7 @@ static Status note_past(Wrapper *w)
     Course *c = &w->course;
     if (!is_delayed(c)) return FMI(OK);
     const double *u = w->exchange ? c->before : c->u;
-    return jump(&w->history, c->since, u) ? refuse(w, "there is no memory for the inputs of the past") : FMI(OK);
+    return jump(&w->history, c->since, u) ? refuse(w, "not enough memory for the input history") : FMI(OK);
 }
 
 /* Inputs over a part of a step, before they are shaped. With a straight course in model exchange their mean, otherwise those
@@ -172,7 +172,7 @@ static Status commit(Wrapper *w)
     if (c->awake) {
         status = note_past(w);
         if (is_delayed(c) && c->time > c->since && append(&w->history, c->time, c->u))
-            status = refuse(w, "there is no memory for the inputs of the past");
+            status = refuse(w, "not enough memory for the input history");
         remember(w, c->time, c->m);
         if (is_delayed(c)) forget(&w->history, c->time - DELAY_TIME(c));
     }
@@ -327,8 +327,8 @@ static Wrapper *checked(Wrapper *w)
 {
     const int has_all = w->component != NULL && (w->second != NULL || !(DIRECTIONS && w->exchange));
     if (has_all && !REFUSED(set_own(w))) return w;
-    if (has_all) refuse(w, "the original does not take its own start values");
-    else if (w->component != NULL) refuse(w, "the original gives no second instance, which forces need");
+    if (has_all) refuse(w, "the original rejects its own start values");
+    else if (w->component != NULL) refuse(w, "the original allows no second instance, which forces need");
     free_instances(w);
     dispose(w);
     return NULL;
@@ -509,13 +509,13 @@ static Status change_values(Wrapper *w, const Reference vr[], size_t count, doub
 static Status get_apart(Wrapper *w, const Reference vr[], size_t count, double value[], size_t values)
 {
     size_t kept = 0, at = 0, kept_values = 0;
-    if (reserve(w, count + values)) return refuse(w, "there is no memory for values");
+    if (reserve(w, count + values)) return refuse(w, "not enough memory for values");
     for (size_t k = 0; k < count; k++) {
         if (IS_PARAMETER(vr[k])) continue;
         w->references[kept++] = vr[k];
         kept_values += special_of(vr[k])->size;
     }
-    if (kept_values > values) return refuse(w, "there are %zu values for variables with %zu", values, kept_values);
+    if (kept_values > values) return refuse(w, "%zu values for variables with %zu", values, kept_values);
     const Status status = kept ? GET_ALL(w, w->references, kept, w->values, kept_values) : FMI(OK);
     if (REFUSED(status)) return status;
     const double *from = w->values;
@@ -580,11 +580,11 @@ static Status set_reals(Wrapper *w, const Reference vr[], size_t count, const do
     Course *c = &w->course;
     size_t kept = 0, at = 0, kept_values = 0;
     if (c->phase == RUNNING && !c->awake && !names_parameters(vr, count)) return SET_ALL(w, vr, count, value, values);
-    if (reserve(w, count + values)) return refuse(w, "there is no memory for values");
+    if (reserve(w, count + values)) return refuse(w, "not enough memory for values");
     for (size_t k = 0; k < count; k++) {
         const Special *s = special_of(vr[k]);
         const size_t size = s->size;
-        if (at + size > values) return refuse(w, "there are only %zu values for %zu variables", values, count);
+        if (at + size > values) return refuse(w, "only %zu values for %zu variables", values, count);
         const int is_original = note(w, vr[k], s, value[at]);
         if (is_original < 0) return FMI(Error);
         if (is_original) {
@@ -769,10 +769,10 @@ Status FMI(GetFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
     KNOWN(a0);
     HAS(GetFMUstate);
     Snapshot *s = snapshot_at(*state);
-    if (s == NULL) return refuse(w, "there is no memory for a state");
+    if (s == NULL) return refuse(w, "not enough memory for a state");
     Status status = w->f.GetFMUstate(w->component, &s->original);
     if (!REFUSED(status) && HAS_SECOND(w)) status = worse(status, w->f.GetFMUstate(w->second, &s->second));
-    if (!REFUSED(status) && copy_history(&w->history, &s->history)) status = refuse(w, "there is no memory for a state");
+    if (!REFUSED(status) && copy_history(&w->history, &s->history)) status = refuse(w, "not enough memory for a state");
     s->course = w->course;
     if (!REFUSED(status)) *state = s;
     else if (*state == NULL) free_snapshot(s);
@@ -789,7 +789,7 @@ Status FMI(SetFMUstate)(FMI(Component) a0, FMI(FMUstate) state)
     if (!REFUSED(status) && HAS_SECOND(s)) status = worse(status, w->f.SetFMUstate(w->second, s->second));
     if (REFUSED(status)) return status;
     w->course = s->course;
-    return copy_history(&s->history, &w->history) ? refuse(w, "there is no memory for a state") : status;
+    return copy_history(&s->history, &w->history) ? refuse(w, "not enough memory for a state") : status;
 }
 
 Status FMI(FreeFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
@@ -833,7 +833,7 @@ Status FMI(SerializeFMUstate)(FMI(Component) a0, FMI(FMUstate) state, FMI(Byte) 
     const Snapshot *s = state;
     size_t second = 0;
     Status status = s == NULL ? FMI(OK) : size_of_second(w, s, &second);
-    if (s == NULL || size < HEAD + PAST(s) + second) return refuse(w, "there is no room for the state");
+    if (s == NULL || size < HEAD + PAST(s) + second) return refuse(w, "the buffer is too small for the state");
     const double counts[] = {(double)s->history.count, (double)second};
     FMI(Byte) *at = bytes;
     memcpy(at, OWN_TOKEN, sizeof OWN_TOKEN), at += sizeof OWN_TOKEN;
@@ -870,9 +870,9 @@ Status FMI(DeSerializeFMUstate)(FMI(Component) a0, const FMI(Byte) bytes[], size
     KNOWN(a0);
     HAS(DeSerializeFMUstate);
     Snapshot *s = snapshot_at(*state);
-    if (s == NULL) return refuse(w, "there is no memory for a state");
+    if (s == NULL) return refuse(w, "not enough memory for a state");
     size_t second = 0;
-    Status status = read_head(s, bytes, size, &second) ? refuse(w, "this state is damaged, or of another FMU") : FMI(OK);
+    Status status = read_head(s, bytes, size, &second) ? refuse(w, "this state is damaged, or belongs to another FMU") : FMI(OK);
     if (!REFUSED(status)) {
         const size_t past = HEAD + PAST(s), head = past + second;
         if (second > 0) status = w->f.DeSerializeFMUstate(w->second, bytes + past, second, &s->second);

@@ -105,7 +105,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component a0, const fmi2ValueReferen
 {
     KNOWN(a0);
     HAS(GetDirectionalDerivative);
-    if (w->course.awake) return refuse(w, "there are no directional derivatives with active terms");
+    if (w->course.awake) return refuse(w, "directional derivatives are not available with active terms");
     return w->f.GetDirectionalDerivative(w->component, unknown, unknowns, known, knowns, change, slope);
 }
 
@@ -113,7 +113,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component a0, const fmi2ValueReferenc
 {
     KNOWN(a0);
     HAS(SetRealInputDerivatives);
-    if (w->course.awake && ACTS) return refuse(w, "inputs are held over a step with active terms");
+    if (w->course.awake && ACTS) return refuse(w, "inputs are constant during a step with active terms");
     return w->f.SetRealInputDerivatives(w->component, vr, count, order, value);
 }
 
@@ -121,7 +121,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component a0, const fmi2ValueReferen
 {
     KNOWN(a0);
     HAS(GetRealOutputDerivatives);
-    if (w->course.awake && READS) return refuse(w, "outputs have no derivatives with active terms");
+    if (w->course.awake && READS) return refuse(w, "output derivatives are not available with active terms");
     return w->f.GetRealOutputDerivatives(w->component, vr, count, order, value);
 }
 

@@ -144,7 +144,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance a0, const fmi3ValueReference vr[], size_t
     { \
         KNOWN(a0); \
         HAS(name); \
-        if (w->course.awake) return refuse(w, "there are no derivatives by inputs and states with active terms"); \
+        if (w->course.awake) return refuse(w, "directional derivatives are not available with active terms"); \
         return w->f.name(w->component, unknowns, unknown, knowns, known, seed, seeds, result, results); \
     }
 
@@ -156,7 +156,7 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance a0, const fmi3ValueReference vr
 {
     KNOWN(a0);
     HAS(GetOutputDerivatives);
-    if (w->course.awake && READS) return refuse(w, "outputs have no derivatives with active terms");
+    if (w->course.awake && READS) return refuse(w, "output derivatives are not available with active terms");
     return w->f.GetOutputDerivatives(w->component, vr, count, order, value, values);
 }
 

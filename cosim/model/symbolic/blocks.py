@@ -1,4 +1,4 @@
-"""Printing of traced equations as functions that skip each dormant effect's block at run time.
+"""Generated functions that skip the block of each dormant effect at run time.
 
 Also: indicators of kinks, and directional derivatives block by block with the chain rule, which avoids an explicit
 Jacobian.
@@ -19,7 +19,7 @@ AWAKE, DORMANT = 0, 1  # branches of a block
 
 
 def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any]) -> tuple[list[Block], list[Any]]:
-    """Return blocks and symbols of kink indicators, each zero at a kink or jump.
+    """Return blocks and symbols of kink indicators. Each indicator is zero at a kink or jump of the equations.
 
     The indicator of an effect's block is 1 while the effect is dormant.
 
@@ -75,7 +75,7 @@ def tangent(
 
 @dataclass(frozen=True)
 class Nearby:
-    """A call that evaluates sine and cosine of an angle, or a power, near a known point.
+    """A call of sin, cos or a power whose argument is near a known point, for cheap evaluation.
 
     Attributes:
         place: Index of the known point, one per call of a function.
@@ -87,7 +87,7 @@ class Nearby:
 
 
 def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
-    """Return blocks and results with symbols for sin, cos and powers, and the calls for their values.
+    """Replace sin, cos and powers by symbols; return the blocks, the results, and the replaced calls.
 
     Powers with a constant exponent remain: squares, roots and reciprocals are cheap.
     """
@@ -118,7 +118,7 @@ def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list
 
 @dataclass
 class _Node:
-    """A block of the printed code: an effect's block has symbols and expressions for each of its branches."""
+    """A block of the generated code. An effect's block has symbols and expressions for each of its two branches."""
 
     branches: tuple[dict[Any, Any], ...]
     effect: int | None = None
@@ -183,7 +183,7 @@ def function(
 
 
 def _needed_blocks(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
-    """Return the blocks required for the results, reduced to the used symbols."""
+    """Return the blocks required for the results, without unused symbols."""
     needed = {s for e in sympified(results) for s in e.free_symbols}
     reduced = []
     for block in reversed(blocks):

@@ -1,6 +1,6 @@
-"""Symbolic equations of a model, which users extend by expressions and print as functions of arrays.
+"""A model's equations as symbolic expressions, which callers extend and print as functions of arrays.
 
-Users are the refinement filter, the wrapper of a refined FMU, and the controllers.
+Callers are the refinement filter, the wrapper of a refined FMU, and the controllers.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class Shaping:
 
     Attributes:
         stages: Symbol → expression for each effect.
-        results: Resulting command, then the memory after.
-        remembered: Symbols of the memory before.
+        results: Expressions of the resulting command, followed by the new memory.
+        remembered: Symbols of the old memory.
     """
 
     stages: tuple[dict[Any, Any], ...]
@@ -71,13 +71,13 @@ class Body:
 
     @property
     def delay(self) -> int:
-        """Return the index of the delay parameter, −1 without one."""
+        """Return the index of the delay parameter; −1 if the model has no delay."""
         name = next((f"{e.name}.{e.delay}" for e in self.symbols.model.awake if e.delay), None)
         return list(self.parameters).index(name) if name else -1
 
     @cached_property
     def shaping(self) -> Shaping:
-        """Return the shaping of commands; users look up a delayed command in the log."""
+        """Return the shaping of commands without delays; callers read a delayed command from the log."""
         import sympy
 
         with number_guard(smooth=True):
@@ -98,7 +98,7 @@ class Body:
 
     @property
     def terms(self) -> list[dict[Any, float]]:
-        """Return for each effect its parameters' symbols with the neutral values."""
+        """Return one mapping per effect: symbols of its parameters → neutral values."""
         every = (
             {self.parameters[f"{e.name}.{p.name}"]: p.neutral for p in parameters_of(e) if p.neutral is not None}
             for e in self.symbols.model.effects
@@ -106,7 +106,7 @@ class Body:
         return [term for term in every if term]
 
     def shaping_function(self, language: Language, name: str) -> str:
-        """Return the text of `name(h, u, memory, p, out)`: shaped command, then memory, over a substep h."""
+        """Return the text of `name(h, u, memory, p, out)`: shaped command and new memory for a substep h."""
         return language.function(name, "h u memory p", self.shaping.results, self._places, self.shaping.stages)
 
     @property

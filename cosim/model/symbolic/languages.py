@@ -75,7 +75,7 @@ class Language:
         return self.frame(name, [*arguments.split(), "out"], "\n    ".join(lines))
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
-        """Return sympy's printer with symbols in their places.
+        """Return sympy's printer that replaces symbols by their places.
 
         Args:
             conditions: Function → condition for its evaluation; otherwise the value is 0.
@@ -169,7 +169,7 @@ class Arrays(Python):
     """NumPy printer, with the module named `math`: numbers are arrays; branches compute both sides."""
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
-        """Return the Python printer without skipping, since points differ in their terms."""
+        """Return the Python printer. Functions are never skipped, since array elements differ in their active terms."""
         return super().printer(places)
 
     def base_printer(self) -> Any:  # noqa: D102
@@ -177,7 +177,7 @@ class Arrays(Python):
             def _print_Piecewise(self, e: Any) -> str:
                 *branches, last = e.args
                 if last[1] != True:  # noqa: E712 - sympy's own
-                    raise Unprintable("a branch without an otherwise")
+                    raise Unprintable("a branch lacks a default value")
                 text = str(self._print(last[0]))
                 for value, condition in reversed(branches):
                     text = f"math.where({self._print(condition)}, {self._print(value)}, {text})"
@@ -193,10 +193,10 @@ class Arrays(Python):
 
 
 def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> dict[Any, Term]:
-    """Return costly function → parameters of the terms that need it, with neutral values.
+    """Return costly functions that may be skipped: function → terms that need it, with neutral values.
 
-    A term is dormant at its neutral values. A function that is then multiplied by 0 can be replaced by 0 without a
-    change of any bit of the results.
+    A term is dormant at its neutral values. A function that is then multiplied by 0 can be replaced by 0, and the
+    results are equal bit for bit.
 
     Args:
         lines: Symbol of a common subexpression, None for a result; expression.
@@ -225,7 +225,7 @@ def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> 
         return symbol not in remaining[e, dormant]
 
     def terms_through(target: Any, e: Any, symbol: Any) -> set[int] | None:
-        """Return the terms that need a symbol in a line; None if it is always needed."""
+        """Return the terms that need a symbol in a line; None if the symbol is always needed."""
         if not isinstance(e, sympy.Expr) or not e.is_polynomial(symbol):  # the effect of 0 on the line is unclear
             return None
         every = frozenset(range(len(terms)))

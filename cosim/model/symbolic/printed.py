@@ -1,4 +1,4 @@
-"""Functions printed as they are, without sympy's differentiation or expansion."""
+"""Sympy functions that are printed verbatim, without differentiation or expansion by sympy."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Rint(Printed):
     c, python = "rint({})", "float(round({}))"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return the slope 1."""
+        """Return the derivative 1."""
         return sympy.Integer(1)
 
 
@@ -48,7 +48,7 @@ class Below(Printed):
     c, python = "(({}) < ({}) ? 1.0 : 0.0)", "(1.0 if ({}) < ({}) else 0.0)"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return the slope 0."""
+        """Return the derivative 0."""
         return sympy.Integer(0)
 
 
@@ -58,7 +58,7 @@ class Clip(Printed):
     c, python = "fmin(fmax({}, {}), {})", "min(max({}, {}), {})"
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Return 1 for the active argument, else 0."""
+        """Return the derivative: 1 for the active argument, else 0."""
         x, low, high = self.args
         under, over = Below(x, low), Below(high, x)
         return (1 - under - over, under, over)[argindex - 1]

@@ -1,4 +1,4 @@
-"""Models with symbols as numbers, for Jacobians and generated code, and the dependencies of their outputs."""
+"""Models with symbols instead of numbers, for Jacobians and generated code; input dependencies of outputs."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
 
 SYMBOLIC = Path(__file__).resolve().parent
-EQUALITY = "is decided before the numbers are known; compare with <, <=, > or >= in m.where"
-REMAINDER = "jumps where no solver sees it; let m.where choose: m.where(angle > limit, angle - 2 * limit, angle)"
+EQUALITY = "cannot be evaluated on symbols; compare with <, <=, > or >= in m.where"
+REMAINDER = (
+    "has jumps that a solver cannot detect; use m.where, for example m.where(angle > limit, angle - 2 * limit, angle)"
+)
 EQUALITIES = {"__eq__": "==", "__ne__": "!="}
 SIGNS = {**EQUALITIES, "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
 VARYING = ("state:", "input:")  # prefixes of symbol names
@@ -31,9 +33,9 @@ class Shaped(NamedTuple):
 
     Attributes:
         number: Index of the effect in the catalogue.
-        memory: Symbols of the memory before.
-        changed: Symbol → expression, and symbol → value before.
-        command, remembered: Symbols of the command and the memory after.
+        memory: Symbols of the old memory.
+        changed: Symbol → new expression; symbol → old value.
+        command, remembered: Symbols of the new command and the new memory.
     """
 
     number: int
@@ -64,13 +66,14 @@ class SymbolicModel:
         return sympified(function(self.time, self.state, self.command))
 
     def shaping(self, step: Any, *, only_changes: bool = False) -> Iterator[Shaped]:
-        """Yield the shaping of the command by each effect, later ones in plain symbols: sympy is slow with nests.
+        """Yield the shaping of the command by each effect.
 
-        Delays are left out, since a history is no expression.
+        Later effects use plain symbols, as sympy is slow with nesting. Delays are left out, since a history is no
+        expression.
 
         Args:
             step: Symbol of the substep's length.
-            only_changes: Keep the symbols of unchanged values, and number the others by the place of the effect.
+            only_changes: Keep the symbols of unchanged values, and number the others by the index of the effect.
         """
         import sympy
 
@@ -103,7 +106,7 @@ class SymbolicModel:
 
 
 def sympified(values: Iterable[Any]) -> list[Any]:
-    """Return numbers and expressions as expressions."""
+    """Convert numbers and expressions to sympy expressions."""
     import sympy
 
     return [sympy.sympify(e) for e in values]
@@ -161,7 +164,7 @@ def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
         names = {symbol: name for name, symbol in s.parameters.items()}
         names |= {symbol: q.name for symbol, q in zip(s.command, s.model.inputs, strict=True)}
         names |= {symbol: f"{q.name}_start" for symbol, q in zip(s.state, s.model.states, strict=True)}
-        # start parameters that depend on other parameters unless set by the host
+        # start parameters that by default depend on other parameters
         own = s.model.start_state(SymbolNamespace())
         follows = dict(zip((f"{n}_start" for n in own), (e.free_symbols for e in sympified(own.values())), strict=True))
         for q, expression in zip(model.outputs, variants[-1], strict=True):
@@ -175,12 +178,13 @@ def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
 
 @contextmanager
 def number_guard(*, smooth: bool = False) -> Iterator[None]:
-    """Raise OfNumbersOnly for `==`, `!=`, `%` and `//` of symbols in a model's lines, instead of a wrong value.
+    """Within the `with` block, raise OfNumbersOnly for `==`, `!=`, `%` and `//` of symbols in a model's code.
 
-    Sympy and the tracer compare expressions too; the file of the operator distinguishes the cases.
+    Without this check, a comparison of symbols would give a wrong value. Sympy and the tracer compare expressions too;
+    the file of the operator distinguishes the cases.
 
     Args:
-        smooth: Refuse `%` and `//` only for states and inputs, whose derivatives are taken.
+        smooth: Refuse `%` and `//` only for states and inputs, which must be differentiable.
     """
     import sympy
 

@@ -1,7 +1,7 @@
-"""Symbolic evaluation of the equations effect by effect, with a block for each effect that can be skipped.
+"""Symbolic evaluation of the equations effect by effect; each effect becomes a block that can be skipped.
 
-A model calls its effects through hooks with names of its own. Each call of an overridden hook is recorded as a block:
-its values with the active effect, and the values of the same code at the neutral values. One set of expressions then
+A model calls its effects through methods (hooks) with names of its own. Each call of an overridden hook is recorded as
+a block: its expressions with the active effect, and its expressions at the neutral values. One set of expressions then
 serves every combination of effects, and a dormant effect costs one jump.
 """
 
@@ -21,7 +21,7 @@ INTEGRATOR_HOOKS = ("shape", "remember")  # hooks called by the integrator inste
 
 
 class Untraceable(ValueError):
-    """A model without a symbolic form: an effect undefined at its neutral value, or a delay with its own rule.
+    """A model without a symbolic form, e.g. with an effect undefined at its neutral value, or a custom delay.
 
     Attributes:
         owner, hook: Class and hook of the effect at fault, if any.
@@ -84,7 +84,7 @@ class Trace:
             derivative, output = s.model.acting(SymbolNamespace())
             self.derivative = s.evaluate(derivative)
             place = len(s.model.base_states)
-            for k, effect in enumerate(self.effects):  # the states of a dormant effect stop
+            for k, effect in enumerate(self.effects):  # the states of a dormant effect are constant
                 for q in effect.states:
                     symbol = sympy.Symbol(f"rate_{k}_{place}", real=True)
                     awake = self._name(self.derivative[place])
@@ -93,12 +93,14 @@ class Trace:
                     place += 1
             self.outputs = s.evaluate(output)
             if any(e.delay for e in overrides(self.effects, "shape", Effect)[1:]):
-                raise Untraceable("a delay comes first in the catalogue, and there is one at most")
+                raise Untraceable(
+                    "the catalogue has a delay that is not its first effect; list one delay, as the first effect"
+                )
             for late in (e for e in self.effects if e.delay):
                 for hook in INTEGRATOR_HOOKS:
                     if getattr(type(late), hook) is not getattr(Delay, hook):
-                        text = f"{late.name} is late by a {hook} of its own; C knows the delay of `Delay` alone"
-                        cure = "take that as it is, or build it without --native"
+                        text = f"{late.name} overrides {hook}; C code supports only the delay of class `Delay`"
+                        cure = "use it unchanged, or build without --native"
                         raise Untraceable(text, type(late), hook, cure)
             self.step, self.shaped = sympy.Symbol("h", real=True), [*s.command]
             self.memory, self.remembered, self.started = list[Any](), list[Any](), list[Any]()
@@ -107,8 +109,10 @@ class Trace:
                 self.shaping.append(Block(stage.changed[0], stage.number, stage.changed[1], f"{effect.name}.shape"))
                 started = sympified(effect.remember(s.time, stage.memory))
                 if len(started) != len(stage.memory):
-                    text = f"{effect.name} declares {len(stage.memory)} remembered values; remember gives"
-                    raise Untraceable(f"{text} {len(started)}", type(effect), "remember", "let it give one for each")
+                    text = f"{effect.name} declares {len(stage.memory)} quantities in memory, but remember returns"
+                    raise Untraceable(
+                        f"{text} {len(started)}", type(effect), "remember", "return one value per quantity"
+                    )
                 self.memory += stage.memory
                 self.started += started
                 self.remembered += stage.remembered
@@ -120,7 +124,7 @@ class Trace:
         return {self.step: "h", **self.s.places(named, self.memory)}
 
     def _name(self, expression: Any) -> Any:
-        """Return a symbol, the same for equal expressions."""
+        """Return the symbol of an expression; equal expressions share a symbol."""
         import sympy
 
         if expression.is_Atom:
@@ -131,7 +135,7 @@ class Trace:
         return self._symbols[expression]
 
     def _watch(self, kind: type[Any], place: int) -> type[Any]:
-        """Return the effect's class with each hook recorded that it overrides and a base effect class defines."""
+        """Return a subclass of the effect that records the calls of each overridden hook."""
 
         def recorded(name: str, lines: Callable[..., Any]) -> Callable[..., Any]:
             return lambda effect, *arguments, **keywords: self._call(lines, effect, name, place, arguments, keywords)
@@ -171,8 +175,8 @@ class Trace:
             asleep = awake.xreplace(neutral)
             if asleep.has(sympy.nan, sympy.zoo, sympy.oo):
                 at = ", ".join(f"{n} is {v:g}" for n, v in switches.items())
-                text = f"{effect.name} has no value where {at}: {name} gives {asleep}"
-                cure = "let m.where choose another value there"
+                text = f"{effect.name} is not finite at {at}: {name} returns {asleep}"
+                cure = "use m.where to return another value there"
                 raise Untraceable(text, type(effect), name, cure)
             if asleep == awake and (awake in passed or awake.is_Number):
                 return awake
@@ -181,7 +185,7 @@ class Trace:
             return symbol
 
         result = _map(values, leaf)
-        # with the arguments, so that a text such as <object at 0x…> stays that of one object
+        # The arguments are included, so that a text such as <object at 0x…> stays that of one object.
         self._calls[key] = arguments, keywords, result
         if block.values:
             self.blocks.append(block)
@@ -189,7 +193,7 @@ class Trace:
 
 
 def _map(value: Any, change: Callable[[Any], Any]) -> Any:
-    """Return the same structure with every number and expression changed."""
+    """Return the same structure with `change` applied to every number and expression."""
     import sympy
 
     if isinstance(value, Mapping):

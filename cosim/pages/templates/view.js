@@ -11,7 +11,7 @@ class SignalPlot extends Chart {
     const title = make("button", {
         type: "button",
         class: "plot-title",
-        title: "mark this plot: Enter in the tree adds here",
+        title: "select this plot: Enter in the tree adds signals here",
       }),
       figure = make("figure", { class: `plot ${kind}` });
     super(host, figure, { kind, across: null, isFresh: false, title, statistics, isLog: kind === "spectrum" });
@@ -103,11 +103,11 @@ class SignalPlot extends Chart {
     if (this.kind === "xy")
       this.over = across
         ? `${across.name} [${this.host.runs[across.run].units[across.name] || "1"}]`
-        : "first drop the signal of the x axis";
+        : "drop the signal of the x axis first";
     super.build();
     const words = this.curves.map((c) => this.labelOf(c)).join(", ") || "no signals";
     this.figure.setAttribute("aria-label", `${this.name}: ${words}`);
-    const keys = "arrow keys move the cursor, plus and minus zoom, page up and down move along, 0 shows all";
+    const keys = "arrow keys move the cursor, plus and minus zoom, page up and down shift the time range, 0 shows all";
     this.box.setAttribute("aria-label", `${this.name}: ${keys}`);
     for (const each of all("button", this.tools)) each.disabled = !this.curves.length && each.textContent !== "remove";
     this.isFresh = false;
@@ -388,7 +388,7 @@ class Desk extends Linked {
         const { curves } = JSON.parse(event.dataTransfer.getData("text/plain"));
         if (curves.length) take(curves, event);
       } catch {
-        this.tell("This is no signal.");
+        this.tell("This is not a signal.");
       }
     });
   }
@@ -562,7 +562,7 @@ class Desk extends Linked {
       );
     } catch (error) {
       const isGone = error.message === "Failed to fetch";
-      this.warn(isGone ? "The command does not answer. What it has sent stays on this page." : error.message);
+      this.warn(isGone ? "The command does not respond. The data received so far remain on this page." : error.message);
     } finally {
       this.isBusy = false;
     }
@@ -715,7 +715,7 @@ class Desk extends Linked {
     const { from, to } = content.view ?? this.extent;
     this.look(Number(from), Number(to));
     if (missing.length)
-      this.warn(`Not in these runs, and left out: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`);
+      this.warn(`Omitted, because these runs lack them: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`);
     for (const words of wrong) this.warn(words);
   }
   // Derived signals of a layout, each after those that it depends on, in whatever order the file has them.
@@ -735,7 +735,7 @@ class Desk extends Linked {
           wrong.push(`${next.name} is left out: ${error.message}`),
         );
     }
-    if (waiting.length) wrong.push(`Derived from themselves, and left out: ${waiting.map((f) => f.name).join(", ")}`);
+    if (waiting.length) wrong.push(`Omitted, because they depend on themselves: ${waiting.map((f) => f.name).join(", ")}`);
   }
   // The signals of criteria, each with its target, in all runs that have them.
   plotJudged() {
@@ -839,7 +839,7 @@ async function startView(inputs = null) {
       if (runs[run].kinds[text] === "text") throw new Error(`${text} has texts, and a formula takes numbers.`);
       of[letter] = [run, text];
     }
-    if (!Object.keys(of).length) throw new Error("Give at least the signal of one letter.");
+    if (!Object.keys(of).length) throw new Error("Assign a signal to at least one letter.");
     return of;
   }
   function suggestName() {
@@ -975,7 +975,7 @@ async function startView(inputs = null) {
         /* it is refused below */
       }
       const [first] = Object.values(await post("layouts", { file: file.name, content }));
-      if (!first) throw new Error("This file holds no layout.");
+      if (!first) throw new Error("This file has no layout.");
       await open(first);
     });
   listLayouts();

@@ -38,7 +38,7 @@ const post = async (path, content) => (await request(path, content)).json();
     one("#report").hidden = !state.report;
     put(one("h1"), state.title);
     document.title = `${state.title} · live ${activity}`;
-    const kept = { stopped: "Stopped. What was made so far is kept.", finished: `The ${activity} is complete.` };
+    const kept = { stopped: "Stopped. The results so far are kept.", finished: `The ${activity} is complete.` };
     tell(state.message || kept[state.phase] || "");
   }
   one("#stop")?.addEventListener("click", () => {
@@ -301,7 +301,7 @@ const post = async (path, content) => (await request(path, content)).json();
     });
   };
   events.onerror = () => {
-    if (activity === "view") return view.desk?.warn("The command has ended. What it has sent stays on this page.");
+    if (activity === "view") return view.desk?.warn("The command has ended. The data received so far remain on this page.");
     if (state && FINAL.includes(state.phase)) {
       events.close(); // the command has ended
       one("#report").hidden = true;
@@ -309,6 +309,6 @@ const post = async (path, content) => (await request(path, content)).json();
     }
     put(one("#phase"), "lost");
     one("#phase").className = "phase lost";
-    tell("The command does not answer. What it has sent stays on this page.");
+    tell("The command does not respond. The data received so far remain on this page.");
   };
 })();
