@@ -109,8 +109,9 @@ def _tracks(
             for end, span in spans.items():
                 replay = free if span == FREE_RUN else self_started(drive, free, span)
                 if replay is not None:
-                    more = {"inside": inside[k] if inside else None, "free": span == FREE_RUN}
-                    tracks[end].append(track_of(log.time, sorted(replay.starts), replay.errors(log), **more))
+                    rows, errors = sorted(replay.starts), replay.errors(log)
+                    covered = inside[k] if inside else None
+                    tracks[end].append(track_of(log.time, rows, errors, inside=covered, free=span == FREE_RUN))
         except SimulationError:
             continue
     return tracks

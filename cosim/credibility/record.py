@@ -193,8 +193,8 @@ def _srmd(record: Credibility) -> bytes:
     }
     for keyword, text in entries.items():
         ElementTree.SubElement(group, f"{stc}ClassificationEntry", {"keyword": keyword}).text = text
-    text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    return text
+    content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return content
 
 
 class Found(NamedTuple):

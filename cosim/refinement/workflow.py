@@ -173,9 +173,8 @@ def _refine(
             file = scratch / FILES_OF[name]
             if name in variants and file in files:
                 over = {part: by[subject.horizon] for part, by in played[name].items()}
-                of_file = search, h, variants[name], over, sets
                 try:
-                    records[file] = credibility_of(*of_file, place=place, fmu=file)
+                    records[file] = credibility_of(search, h, variants[name], over, sets, place=place, fmu=file)
                 except CosimError as error:
                     warnings.append(f"{file.name} has no record of credibility: {error}")
         hold_stops()  # From here, a result exists that must not be lost.

@@ -243,8 +243,8 @@ def _limits(study: Sweep) -> list[CriterionLimit]:
         unit = study.system.units.get(goal.of, "")
         unit = {"settling_time": "s", "effort": f"{unit}.s".lstrip(".")}.get(kind, unit)
         limits.append(CriterionLimit(f"{name} ({same + 1})" if same else name, goal.max, unit))
-    for _, _, goal in study.scenario.valid_goals:
-        limits.append(CriterionLimit(f"{OUTSIDE.replace('_', ' ')} of {goal.of}", 100.0 * (1.0 - goal.min), "%"))
+    for _, _, valid in study.scenario.valid_goals:
+        limits.append(CriterionLimit(f"{OUTSIDE.replace('_', ' ')} of {valid.of}", 100.0 * (1.0 - valid.min), "%"))
     return limits
 
 

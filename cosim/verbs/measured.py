@@ -66,10 +66,15 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     say(f"residual: {rows_in(place, 'residual')}" + (f", report: {page}" if page.is_file() else ""))
     if json:
         findings = [finding.line for finding in comparison.findings]
-        content = {"verdict": answer, "sentence": text, "findings": findings, "channels": as_json(comparison)}
-        content |= {"validity": replayed.validity} if replayed.validity else {}
+        content = {
+            "verdict": answer,
+            "sentence": text,
+            "findings": findings,
+            "channels": as_json(comparison),
+        }
+        known = {"validity": replayed.validity} if replayed.validity else {}
         files = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
-        say_json({**content, **files_in(place, *files, NEXT_STUDY)})
+        say_json({**content, **known, **files_in(place, *files, NEXT_STUDY)})
     show(page, open)
 
 

@@ -18,7 +18,15 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.subject.interface import Workplace
 from cosim.logs.log import Log
 from cosim.refinement.decision.bundle import fit_without
-from cosim.refinement.proof.measure import KernelReplays, LogSets, ReplayedLogs, Variant, begin_replays, refined_variant
+from cosim.refinement.proof.measure import (
+    KernelReplays,
+    LogSets,
+    Part,
+    ReplayedLogs,
+    Variant,
+    begin_replays,
+    refined_variant,
+)
 from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.residuals.drive import Drive, DriveApart
 from cosim.residuals.evidence import log_records, region_of_logs, rows_inside
@@ -33,7 +41,7 @@ def credibility_of(
     search: Search,
     h: Hypothesis | None,
     variant: Variant,
-    replayed: Mapping[str, ReplayedLogs],
+    replayed: Mapping[Part, ReplayedLogs],
     sets: LogSets,
     *,
     place: Workplace,
