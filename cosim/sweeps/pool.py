@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_completed, wait
@@ -17,6 +16,7 @@ from queue import SimpleQueue
 from typing import Any
 from uuid import uuid4
 
+from cosim.blocks.stepping import cores
 from cosim.core.errors import CosimError, Fault, InputError, SweepFailed
 from cosim.core.extras import optional
 from cosim.core.version import __version__
@@ -29,11 +29,6 @@ RUNS_PER_THREAD = 4  # requested at once from a dask cluster
 REQUESTED = 2  # runs for each process here: the one under way, and the next
 
 MakeRuns = Callable[[Iterable[RunRequest]], Iterator[RunResult]]
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[RunResult]:
