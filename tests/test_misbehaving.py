@@ -317,7 +317,8 @@ def test_a_run_and_a_replay_are_the_same_in_a_worker_and_in_process(tmp_path: Pa
         run(path, tmp_path / f"run{k}", report=False, in_process=bool(k))
         replay(log, tmp_path / f"replay{k}", tmp_path / "good.fmu", in_process=bool(k))
     for folder, name in (("run", "results.csv"), ("replay", "results.csv"), ("replay", "report.html")):
-        assert (tmp_path / f"{folder}0" / name).read_bytes() == (tmp_path / f"{folder}1" / name).read_bytes()
+        one, other = ((tmp_path / f"{folder}{k}" / name).read_text() for k in range(2))
+        assert one == other.replace("replay1", "replay0")  # the page names its folder
 
 
 def test_check_of_a_scenario_ends_at_its_limits(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ class Database:
     def add(self, run: RunResult) -> None:
         """Add a run in place of an earlier one with its number; runs are stored together, after a moment."""
         with self._full_disk_as_oserror():
-            about = json.dumps([run.run, run.status, [*run.values], [*run.met], run.signals.shape])
+            about = json.dumps([run.run, run.status, [*run.values], [*run.met], run.signals.shape, run.valid])
             content = about.encode() + b"\n" + run.signals.tobytes()
             self._base.execute("INSERT OR REPLACE INTO made VALUES (?, ?)", (run.run, content))
         if time.monotonic() - self._stored > STORED_EVERY:
@@ -97,8 +97,8 @@ class Database:
         """Yield the results of all runs in order, without loading them into memory at once."""
         for (content,) in self._base.execute("SELECT result FROM made ORDER BY run"):
             about, _, samples = content.partition(b"\n")
-            run, status, values, met, shape = json.loads(about)
-            yield RunResult(run, status, values, met, np.frombuffer(samples).reshape(shape))
+            run, status, values, met, shape, valid = json.loads(about)
+            yield RunResult(run, status, values, met, np.frombuffer(samples).reshape(shape), valid)
 
     def remove(self) -> None:
         """Close and delete the database, and the folder of a part."""
